@@ -1,0 +1,1 @@
+"""Blocks in, blocks out: the only room that knows bag formats."""

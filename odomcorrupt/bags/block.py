@@ -1,0 +1,104 @@
+"""The one shape in which every bag format is read and written: blocks of messages.
+
+A block is one chunk of a bag (or batch of rows), decompressed into a writable buffer, with a table that says where
+each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else of a block
+is ever parsed, so what is not patched comes through bit-identical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Message"]
+
+TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("length", "<i8")])
+"""One row a message, in the order in which the messages lie in the block's data."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """A topic of one publisher.
+
+    id : key in the tables of blocks; unique within a bag
+    msgtype : as ROS 2 writes it, "nav_msgs/msg/Odometry", for ROS 1 bags too
+    encoding : how messages are serialised: "ros1", "cdr", or whatever else an MCAP says ("json", "protobuf")
+    raw : what the format keeps about it (definition, md5sum, callerid, latching, QoS, type hash); opaque elsewhere
+    """
+
+    id: int
+    topic: str
+    msgtype: str
+    encoding: str
+    raw: Any = field(default=None, compare=False, repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message that was not in the bag before; it is written behind the messages of the block that carries it."""
+
+    channel: int
+    log_ns: int
+    data: bytes
+
+
+@dataclass(slots=True)
+class Block:
+    """Messages that lie together.
+
+    data : (size,) uint8, writable; the decompressed chunk
+    table : (n,) of dtype TABLE
+    raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
+    added : messages to append, in order
+    """
+
+    data: NDArray[np.uint8]
+    table: NDArray[np.void]
+    raw: Any = None
+    added: list[Message] = field(default_factory=list)
+
+
+class BagReader(Protocol):
+    """An open bag.
+
+    `channels` is complete at once where `complete` is true (the input can seek); on a pipe it fills while blocks are
+    read, each channel before the first block that uses it. Closing is by context manager. Whatever is wrong with the
+    bag is raised as BagError.
+    """
+
+    kind: Literal["ros1", "mcap", "sqlite3"]
+    complete: bool
+    channels: Mapping[int, Channel]
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the blocks in file order, each with a buffer of its own: several are held at once."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class BagWriter(Protocol):
+    """A bag being written beside its final name: it appears when the context ends without an error, or never."""
+
+    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
+
+    def write(self, block: Block) -> None:
+        """Write a block, its added messages behind its own."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...

@@ -1,0 +1,35 @@
+"""The odometry's clock runs fast or slow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+if TYPE_CHECKING:
+    from odomcorrupt.pose import Array
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSkew(Effect):
+    """f = rate (t (a, ay, alpha) + (v, vy, omega)); on a bag: every odometry stamp moves by rate * t.
+
+    Only the regression sees f; the shift itself is exact.
+    """
+
+    name: ClassVar[str] = "clock_skew"
+    kind: ClassVar[Kind] = "setup"
+    summary: ClassVar[str] = "the odometry's clock runs fast or slow against the truth's"
+    clock: ClassVar[bool] = True
+
+    rate: float = parameter("", "odometry clock rate over true rate, minus one", low=-0.1, high=0.1, typical=1e-4)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f to first order: a time offset that grows, and speeds measured with a wrong second."""
+        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
+        return TwistError(self.rate * (motion.t_s[:, None] * motion.acceleration + twist), state)
+
+    def stamp_shift_s(self, t_s: Array) -> Array:
+        """Return the growing shift."""
+        return self.rate * t_s

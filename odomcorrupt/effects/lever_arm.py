@@ -1,0 +1,27 @@
+"""The truth follows another point of the robot than the odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class LeverArm(Effect):
+    """f = (-y omega, x omega, 0), with the tracked point at (x, y) in the base frame.
+
+    Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2) (a sensor's extrinsics).
+    """
+
+    name: ClassVar[str] = "lever_arm"
+    kind: ClassVar[Kind] = "setup"
+    summary: ClassVar[str] = "the point that the truth follows is not the origin of the base frame"
+
+    x: float = parameter("m", "tracked point ahead of the base frame", low=-2.0, high=2.0, typical=0.03)
+    y: float = parameter("m", "tracked point to the left of the base frame", low=-2.0, high=2.0, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: what a point off the axis does in turns."""
+        return TwistError(stacked(-self.y * motion.omega, self.x * motion.omega, 0.0, motion.v), state)

@@ -1,0 +1,26 @@
+"""Tyres drift outwards in turns, the more so the faster the turn is taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class SideSlip(Effect):
+    """f = (0, -k v omega, 0): a slip angle proportional to the lateral force m v omega.
+
+    Rajamani, Vehicle Dynamics and Control, ch. 2 (linear tyre).
+    """
+
+    name: ClassVar[str] = "side_slip"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the robot slips outwards in turns, in proportion to speed times yaw rate"
+
+    k: float = parameter("s", "sideways speed per speed and yaw rate", low=-0.5, high=0.5, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a sideways error in turns."""
+        return TwistError(stacked(0.0, -self.k * motion.v * motion.omega, 0.0, motion.v), state)

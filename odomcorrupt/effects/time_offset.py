@@ -1,0 +1,36 @@
+"""The odometry's stamps are late or early by a constant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter
+
+if TYPE_CHECKING:
+    from odomcorrupt.pose import Array
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOffset(Effect):
+    """f = offset (a, ay, alpha); on a bag: every odometry stamp moves by the offset.
+
+    Only the regression sees f; the shift itself is exact.
+    """
+
+    name: ClassVar[str] = "time_offset"
+    kind: ClassVar[Kind] = "setup"
+    summary: ClassVar[str] = "the odometry's clock is ahead of the truth's by a constant"
+    clock: ClassVar[bool] = True
+
+    offset: float = parameter("s", "odometry stamp minus true time", low=-5.0, high=5.0, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f to first order: the twist a little later, minus the twist now."""
+        return TwistError(self.offset * motion.acceleration, state)
+
+    def stamp_shift_s(self, t_s: Array) -> Array:
+        """Return the constant shift."""
+        return np.full_like(t_s, self.offset)

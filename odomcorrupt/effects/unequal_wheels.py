@@ -1,0 +1,32 @@
+"""One wheel is larger than the other: straight lines bend."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class UnequalWheels(Effect):
+    """f = (curvature b^2 omega / 4, 0, curvature v); the first term only where the track b is known.
+
+    With radii r_right / r_left = 1 + e, curvature = e / b. Borenstein & Feng 1996, IEEE T-RA 12(6), E_d.
+    """
+
+    name: ClassVar[str] = "unequal_wheels"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "one wheel is larger than the other, so that straight lines bend"
+
+    curvature: float = parameter(
+        "rad/m", "true curvature of a path that odometry calls straight", low=-1.0, high=1.0, typical=0.005
+    )
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the yaw error goes with the distance, and changes sign in reverse."""
+        track = motion.track_m or 0.0
+        return TwistError(
+            stacked(self.curvature * track**2 / 4.0 * motion.omega, 0.0, self.curvature * motion.v, motion.v),
+            state,
+        )

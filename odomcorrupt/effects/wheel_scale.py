@@ -1,0 +1,26 @@
+"""Both wheels are larger or smaller than the driver believes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class WheelScale(Effect):
+    """f = (e v, e vy, e omega): distance and turn are wrong by the same factor.
+
+    Borenstein & Feng 1996, IEEE T-RA 12(6), E_s.
+    """
+
+    name: ClassVar[str] = "wheel_scale"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the wheels' true radius differs from the nominal one"
+
+    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.5, high=1.0, typical=0.01)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, proportional to the whole twist."""
+        return TwistError(stacked(self.e * motion.v, self.e * motion.vy, self.e * motion.omega, motion.v), state)

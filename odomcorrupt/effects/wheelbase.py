@@ -1,0 +1,26 @@
+"""The wheels stand wider or narrower than the driver believes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class Wheelbase(Effect):
+    """f = (0, 0, -e / (1 + e) omega).
+
+    Borenstein & Feng 1996, IEEE T-RA 12(6), E_b = 1 + e; skid-steered robots: Mandow & Martinez 2007, 1.3 to 2.
+    """
+
+    name: ClassVar[str] = "wheelbase"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the true distance between the wheels differs from the nominal track"
+
+    e: float = parameter("", "true over nominal track, minus one", low=-0.5, high=2.0, typical=0.015)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: every turn is misjudged by the same factor."""
+        return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)

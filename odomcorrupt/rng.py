@@ -1,0 +1,38 @@
+"""Seeded streams of random numbers.
+
+A stream is a function of (seed, run, name, ordinal) alone: the same in a single call and in a batch, on any number of
+workers, for any cut of the bag into blocks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+
+import numpy as np
+
+from odomcorrupt.errors import ModelError
+
+__all__ = ["SEED_LIMIT", "draw_seed", "stream"]
+
+SEED_LIMIT = 2**63
+"""Seeds are below this: they fit a signed 64-bit field wherever they are stored."""
+
+
+def draw_seed() -> int:
+    """Return a fresh seed, short enough to be typed again; never derived from the clock."""
+    return secrets.randbelow(2**32)
+
+
+def stream(seed: int, run: int, name: str, ordinal: int = 0) -> np.random.Generator:
+    """Return the generator of one purpose (`name`: "noise" or an effect) of one run.
+
+    Two purposes, ordinals or runs never share numbers: each is a spawn key of its own below the seed.
+    """
+    if not 0 <= seed < SEED_LIMIT:
+        raise ModelError(f"seed: {seed}; it must be a whole number from 0 to 2^63 - 1")
+    if run < 0:
+        raise ModelError(f"run: {run}; runs are counted from 0")
+    key = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
+    sequence = np.random.SeedSequence(seed, spawn_key=(run, key & 0xFFFFFFFF, key >> 32, ordinal))
+    return np.random.Generator(np.random.PCG64(sequence))

@@ -1,0 +1,1 @@
+"""The study half: recordings, fit, compare, diagnose."""
