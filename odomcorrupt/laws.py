@@ -72,11 +72,16 @@ class _Rule(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """A named rule, and whether the drift it makes depends on the step it is applied to."""
+    """A named rule.
+
+    per_step : whether the drift it makes depends on the step it is applied to
+    degree : variances are homogeneous of this degree in the coefficients (a fit needs to know)
+    """
 
     name: str
     rule: _Rule
     per_step: bool
+    degree: int
     source: str
 
 
@@ -112,13 +117,15 @@ LAWS: Mapping[str, Law] = {
             "diffusion",
             _diffusion,
             per_step=False,
+            degree=2,
             source="Probabilistic Robotics' growth, the article's units",
         ),
-        Law("linear", _linear, per_step=True, source="the article (2018); MRPT CActionRobotMovement2D"),
+        Law("linear", _linear, per_step=True, degree=2, source="the article (2018); MRPT CActionRobotMovement2D"),
         Law(
             "quadratic",
             _quadratic,
             per_step=True,
+            degree=1,
             source="Probabilistic Robotics ch. 5.4, table 5.6; nav2_amcl",
         ),
     )
