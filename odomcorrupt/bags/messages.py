@@ -9,32 +9,31 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+import numpy as np
 
-    import numpy as np
+from odomcorrupt.bags.layouts import PROGRAMS, Item, Template, read_template
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
 
-__all__ = ["Item", "Layout", "gather", "gather_stamps_ns", "locate", "scatter", "scatter_stamps_ns"]
+__all__ = [
+    "READABLE",
+    "Item",
+    "Layout",
+    "gather",
+    "gather_stamps_ns",
+    "locate",
+    "scatter",
+    "scatter_stamps_ns",
+]
 
+READABLE = frozenset(PROGRAMS)
+"""Message types, as `Channel.msgtype` names them, that `locate` knows."""
 
-@dataclass(frozen=True, slots=True)
-class Item:
-    """One stamped thing in a message: the Odometry itself, or one transform of a TFMessage.
-
-    frame_id, child_frame_id : as written in the message ("" where the type has none), leading slashes kept
-    stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes
-    fields : name to (offset from the message's start in bytes, count of float64): "position" 3, "orientation" 4
-        (xyzw), "pose_covariance" 36, "twist" 6, "twist_covariance" 36; in Odometry and TF, orientation follows
-        position directly
-    """
-
-    frame_id: str
-    child_frame_id: str
-    stamp: int
-    fields: Mapping[str, tuple[int, int]]
+_SECOND_NS = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,14 +42,16 @@ class Layout:
 
     rows : (n,) indices into the block's table, ascending
     starts : (n,) offsets of the messages in the block's data, bytes
-    items : one for an Odometry or pose, one per transform for a TFMessage
+    items : one for an Odometry or pose, one per transform for a TFMessage (none for an empty one)
     big_endian : whether numbers are stored big-endian (CDR only)
+    unsigned_seconds : whether the stamps' seconds are unsigned, as in ROS 1
     """
 
     rows: NDArray[np.int64]
     starts: NDArray[np.int64]
     items: tuple[Item, ...]
     big_endian: bool = False
+    unsigned_seconds: bool = False
 
 
 def locate(block: Block, channel: Channel) -> list[Layout]:
@@ -59,27 +60,90 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
     Raises
     ------
     BagError
-        Where a message is shorter than its own strings and numbers say.
+        Where a message is shorter than its own strings and numbers say, or its type or encoding is not known.
 
     """
-    raise NotImplementedError
+    rows = np.flatnonzero(block.table["channel"] == channel.id)
+    starts = block.table["offset"][rows]
+    lengths = block.table["length"][rows]
+    if np.any((starts < 0) | (lengths < 0) | (starts > block.data.size - lengths)):
+        raise BagError(f"{channel.topic}: a message lies beyond its block of {block.data.size} bytes; damaged bag")
+    layouts: list[Layout] = []
+    while rows.size:
+        first = block.data[starts[0] : starts[0] + lengths[0]].tobytes()
+        template = read_template(first, channel.topic, channel.msgtype, channel.encoding)
+        same = _matches(block.data, starts, lengths, template)
+        layouts.append(Layout(rows[same], starts[same], template.items, template.big_endian, template.unsigned_seconds))
+        rows, starts, lengths = rows[~same], starts[~same], lengths[~same]
+    return layouts
 
 
 def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.float64]:
     """Return a copy (n, count) of a field of all messages of a layout."""
-    raise NotImplementedError
+    offset, count = item.fields[field]
+    raw = _windows(block.data, 8 * count)[layout.starts + offset]
+    return raw.view(_order(layout) + "f8").reshape(-1, count).astype(np.float64, copy=False)
 
 
 def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArray[np.float64]) -> None:
     """Write a field (n, count) of all messages of a layout into the block's data, in place."""
-    raise NotImplementedError
+    offset, count = item.fields[field]
+    raw = np.ascontiguousarray(np.broadcast_to(values, (layout.starts.size, count)), dtype=_order(layout) + "f8")
+    _windows(block.data, 8 * count)[layout.starts + offset] = raw.view(f"V{8 * count}")[:, 0]
 
 
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
     """Return the header stamps (n,) in nanoseconds since 1970."""
-    raise NotImplementedError
+    raw = _windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
+    stamps_ns: NDArray[np.int64] = raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
+    return stamps_ns
 
 
 def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArray[np.int64]) -> None:
-    """Write the header stamps (n,)."""
-    raise NotImplementedError
+    """Write the header stamps (n,), in nanoseconds since 1970.
+
+    Raises
+    ------
+    BagError
+        Where a stamp does not fit into the message's 32 bits of seconds.
+
+    """
+    seconds, nanoseconds = np.divmod(stamps_ns, _SECOND_NS)
+    kind = _stamp_type(layout)
+    limits = np.iinfo(kind["s"])
+    if np.any((seconds < limits.min) | (seconds > limits.max)):
+        raise BagError(
+            f"stamp: {seconds.min()} s to {seconds.max()} s do not fit a header (up to {limits.max} s from "
+            f"{limits.min} s); shift stamps by less"
+        )
+    raw = np.empty(layout.starts.size, dtype=kind)
+    raw["s"], raw["ns"] = seconds, nanoseconds
+    _windows(block.data, 8)[layout.starts + item.stamp] = raw.view("V8")
+
+
+def _matches(
+    data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64], template: Template
+) -> NDArray[np.bool_]:
+    """Tell which messages (n,) have a template's structural bytes and are long enough for its numbers."""
+    same = lengths >= template.size
+    width = template.mask.size
+    candidates = np.flatnonzero(same) if not same.all() else slice(None)
+    heads = _windows(data, width)[starts[candidates]].view(np.uint8).reshape(-1, width)
+    same[candidates] = ~((heads ^ template.structure) & template.mask).any(axis=1)
+    return same
+
+
+def _windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+    """View data as overlapping windows, one from each byte: fancy indexing then moves whole fields, unaligned."""
+    if data.size < width:
+        return np.empty(0, dtype=f"V{width}")  # of no message: an index into it would have been refused before
+    return np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
+
+
+def _order(layout: Layout) -> str:
+    return ">" if layout.big_endian else "<"
+
+
+def _stamp_type(layout: Layout) -> np.dtype[np.void]:
+    order = _order(layout)
+    return np.dtype([("s", order + ("u4" if layout.unsigned_seconds else "i4")), ("ns", order + "u4")])

@@ -1,0 +1,207 @@
+"""Read the structure of one message: where its strings end and its numbers begin.
+
+Everything but stamps, sequence numbers, padding and plain numbers is structure. A template remembers those bytes with
+a mask; a message with the same structural bytes has its numbers at the same places.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+__all__ = ["PROGRAMS", "Item", "Template", "read_template"]
+
+_PLAIN_CDR = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
+"""Representation identifiers of plain encodings: byte order and largest alignment. XCDR2 aligns doubles to 4 bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One stamped thing in a message: the Odometry itself, or one transform of a TFMessage.
+
+    frame_id, child_frame_id : as written in the message ("" where the type has none), leading slashes kept
+    stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes
+    fields : name to (offset from the message's start in bytes, count of float64): "position" 3, "orientation" 4
+        (xyzw), "pose_covariance" 36, "twist" 6, "twist_covariance" 36, "lla" 3 (degrees, degrees, metres),
+        "covariance" 9 (of a NavSatFix); in Odometry and TF, orientation follows position directly
+    """
+
+    frame_id: str
+    child_frame_id: str
+    stamp: int
+    fields: Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """The layout that all messages with these structural bytes share.
+
+    structure : (w,) uint8, the first w bytes of such a message, other than structural ones zeroed
+    mask : (w,) uint8, 255 where a byte is structural
+    size : bytes from the message's start to the end of its last number
+    unsigned_seconds : whether the stamp's seconds are unsigned (ROS 1)
+    """
+
+    items: tuple[Item, ...]
+    structure: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    size: int
+    big_endian: bool
+    unsigned_seconds: bool
+
+
+def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Template:
+    """Read the layout of one serialised message."""
+    if encoding not in ("ros1", "cdr"):
+        raise BagError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
+    if msgtype not in PROGRAMS:
+        raise BagError(f"{topic}: type {msgtype} has no layout here; choose a topic of {', '.join(sorted(PROGRAMS))}")
+    cursor = _Ros1Cursor(data, topic) if encoding == "ros1" else _CdrCursor(data, topic)
+    items = PROGRAMS[msgtype](cursor)
+    width = cursor.marked_to
+    mask = np.frombuffer(cursor.mask, dtype=np.uint8)[:width].copy()
+    structure = np.frombuffer(data, dtype=np.uint8)[:width] & mask
+    return Template(items, structure, mask, cursor.at, cursor.order == ">", encoding == "ros1")
+
+
+class _Cursor:
+    """Walks over a message, marking what is structure."""
+
+    order = "<"
+    header_bytes = 0
+
+    def __init__(self, data: bytes, topic: str) -> None:
+        self.data = data
+        self.topic = topic
+        self.at = 0
+        self.mask = bytearray(len(data))
+        self.marked_to = 0
+
+    def align(self, size: int) -> None:
+        """Step over the padding before a number of this size."""
+
+    def take(self, size: int, *, structural: bool) -> int:
+        """Step over bytes; return where they began."""
+        start, end = self.at, self.at + size
+        if end > len(self.data):
+            raise BagError(
+                f"{self.topic}: a message of {len(self.data)} bytes ends before byte {end}, where its strings and "
+                "counts say a field lies; the bag is damaged or the topic's type is not what it says"
+            )
+        if structural:
+            self.mask[start:end] = b"\xff" * size
+            self.marked_to = end
+        self.at = end
+        return start
+
+    def count(self) -> int:
+        """Read a length or count, four bytes."""
+        self.align(4)
+        start = self.take(4, structural=True)
+        return int(struct.unpack_from(self.order + "I", self.data, start)[0])
+
+    def string(self) -> str:
+        """Read a string; CDR ends it with a zero byte, ROS 1 does not."""
+        length = self.count()
+        start = self.take(length, structural=True)
+        return self.data[start : start + length].removesuffix(b"\0").decode(errors="replace")
+
+    def doubles(self, count: int) -> tuple[int, int]:
+        """Step over float64 numbers; return where they began and how many they are."""
+        self.align(8)
+        return self.take(8 * count, structural=False), count
+
+    def skip(self, size: int) -> None:
+        """Step over a plain number that does not shape the layout."""
+        self.align(size)
+        self.take(size, structural=False)
+
+    def header(self) -> tuple[int, str]:
+        """Read a std_msgs/Header; return where the stamp lies, and the frame."""
+        self.align(4)
+        self.take(self.header_bytes, structural=False)
+        return self.take(8, structural=False), self.string()
+
+
+class _Ros1Cursor(_Cursor):
+    header_bytes = 4  # the sequence number
+
+
+class _CdrCursor(_Cursor):
+    def __init__(self, data: bytes, topic: str) -> None:
+        super().__init__(data, topic)
+        self.take(4, structural=True)
+        if data[0] != 0 or data[1] not in _PLAIN_CDR:
+            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one; it cannot be read")
+        self.order, self.largest = _PLAIN_CDR[data[1]]
+        # The options (bytes 2, 3) say how much padding follows the message: they do not shape what lies before it.
+        self.mask[2:4] = b"\0\0"
+
+    def align(self, size: int) -> None:
+        self.take((4 - self.at) % min(size, self.largest), structural=False)
+
+
+def _odometry(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    child = cursor.string()
+    fields = {"position": cursor.doubles(3), "orientation": cursor.doubles(4), "pose_covariance": cursor.doubles(36)}
+    return (Item(frame, child, stamp, fields | {"twist": cursor.doubles(6), "twist_covariance": cursor.doubles(36)}),)
+
+
+def _transform(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    child = cursor.string()
+    return (Item(frame, child, stamp, {"position": cursor.doubles(3), "orientation": cursor.doubles(4)}),)
+
+
+def _transforms(cursor: _Cursor) -> tuple[Item, ...]:
+    items: list[Item] = []
+    for _ in range(cursor.count()):
+        items += _transform(cursor)
+    return tuple(items)
+
+
+def _point(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    return (Item(frame, "", stamp, {"position": cursor.doubles(3)}),)
+
+
+def _pose(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    return (Item(frame, "", stamp, {"position": cursor.doubles(3), "orientation": cursor.doubles(4)}),)
+
+
+def _pose_with_covariance(cursor: _Cursor) -> tuple[Item, ...]:
+    (item,) = _pose(cursor)
+    fields = {**item.fields, "pose_covariance": cursor.doubles(36)}
+    return (Item(item.frame_id, "", item.stamp, fields),)
+
+
+def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    cursor.skip(1)  # status
+    cursor.skip(2)  # service
+    return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}),)
+
+
+PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
+    "nav_msgs/msg/Odometry": _odometry,
+    "tf2_msgs/msg/TFMessage": _transforms,
+    "tf/msg/tfMessage": _transforms,
+    "geometry_msgs/msg/PoseStamped": _pose,
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose_with_covariance,
+    "geometry_msgs/msg/PointStamped": _point,
+    "geometry_msgs/msg/TransformStamped": _transform,
+    "sensor_msgs/msg/NavSatFix": _nav_sat_fix,
+}
+"""What can be read, by message type."""

@@ -1,0 +1,225 @@
+"""Layouts against the rosbags serialiser, an independent oracle."""
+
+from operator import attrgetter
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from odomcorrupt.bags.block import TABLE, Block, Channel
+from odomcorrupt.bags.messages import READABLE, gather, gather_stamps_ns, locate, scatter, scatter_stamps_ns
+from odomcorrupt.errors import BagError
+
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+ROS2 = get_typestore(Stores.ROS2_HUMBLE)
+ROS2.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf/msg/tfMessage"))
+WIRES = ["ros1", "little", "big", "xcdr2"]
+
+
+def store(wire):
+    return ROS1 if wire == "ros1" else ROS2
+
+
+def build(types, name, rng, **given):
+    """Fill a message of any type with random numbers and strings."""
+    cls = types.types[name]
+    values = {}
+    for field, (node, desc) in types.fielddefs[name][1]:
+        if field in given:
+            values[field] = given[field]
+        elif int(node) == 1:
+            kind = desc[0]
+            if kind == "string":
+                values[field] = "".join(rng.choice(list("abcdefgh"), size=rng.integers(0, 9)))
+            else:
+                values[field] = float(rng.normal()) if kind.startswith("float") else int(rng.integers(0, 100))
+        elif int(node) == 2:
+            inner = {k: given[k] for k in ("frame_id", "child_frame_id") if k in given}
+            values[field] = build(types, desc, rng, **inner)
+        elif int(node) == 3:
+            values[field] = rng.normal(size=desc[1])
+        else:
+            values[field] = [build(types, desc[0][1], rng, **given) for _ in range(given.get("count", 2))]
+    return cls(**values)
+
+
+def serialise(wire, message, name):
+    if wire == "ros1":
+        return bytes(ROS1.serialize_ros1(message, name))
+    data = bytes(ROS2.serialize_cdr(message, name, little_endian=wire != "big"))
+    return data if wire != "xcdr2" else to_xcdr2(message, name)
+
+
+def to_xcdr2(message, name):
+    """Serialise plainly with doubles aligned to four bytes."""
+    out = bytearray(b"\x00\x07\x00\x00")
+
+    def put(value, kind):
+        size = np.dtype(kind).itemsize
+        out.extend(b"\0" * ((4 - len(out)) % min(size, 4)))
+        out.extend(np.array(value, dtype=kind).tobytes())
+
+    def write(value, name):
+        for field, (node, desc) in ROS2.fielddefs[name][1]:
+            member = getattr(value, field)
+            if int(node) == 1 and desc[0] == "string":
+                put(len(member) + 1, "<u4")
+                out.extend(member.encode() + b"\0")
+            elif int(node) == 1:
+                put(member, numpy_kind(desc[0]))
+            elif int(node) == 2:
+                write(member, desc)
+            elif int(node) == 3:
+                put(member, "<f8")
+            else:
+                put(len(member), "<u4")
+                for one in member:
+                    write(one, desc[0][1])
+
+    write(message, name)
+    return bytes(out)
+
+
+def numpy_kind(name):
+    return np.dtype(name).newbyteorder("<")
+
+
+def block_of(messages, lead=3):
+    """Put messages at odd places of a buffer, as chunks do."""
+    data = bytearray(b"\xaa" * lead)
+    table = np.zeros(len(messages), TABLE)
+    for row, message in zip(table, messages, strict=True):
+        row["offset"], row["length"] = len(data), len(message)
+        data += message + b"\xbb" * lead
+    return Block(np.frombuffer(data, np.uint8), table)
+
+
+PATHS = {
+    "lla": "latitude longitude altitude",
+    "covariance": "position_covariance",
+    "twist": " ".join(f"twist.twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"),
+    "twist_covariance": "twist.covariance",
+    "pose_covariance": "pose.covariance",
+    "transform position": "transform.translation.x transform.translation.y transform.translation.z",
+    "transform orientation": "transform.rotation.x transform.rotation.y transform.rotation.z transform.rotation.w",
+    "point position": "point.x point.y point.z",
+    "pose position": "position.x position.y position.z",
+    "pose orientation": "orientation.x orientation.y orientation.z orientation.w",
+}
+
+
+def oracle(message, field):
+    """Return the numbers of a field of an item, from the decoded message."""
+    if field in ("position", "orientation"):
+        field = next(f"{part} {field}" for part in ("transform", "point", "pose") if hasattr(message, part))
+        while field.startswith("pose") and hasattr(message, "pose"):
+            message = message.pose
+    found = [attrgetter(path)(message) for path in PATHS[field].split()]
+    return list(found[0]) if np.ndim(found[0]) else found
+
+
+def stamp_ns(header):
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("msgtype", sorted(READABLE))
+def test_fields_are_what_another_decoder_reads(msgtype, wire):
+    rng = np.random.default_rng(1)
+    messages = [build(store(wire), msgtype, rng, count=n % 4) for n in range(40)]
+    block = block_of([serialise(wire, m, msgtype) for m in messages])
+    layouts = locate(block, Channel(0, "/t", msgtype, "ros1" if wire == "ros1" else "cdr"))
+    assert sorted(row for layout in layouts for row in layout.rows) == list(range(40))
+    for layout in layouts:
+        for index, item in enumerate(layout.items):
+            parts = [getattr(messages[row], "transforms", [messages[row]] * 9)[index] for row in layout.rows]
+            assert {p.header.frame_id for p in parts} == {item.frame_id}
+            assert {getattr(p, "child_frame_id", "") for p in parts} == {item.child_frame_id}
+            assert gather_stamps_ns(block, layout, item).tolist() == [stamp_ns(p.header) for p in parts]
+            for field in item.fields:
+                np.testing.assert_array_equal(gather(block, layout, item, field), [oracle(p, field) for p in parts])
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_scattered_numbers_are_read_by_gather_and_nothing_else_changes(wire):
+    rng = np.random.default_rng(2)
+    name = "nav_msgs/msg/Odometry"
+    messages = [build(store(wire), name, rng, frame_id="odom", child_frame_id="base") for _ in range(50)]
+    block = block_of([serialise(wire, m, name) for m in messages])
+    before = block.data.copy()
+    (layout,) = locate(block, Channel(0, "/odom", name, "ros1" if wire == "ros1" else "cdr"))
+    (item,) = layout.items
+    stamps_ns = gather_stamps_ns(block, layout, item)
+    scatter_stamps_ns(block, layout, item, stamps_ns + 5)
+    for field, (_, count) in item.fields.items():
+        values = gather(block, layout, item, field)
+        scatter(block, layout, item, field, values + 1)
+        np.testing.assert_array_equal(gather(block, layout, item, field), values + 1)
+        scatter(block, layout, item, field, values)
+        assert values.shape == (50, count)
+    assert gather_stamps_ns(block, layout, item).tolist() == (stamps_ns + 5).tolist()
+    scatter_stamps_ns(block, layout, item, stamps_ns)
+    np.testing.assert_array_equal(block.data, before)
+
+
+def test_messages_of_equal_length_with_different_strings_have_layouts_of_their_own():
+    rng = np.random.default_rng(3)
+    name = "nav_msgs/msg/Odometry"
+    frames = [("odom", "base_link", 0), ("odomm", "base_lin", 1)]
+    messages = [
+        serialise("ros1", build(ROS1, name, rng, frame_id=f, child_frame_id=c), name) for f, c, _ in frames * 10
+    ]
+    assert len({len(m) for m in messages}) == 1
+    layouts = locate(block_of(messages), Channel(0, "/odom", name, "ros1"))
+    assert [layout.rows.tolist() for layout in layouts] == [list(range(0, 20, 2)), list(range(1, 20, 2))]
+
+
+@pytest.mark.parametrize("wire", WIRES)
+@pytest.mark.parametrize("msgtype", sorted(READABLE))
+def test_a_message_cut_anywhere_is_an_error_or_complete(msgtype, wire):
+    message = build(store(wire), msgtype, np.random.default_rng(4), frame_id="odom", child_frame_id="base")
+    data = serialise(wire, message, msgtype)
+    channel = Channel(0, "/t", msgtype, "ros1" if wire == "ros1" else "cdr")
+    (whole,) = locate(block_of([data]), channel)
+    end = max(offset + 8 * count for item in whole.items for offset, count in item.fields.values())
+    for length in range(end):
+        with pytest.raises(BagError, match="/t"):
+            locate(block_of([data[:length]]), channel)
+    locate(block_of([data[:end]]), channel)
+
+
+def test_a_count_beyond_the_message_is_an_error_at_once():
+    channel = Channel(0, "/tf", "tf2_msgs/msg/TFMessage", "cdr")
+    with pytest.raises(BagError, match="/tf: a message of 8 bytes"):
+        locate(block_of([b"\0\1\0\0\xff\xff\xff\xff"]), channel)
+
+
+@pytest.mark.parametrize("header", [b"\0\3\0\0", b"\0\x09\0\0", b"\1\1\0\0"])
+def test_an_encoding_that_is_not_plain_is_refused(header):
+    with pytest.raises(BagError, match="representation"):
+        locate(block_of([header + bytes(800)]), Channel(0, "/odom", "nav_msgs/msg/Odometry", "cdr"))
+
+
+def test_unknown_types_encodings_and_lying_tables_are_refused():
+    block = block_of([bytes(800)])
+    with pytest.raises(BagError, match="std_msgs/msg/String"):
+        locate(block, Channel(0, "/s", "std_msgs/msg/String", "cdr"))
+    with pytest.raises(BagError, match="json"):
+        locate(block, Channel(0, "/odom", "nav_msgs/msg/Odometry", "json"))
+    block.table["length"] = 900
+    with pytest.raises(BagError, match="beyond its block"):
+        locate(block, Channel(0, "/odom", "nav_msgs/msg/Odometry", "cdr"))
+
+
+def test_a_stamp_that_does_not_fit_is_refused():
+    name = "geometry_msgs/msg/PointStamped"
+    block = block_of([serialise("ros1", build(ROS1, name, np.random.default_rng(5)), name)])
+    (layout,) = locate(block, Channel(0, "/p", name, "ros1"))
+    with pytest.raises(BagError, match="do not fit"):
+        scatter_stamps_ns(block, layout, layout.items[0], np.array([-1]))
+
+
+def test_a_channel_without_messages_has_no_layouts():
+    assert locate(block_of([]), Channel(0, "/odom", "nav_msgs/msg/Odometry", "cdr")) == []
