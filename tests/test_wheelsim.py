@@ -1,0 +1,255 @@
+"""The judge is judged: manoeuvres so simple that the right answer needs no model."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from wheelsim import CAUSES, TRACKERS, Rig, Segment, Tracker, simulate, simulate_without, write_mcap
+from wheelsim.bag import STORE
+
+FLAWLESS_RIG = Rig(
+    sampling_jitter_s=0.0,
+    stamp_jitter_s=0.0,
+    ticks_per_turn=None,
+    gyro_noise_rad_per_sqrt_s=0.0,
+    motor_ripple=0.0,
+    creep=0.0,
+)
+FLAWLESS_TRACKER = Tracker(sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
+REST = Segment(0.0, 0.0, 1.0, 1.0)
+STRAIGHT = (REST, Segment(0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+SPIN_LEFT = (REST, Segment(0.0, 0.8, 19.0), Segment(0.0, 0.0, 5.0))
+CIRCLE_LEFT = (REST, Segment(0.6, 0.5, 40.0))
+CIRCLE_RIGHT = (REST, Segment(0.6, -0.5, 40.0))
+
+
+def silent(cause, parameters, route, duration_s=28.0, seed=5):
+    return simulate(
+        seed,
+        cause,
+        parameters=parameters,
+        route=route,
+        duration_s=duration_s,
+        rig=FLAWLESS_RIG,
+        truth=FLAWLESS_TRACKER,
+    )
+
+
+def from_start(stamps_ns, xyt, at_ns):
+    """Poses at other stamps, headings unwrapped, as seen from the first of them."""
+    seen = [np.interp(at_ns, stamps_ns, column) for column in (xyt[:, 0], xyt[:, 1], np.unwrap(xyt[:, 2]))]
+    place = (seen[0] - seen[0][0] + 1j * (seen[1] - seen[1][0])) * np.exp(-1j * seen[2][0])
+    return np.column_stack((place.real, place.imag, seen[2] - seen[2][0]))
+
+
+def both(run):
+    """Odometry and truth at the odometry's stamps, each from its own start."""
+    at_ns = run.odom_stamps_ns[(run.odom_stamps_ns > run.truth_stamps_ns[0])]
+    at_ns = at_ns[at_ns < run.truth_stamps_ns[-1]]
+    return from_start(run.odom_stamps_ns, run.odom_xyt, at_ns), from_start(run.truth_stamps_ns, run.truth_xyt, at_ns)
+
+
+def way_m(xyt):
+    return np.hypot(*np.diff(xyt[:, :2], axis=0).T).sum()
+
+
+def same(one, other):
+    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in dataclasses.fields(one))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_flawless_robot_reckons_the_truth(seed):
+    odom, truth = both(silent(None, None, None, duration_s=280.0, seed=seed))
+    assert way_m(truth) > 95.0
+    assert np.abs(odom - truth).max() < 1e-3
+
+
+def test_ticks_alone_cost_little():
+    rig = dataclasses.replace(FLAWLESS_RIG, ticks_per_turn=4096)
+    odom, truth = both(simulate(3, None, duration_s=280.0, rig=rig, truth=FLAWLESS_TRACKER))
+    assert 1e-5 < np.abs(odom - truth).max() < 2e-2
+
+
+def test_gyro_without_noise_reckons_the_truth():
+    run = simulate(4, None, duration_s=280.0, rig=FLAWLESS_RIG, truth=FLAWLESS_TRACKER, yaw_from="gyro")
+    odom, truth = both(run)
+    assert np.abs(odom - truth).max() < 1e-3
+
+
+def test_larger_wheels_go_farther():
+    odom, truth = both(silent("wheel_scale", {"e": 0.01}, STRAIGHT))
+    assert truth[-1, 0] / odom[-1, 0] == pytest.approx(1.01, abs=1e-6)
+
+
+def test_larger_right_wheel_bends_a_straight_to_the_left():
+    odom, truth = both(silent("unequal_wheels", {"curvature": 0.01}, STRAIGHT))
+    assert abs(odom[-1, 2]) < 1e-9
+    assert truth[-1, 2] / odom[-1, 0] == pytest.approx(0.01, rel=1e-6)
+    assert truth[-1, 1] > 0
+
+
+def test_unequal_wheels_have_the_ratio_of_the_definition():
+    run = silent("unequal_wheels", {"curvature": 0.01}, SPIN_LEFT)
+    odom, truth = both(run)
+    mean_travel_per_rad = (0.5 * run.track_m) * (0.5 * 0.01 * run.track_m)
+    assert way_m(truth) / odom[-1, 2] == pytest.approx(mean_travel_per_rad, rel=1e-3)
+
+
+def test_wider_track_turns_less():
+    odom, truth = both(silent("wheelbase", {"e": 0.02}, SPIN_LEFT))
+    assert truth[-1, 2] / odom[-1, 2] == pytest.approx(1 / 1.02, abs=1e-6)
+
+
+def test_positive_gyro_bias_turns_the_odometry_left_at_standstill():
+    run = silent("gyro_bias", {"bias": 0.005}, (REST,))
+    odom, truth = both(run)
+    elapsed_s = (run.odom_stamps_ns[-1] - run.odom_stamps_ns[0]) * 1e-9
+    assert odom[-1, 2] == pytest.approx(0.005 * elapsed_s, rel=1e-3)
+    assert np.abs(truth).max() < 1e-12
+
+
+@pytest.mark.parametrize(("route", "omega_radps"), [(CIRCLE_LEFT, 0.5), (CIRCLE_RIGHT, -0.5)])
+def test_yielding_tyres_move_the_robot_out_of_the_turn(route, omega_radps):
+    run = silent("side_slip", {"k": 0.03}, route, duration_s=40.0)
+    _, truth = both(run)
+    late = truth[-500:]
+    midway_rad = 0.5 * (late[1:, 2] + late[:-1, 2])
+    step = np.diff(late[:, 0] + 1j * late[:, 1]) * np.exp(-1j * midway_rad)
+    assert np.median(step.imag) * 50.0 == pytest.approx(-0.03 * 0.6 * omega_radps, rel=1e-2)
+
+
+def test_yielding_tyres_do_nothing_on_a_straight():
+    _, truth = both(silent("side_slip", {"k": 0.03}, STRAIGHT))
+    assert np.abs(truth[:, 1:]).max() < 1e-9
+
+
+def test_positive_time_offset_stamps_the_odometry_late():
+    run = silent("time_offset", {"offset": 0.08}, STRAIGHT)
+    half_m = 0.5 * both(run)[1][-1, 0]
+    truth = from_start(run.truth_stamps_ns, run.truth_xyt, run.truth_stamps_ns)
+    odom_ns = np.interp(half_m, run.odom_xyt[:, 0], run.odom_stamps_ns - run.truth_stamps_ns[0])
+    truth_ns = np.interp(half_m, truth[:, 0], run.truth_stamps_ns - run.truth_stamps_ns[0])
+    assert (odom_ns - truth_ns) * 1e-9 == pytest.approx(0.08, abs=1e-4)
+
+
+def test_marker_circles_at_its_lever_arm():
+    run = silent("lever_arm", {"x": 0.06, "y": -0.03}, SPIN_LEFT)
+    odom, truth = both(run)
+    arm = 0.06 - 0.03j
+    expected = arm * (np.exp(1j * odom[:, 2]) - 1)
+    assert np.abs(truth[:, 0] + 1j * truth[:, 1] - expected).max() < 1e-4
+
+
+def test_yawed_marker_looks_left_of_the_way_it_goes():
+    run = silent("mount_yaw", {"yaw": 0.05}, STRAIGHT)
+    odom, truth = both(run)
+    assert np.arctan2(truth[-1, 1], truth[-1, 0]) == pytest.approx(-0.05, abs=1e-6)
+    assert np.abs(truth[:, 2] - odom[:, 2]).max() < 1e-9
+
+
+@pytest.mark.parametrize("cause", [None, *CAUSES])
+def test_same_seed_same_bits(cause):
+    assert same(simulate(7, cause, duration_s=20.0), simulate(7, cause, duration_s=20.0))
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_flaw_of_no_size_is_the_run_without(cause):
+    nothing = simulate(8, cause, duration_s=30.0, parameters=dict.fromkeys(_names(cause), 0.0))
+    without = simulate_without(8, cause, duration_s=30.0)
+    assert np.array_equal(nothing.odom_xyt, without.odom_xyt)
+    assert np.abs(nothing.truth_xyt - without.truth_xyt).max() < 1e-12
+    assert without.answer["cause"] is None
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_flaw_leaves_the_draws_of_other_layers_alone(cause):
+    run, without = simulate(9, cause, duration_s=30.0), simulate_without(9, cause, duration_s=30.0)
+    assert np.array_equal(run.truth_stamps_ns, without.truth_stamps_ns)
+    assert len(run.odom_xyt) == len(without.odom_xyt)
+    sensor_side = cause in {"gyro_bias", "time_offset"}
+    assert np.array_equal(run.truth_xyt, without.truth_xyt) == sensor_side
+    assert np.array_equal(run.odom_xyt, without.odom_xyt) == (cause != "gyro_bias")
+    assert np.array_equal(run.odom_stamps_ns, without.odom_stamps_ns) == (cause != "time_offset")
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_draws_stay_in_their_range_and_take_both_signs(cause):
+    sizes = [simulate(seed, cause, duration_s=5.0).answer["parameters"] for seed in range(12)]
+    magnitudes = np.array([np.linalg.norm(list(p.values())) for p in sizes])
+    assert (magnitudes >= CAUSES[cause].low).all()
+    assert (magnitudes <= CAUSES[cause].high).all()
+    signs = {np.sign(next(iter(p.values()))) for p in sizes}
+    assert signs == ({1.0} if cause == "side_slip" else {-1.0, 1.0})
+
+
+def test_robot_of_one_seed_drives_other_routes():
+    here = simulate(10, "wheelbase", duration_s=30.0)
+    there = simulate(11, "wheelbase", duration_s=30.0, robot_seed=10)
+    assert here.answer == there.answer
+    assert not np.array_equal(here.odom_xyt[:100], there.odom_xyt[:100]) or here.odom_xyt.shape != there.odom_xyt.shape
+
+
+def test_drive_is_varied_and_stays_in_the_room():
+    run = simulate(12, None)
+    v_mps, omega_radps = run.odom_twist[:, 0], run.odom_twist[:, 2]
+    standing = np.abs(v_mps) + np.abs(omega_radps) < 1e-3
+    assert 0.02 < standing.mean() < 0.3
+    assert v_mps.max() > 0.8
+    assert v_mps.min() < -0.1
+    assert ((np.abs(v_mps) < 0.01) & (np.abs(omega_radps) > 0.2)).mean() > 0.01
+    assert min((omega_radps > 0.1).mean(), (omega_radps < -0.1).mean()) > 0.1
+    assert np.abs(run.odom_xyt[:, :2]).max() < 30.0
+
+
+def test_wheels_wander_with_the_root_of_the_way():
+    rig = dataclasses.replace(FLAWLESS_RIG, creep=1.0)
+    ends = []
+    for seed in range(40):
+        route = (REST, Segment(0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+        run = simulate(seed, None, robot_seed=0, route=route, duration_s=28.0, rig=rig, truth=FLAWLESS_TRACKER)
+        odom, truth = both(run)
+        ends.append(truth[-1, 2] / np.sqrt(2 * odom[-1, 0]) * run.track_m)
+    assert 0.0007 < np.std(ends) < 0.004
+
+
+@pytest.mark.parametrize(("kind", "rate_hz"), [("mocap", 100.0), ("rtk", 10.0)])
+def test_truth_has_its_rate_noise_and_dropouts(kind, rate_hz):
+    run = simulate(13, None, route=(REST,), truth=kind)
+    gaps_s = np.diff(run.truth_stamps_ns) * 1e-9
+    assert np.median(gaps_s) == pytest.approx(1 / rate_hz, rel=1e-2)
+    assert gaps_s.max() > 2 / rate_hz
+    assert np.std(run.truth_xyt[:, 0]) == pytest.approx(TRACKERS[kind].noise_m, rel=0.1)
+    assert np.std(np.unwrap(run.truth_xyt[:, 2])) == pytest.approx(TRACKERS[kind].noise_rad, rel=0.1)
+
+
+@pytest.mark.parametrize("cause", ["time_offset", None])
+def test_stamps_increase(cause):
+    run = simulate(14, cause, duration_s=60.0)
+    assert run.odom_stamps_ns.dtype == run.truth_stamps_ns.dtype == np.int64
+    assert (np.diff(run.odom_stamps_ns) > 0).all()
+    assert (np.diff(run.truth_stamps_ns) > 0).all()
+
+
+def test_mcap_says_what_the_run_says(tmp_path):
+    run = simulate(15, "wheelbase", duration_s=10.0)
+    write_mcap(run, tmp_path / "run.mcap")
+    found = {"/odom": [], "/tf": [], "/ground_truth": []}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            found[channel.topic].append((message.log_time, STORE.deserialize_cdr(message.data, schema.name)))
+    assert [log_ns for log_ns, _ in found["/odom"]] == run.odom_stamps_ns.tolist()
+    assert [log_ns for log_ns, _ in found["/ground_truth"]] == run.truth_stamps_ns.tolist()
+    for (_, odom), (_, tf), xyt, twist in zip(found["/odom"], found["/tf"], run.odom_xyt, run.odom_twist, strict=True):
+        pose, link = odom.pose.pose, tf.transforms[0].transform
+        assert (pose.position.x, pose.position.y) == (link.translation.x, link.translation.y) == tuple(xyt[:2])
+        assert pose.orientation == link.rotation
+        assert 2 * np.arctan2(pose.orientation.z, pose.orientation.w) == pytest.approx(xyt[2])
+        assert (odom.twist.twist.linear.x, odom.twist.twist.angular.z) == (twist[0], twist[2])
+    first = found["/ground_truth"][0][1]
+    assert (first.header.frame_id, first.pose.position.x) == ("world", run.truth_xyt[0, 0])
+
+
+def _names(cause):
+    return simulate(0, cause, duration_s=5.0).answer["parameters"]

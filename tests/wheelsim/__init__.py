@@ -1,0 +1,29 @@
+"""A wheel-level simulator of a differential drive's recordings: an oracle that knows wheels, ground and clocks only.
+
+The layers, each its own file and its own random streams::
+
+    route -> motor -> contact -> encoders + driver -> odometry
+                             `-> tracker           -> truth
+
+A cause is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock, a marker); nothing in here knows how
+such a change looks as an error of the odometry. That is what makes it a judge of those who claim to know.
+"""
+
+from wheelsim.bag import write_mcap
+from wheelsim.causes import CAUSES
+from wheelsim.encoders import Rig
+from wheelsim.route import Segment
+from wheelsim.run import SimulatedRun, simulate, simulate_without
+from wheelsim.tracker import TRACKERS, Tracker
+
+__all__ = [
+    "CAUSES",
+    "TRACKERS",
+    "Rig",
+    "Segment",
+    "SimulatedRun",
+    "Tracker",
+    "simulate",
+    "simulate_without",
+    "write_mcap",
+]
