@@ -1,0 +1,98 @@
+"""Drives for the tests of this folder: clean poses in time, and a slow textbook that corrupts them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise, Step
+
+LAW_COEFFICIENTS = {
+    "diffusion": Coefficients(0.05, 0.03, 0.05, 0.02),
+    "linear": Coefficients(0.05, 0.17, 0.05, 0.01),
+    "quadratic": Coefficients(0.01, 0.02, 0.01, 0.005),
+}
+
+
+def model(law="diffusion", coefficients=None, step=None, effects=(), track_m=None):
+    chosen = LAW_COEFFICIENTS[law] if coefficients is None else coefficients
+    return MotionModel(Noise(law, chosen, None if step is None else Step.parse(step)), tuple(effects), track_m)
+
+
+def silent(effects=(), track_m=None):
+    return model(coefficients=Coefficients(0, 0, 0, 0), effects=effects, track_m=track_m)
+
+
+def stamps(n, rate_hz, start_s=100):
+    return start_s * 10**9 + (np.arange(n) * (10**9 / rate_hz)).astype(np.int64)
+
+
+def office(rate_hz=50.0, seconds=40.0):
+    """A drive with straights, bends, a stop, a turn on the spot and a reverse: stamps and poses."""
+    t = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    phase = t % 20.0
+    v = np.select([phase < 8, phase < 10, phase < 13, phase < 17], [0.6, 0.0, 0.0, 0.5], -0.3)
+    w = np.select([phase < 4, phase < 8, phase < 10, phase < 13, phase < 17], [0.0, 0.35, 0.0, -0.8, 0.1], 0.05)
+    theta = 0.4 + np.concatenate(([0.0], np.cumsum(w[:-1] / rate_hz)))
+    middle = theta[:-1] + w[:-1] / rate_hz / 2
+    x = 2.0 + np.concatenate(([0.0], np.cumsum(v[:-1] * np.cos(middle) / rate_hz)))
+    y = -1.0 + np.concatenate(([0.0], np.cumsum(v[:-1] * np.sin(middle) / rate_hz)))
+    return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
+
+
+def fold(angle):
+    return math.atan2(math.sin(angle), math.cos(angle))
+
+
+def textbook_sigmas(law, k, rot1, trans, rot2):
+    """Standard deviations of rot1, trans, rot2, written out from the article, the lecture and design notes."""
+    r1, d, r2 = abs(rot1), abs(trans), abs(rot2)
+    if law == "linear":
+        return (
+            k.rot_rot * r1 + k.rot_trans * d,
+            k.trans_trans * d + k.trans_rot * (r1 + r2),
+            k.rot_rot * r2 + k.rot_trans * d,
+        )
+    if law == "quadratic":
+        return (
+            math.sqrt(k.rot_rot * r1**2 + k.rot_trans * d**2),
+            math.sqrt(k.trans_trans * d**2 + k.trans_rot * (r1**2 + r2**2)),
+            math.sqrt(k.rot_rot * r2**2 + k.rot_trans * d**2),
+        )
+    heading = math.sqrt((k.rot_rot**2 * (r1 + r2) + k.rot_trans**2 * d) / 2)
+    return heading, math.sqrt(k.trans_trans**2 * d + k.trans_rot**2 * (r1 + r2)), heading
+
+
+def textbook_split(ds, dl, dtheta):
+    """One increment as rot1, trans, rot2, with reversing and short steps."""
+    trans = math.hypot(ds, dl)
+    if trans < 0.05:
+        return dtheta / 2, math.copysign(trans, ds), dtheta / 2
+    rot1 = fold(math.atan2(dl, ds) + dtheta / 2)
+    if abs(rot1) > math.pi / 2:
+        rot1, trans = fold(rot1 + math.pi), -trans
+    return rot1, trans, fold(dtheta - rot1)
+
+
+def textbook_run(law, k, poses, rng):
+    """One noisy path, a Python loop over poses: turn, drive, turn, each with its own normal draw."""
+    x, y, theta = poses[0]
+    path = [(x, y, theta)]
+    for (x0, y0, t0), (x1, y1, t1) in pairwise(poses):
+        dtheta = fold(t1 - t0)
+        c, s = math.cos(t0 + dtheta / 2), math.sin(t0 + dtheta / 2)
+        ds, dl = c * (x1 - x0) + s * (y1 - y0), -s * (x1 - x0) + c * (y1 - y0)
+        if law == "diffusion":
+            sigmas = textbook_sigmas(law, k, dtheta / 2, math.hypot(ds, dl), dtheta / 2)
+        else:
+            sigmas = textbook_sigmas(law, k, *textbook_split(ds, dl, dtheta))
+        e1, et, e2 = (sigma * draw for sigma, draw in zip(sigmas, rng.standard_normal(3), strict=True))
+        theta += e1 + dtheta / 2
+        x += math.cos(theta) * (ds + et) - math.sin(theta) * dl
+        y += math.sin(theta) * (ds + et) + math.cos(theta) * dl
+        theta += dtheta / 2 + e2
+        path.append((x, y, theta))
+    return np.array(path)
