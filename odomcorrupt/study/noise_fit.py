@@ -1,0 +1,184 @@
+"""Maximum likelihood of the noise coefficients and of the truth's own noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.likelihood import Whitener, whitener
+
+if TYPE_CHECKING:
+    from odomcorrupt.increments import Increments
+    from odomcorrupt.laws import Law
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.nodes import Nodes
+
+__all__ = ["LawPieces", "NoiseFit", "fit_noise"]
+
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
+_LOW, _HIGH = np.log(1e-5), np.log(10.0)
+_TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
+_TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+_NO_WANDER = 2e-6
+_ROBUST_ROUNDS = 5
+_CHANCE, _SIGNAL = 0.004, 0.04
+"""Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
+_OUTLIER = float(chi2.ppf(0.998, 3))
+"""A node whose three standardised innovations exceed this is a suspect: one in 500 is, by chance."""
+
+
+class LawPieces:
+    """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
+
+    A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
+    pair. The law itself is the one that corruption uses.
+    """
+
+    def __init__(self, law: Law, nodes: Nodes, steps: Increments) -> None:
+        unit = np.eye(len(NAMES))
+        self._degree = law.degree
+        self._single = [nodes.covariance(law, Coefficients(*row), steps) for row in unit]
+        self._pairs: list[tuple[int, int, Array]] = []
+        if law.degree == 2:
+            for i, j in combinations(range(len(NAMES)), 2):
+                both = nodes.covariance(law, Coefficients(*(unit[i] + unit[j])), steps)
+                cross = both - self._single[i] - self._single[j]
+                if np.abs(cross).max() > 1e-12 * np.abs(both).max():
+                    self._pairs.append((i, j, cross))
+
+    @property
+    def active(self) -> list[int]:
+        """Which coefficients do anything under this law and on this drive."""
+        return [i for i, piece in enumerate(self._single) if piece.any()]
+
+    def covariance(self, coefficients: Array) -> Array:
+        """Return (K, 3, 3) for the five coefficients, in the order of `NAMES`."""
+        weights = coefficients**self._degree
+        total = np.zeros_like(self._single[0])
+        for weight, piece in zip(weights, self._single, strict=True):
+            if weight > 0.0:
+                total += weight * piece
+        for i, j, cross in self._pairs:
+            total += coefficients[i] * coefficients[j] * cross
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """Fitted noise, and the likelihood it leaves.
+
+    theta, theta_covariance : estimates of the columns that were free, and their covariance
+    weights : (K,) factor on each node's covariance; above 1 where a robust fit saw an outlier
+    innovations : (3 K,) standardised, columns taken out
+    free : (m,) logarithms of the fitted quantities, to start the next fit from
+    """
+
+    coefficients: Coefficients
+    truth: TruthNoise
+    log_likelihood: float
+    theta: Array
+    theta_covariance: Array
+    weights: Array
+    innovations: Array
+    whitener: Whitener
+    free: Array
+
+
+def fit_noise(
+    nodes: Nodes, pieces: LawPieces, columns: Array, *, start: Array | None = None, weights: Array | None = None
+) -> NoiseFit:
+    """Fit coefficients and truth noise by maximum likelihood; columns (K, 3, m) are free linear terms throughout.
+
+    Nodes whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the fit
+    is repeated; slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more than
+    a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
+    that likelihoods can be compared.
+    """
+    task = _Task(nodes, pieces, columns)
+    free = task.first_guess() if start is None else start
+    if weights is not None:
+        return task.evaluate(task.climb(free, weights), weights)
+    plain = task.evaluate(task.climb(free, np.ones(len(nodes))), np.ones(len(nodes)))
+    done = plain
+    for _ in range(_ROBUST_ROUNDS):
+        square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
+        worse = square > _OUTLIER
+        if worse.mean() < _CHANCE:
+            break
+        new = np.where(worse, done.weights * square / 3.0, done.weights)
+        done = task.evaluate(task.climb(done.free, new), new)
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL else done
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What stays the same while a fit climbs."""
+
+    nodes: Nodes
+    pieces: LawPieces
+    columns: Array
+
+    def __post_init__(self) -> None:
+        if not self.pieces.active:
+            raise FitError("the odometry never moves; a noise law has nothing to act on")
+
+    def first_guess(self) -> Array:
+        """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
+        scale = np.median(np.abs(self.nodes.residual), axis=0)
+        truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
+        return np.concatenate((np.full(len(self.pieces.active), np.log(0.02)), np.log(truth)))
+
+    def evaluate(self, free: Array, weights: Array) -> NoiseFit:
+        """Return the fit at given noise, columns estimated by generalised least squares."""
+        coefficients, truth = self._unpack(free)
+        q = self.pieces.covariance(coefficients) * weights[:, None, None]
+        white = whitener(self.nodes, q, truth)
+        stacked = white.whiten(np.concatenate((self.nodes.residual[:, :, None], self.columns), axis=2))
+        r, b = stacked[:, 0], stacked[:, 1:]
+        theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
+        if b.shape[1]:
+            covariance = _inverse(b.T @ b)
+            theta = covariance @ (b.T @ r)
+            r = r - b @ theta
+        likelihood = white.log_likelihood(r)
+        k = Coefficients(*map(float, coefficients))
+        return NoiseFit(k, truth, likelihood, theta, covariance, weights, r, white, free)
+
+    def climb(self, free: Array, weights: Array) -> Array:
+        """Return the noise parameters of largest likelihood."""
+        active = len(self.pieces.active)
+        low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
+        high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        found = minimize(
+            lambda x: -self.evaluate(x, weights).log_likelihood,
+            np.clip(free, low, high),
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"eps": 1e-4, "ftol": 1e-9, "maxiter": 60},
+        )
+        climbed: Array = found.x
+        return climbed
+
+    def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
+        """Return coefficients (5,) and truth noise; what sits on its lower bound is exactly zero."""
+        active = self.pieces.active
+        coefficients = np.zeros(len(NAMES))
+        log_k = free[: len(active)]
+        coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
+        xy, yaw, wander = np.exp(free[len(active) :])
+        return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def _inverse(normal: Array) -> Array:
+    """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse: Array = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-10, hermitian=True) * np.outer(scale, scale)
+    return inverse

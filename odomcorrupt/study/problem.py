@@ -1,0 +1,114 @@
+"""A problem to fit: recordings, with what is believed so far already taken out of them.
+
+Believing in effects means undoing them exactly (increments are corrected and composed again, stamps shifted), never to
+first order; what is left is linear in small changes of the parameters, and each change is one regressor column.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.motion import corrected_increments, motion_of
+from odomcorrupt.study.clock import Clock, aligned
+from odomcorrupt.study.drivers import Side, driving_motion
+from odomcorrupt.study.nodes import NODE_S, Nodes, join, lay_nodes
+from odomcorrupt.study.trajectory import Recording, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.pose import Array
+
+__all__ = ["Problem", "pose_problem", "undo"]
+
+
+def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
+    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start."""
+    if not effects:
+        return recording
+    motion = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    xyt = accumulate(recording.odometry.xyt[0], corrected_increments(effects, motion))
+    return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Recordings, the effects and clocks believed in, and the nodes of what is left.
+
+    nodes : the K intervals of all runs
+    run : (K,) which recording an interval belongs to
+    motions : per run, what drives the regressors (one entry per odometry interval)
+    """
+
+    recordings: tuple[Recording, ...]
+    effects: tuple[Effect, ...]
+    clocks: tuple[Clock, ...]
+    side: Side
+    nodes: Nodes
+    run: Array
+    motions: tuple[Motion, ...]
+
+    @property
+    def steps(self) -> Increments:
+        """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
+        parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
+        ds, dl, dtheta = np.concatenate(parts, axis=1)
+        # a differential robot's sideways travel is an artefact of smoothing; a holonomic one's is real
+        sideways = dl if np.abs(dl).sum() > 0.1 * np.abs(ds).sum() else np.zeros_like(dl)
+        return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
+
+    def columns(self, effect: Effect) -> Array:
+        """Return (K, 3, p): what a small change of each of the effect's p parameters does to the residuals."""
+        own = [p for p in parameters(effect) if p.amplitude]
+        blocks = []
+        for p in own:
+            step = 1e-3 * p.typical
+            error = [-_slope(effect, p.name, step, m) * m.dt_s[:, None] for m in self.motions]
+            blocks.append(self.nodes.column(np.concatenate(error)))
+        return np.stack(blocks, axis=2)
+
+    def clock_columns(self) -> Array:
+        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks."""
+        kinds = registry()
+        both = np.concatenate([self.columns(kinds[name]()) for name in ("time_offset", "clock_skew")], axis=2)
+        runs = [both * (self.run == r)[:, None, None] for r in range(len(self.recordings))]
+        return np.concatenate(runs, axis=2)
+
+
+def pose_problem(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] = (),
+    clocks: Sequence[Clock] | None = None,
+    *,
+    side: Side = "odometry",
+    spacing_s: float = NODE_S,
+) -> Problem:
+    """Take effects and clocks out of recordings and lay nodes over what is left."""
+    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
+    left = [undo(recording, effects) for recording in on_time]
+    nodes = [lay_nodes(recording, spacing_s) for recording in left]
+    return Problem(
+        recordings=tuple(recordings),
+        effects=tuple(effects),
+        clocks=clocks,
+        side=side,
+        nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
+        run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
+        motions=tuple(driving_motion(recording, side) for recording in on_time),
+    )
+
+
+def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
+    """Return the derivative (n, 3) of f with respect to one parameter."""
+    more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
+    less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
+    return (more.twist_error(motion, None).f - less.twist_error(motion, None).f) / (2.0 * step)

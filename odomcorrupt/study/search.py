@@ -1,0 +1,179 @@
+"""Look for what is missing: clocks first, then one effect at a time, each believed exactly before the next is named.
+
+An effect is admitted only if both gates of the score test pass, it gains on blocks held out of its estimate, its size
+is physically possible and well enough known, and the drift over 10 s of the data it was fitted on does not grow
+(a likelihood alone may want a cause that improves single steps and spoils the path).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.study.clock import Clock, aligned, coarse_clock
+from odomcorrupt.study.fit import Fit, believed_columns, fit
+from odomcorrupt.study.problem import undo
+from odomcorrupt.study.score import Score, score_tests
+from odomcorrupt.study.windows import WINDOW_S, phased_rmse
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.drivers import Side
+    from odomcorrupt.study.trajectory import Recording
+
+__all__ = ["Candidate", "Clocks", "find_clocks", "library", "next_effect"]
+
+LEVEL = 0.01
+"""Probability of naming any effect on data without one."""
+_CLOCK_LEVEL = 1e-4
+_SHORTLIST = 4
+_KNOWN = 4.2
+"""An effect is testable if this many of its standard errors fit into half of what is physically possible."""
+NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2)."""
+
+    clocks: tuple[Clock, ...]
+    free: tuple[tuple[bool, bool], ...]
+    errors: tuple[tuple[float, float], ...]
+
+
+def find_clocks(recordings: Sequence[Recording], *, side: Side, law_name: str = "diffusion") -> Clocks:
+    """Estimate each recording's clock by exact resampling, with the usual systematic effects free beside it.
+
+    A number that is not significant is left at zero: aligning what was aligned only adds noise.
+    """
+    kinds = registry()
+    found = []
+    for recording in recordings:
+        nuisance = [kinds[name]() for name in NUISANCE]
+        keep = (True, True)
+        clock = coarse_clock(recording)
+        errors = (0.0, 0.0)
+        while any(keep):
+            start = Clock(clock.offset_s, clock.rate if keep[1] else 0.0)
+            best = fit(
+                [recording], nuisance, clocks=[start], free_clocks=[keep], side=side, law_name=law_name
+            )
+            clock = best.problem.clocks[0]
+            errors = tuple(float(e) for e in best.clock_errors[0])
+            nuisance = list(best.effects)
+            real = _significant(clock, errors)
+            if real == keep:
+                break
+            keep = real if real[0] or not keep[1] else (keep[0] and not keep[1], False) if real == (False, False) else real
+            if not any(keep):
+                clock, errors = Clock(), (0.0, 0.0)
+        found.append((clock, keep, errors))
+    return Clocks(*(tuple(part) for part in zip(*found, strict=True)))
+
+
+def _significant(clock: Clock, errors: tuple[float, ...]) -> tuple[bool, bool]:
+    limit = float(np.sqrt(chi2.ppf(1.0 - _CLOCK_LEVEL, 1)))
+    offset, rate = clock.offset_s, clock.rate
+    return (abs(offset) > limit * errors[0] > 0.0, abs(rate) > limit * errors[1] > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A score, and where the effect made the shortlist, the whole model refitted with it.
+
+    gain : log likelihood gained by the refit, nats, less what its parameters would gain by chance (k/2 ln K)
+    rmse_s : 10 s error of the fitted data before and after, metres
+    refused : why it is not admitted, or empty
+    """
+
+    score: Score
+    fit: Fit | None = None
+    gain: float = float("-inf")
+    rmse: tuple[float, float] = (float("nan"), float("nan"))
+    refused: str = ""
+
+
+def library(fitted: Fit) -> list[Effect]:
+    """Return every registered systematic effect that the model does not have, at its identity; clocks are apart."""
+    have = {effect.name for effect in fitted.effects}
+    return [kind() for name, kind in registry().items() if name not in have and kind.kind != "noise" and not kind.clock]
+
+
+def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
+    """Return all candidates, the ones that may be added first and in order of evidence."""
+    scores = score_tests(fitted, library(fitted), believed_columns(fitted.problem, free_clocks))
+    ranked = sorted(scores, key=lambda s: _evidence(s, len(fitted.problem.nodes)), reverse=True)
+    candidates = []
+    refits = 0
+    for score in ranked:
+        refused = _objection(score)
+        if refused or refits == _SHORTLIST:
+            candidates.append(Candidate(score, refused=refused or "others explain it better"))
+            continue
+        refits += 1
+        candidates.append(_refitted(fitted, score, free_clocks))
+    return sorted(candidates, key=lambda c: (c.refused == "", c.gain, -c.score.p), reverse=True)
+
+
+def _evidence(score: Score, count: int) -> float:
+    return 0.5 * score.statistic / score.inflation - 0.5 * len(score.estimate) * float(np.log(count))
+
+
+def _objection(score: Score) -> str:
+    """Return why an effect is out of question, or nothing."""
+    if not score.separable:
+        return "cannot be told from what is in the model"
+    for p, value, error in zip(parameters(score.effect), score.estimate, score.standard_error, strict=True):
+        room = p.high if value > 0.0 else -p.low
+        if error * _KNOWN > 0.5 * room:
+            return "not testable on this drive"
+        if abs(value) > room:
+            return f"{p.name} would be {value:.3g}, beyond what is physically possible"
+    if score.p >= LEVEL:
+        return "no evidence"
+    if score.held_out_nats <= score.held_out_error:
+        return "does not gain on held-out blocks"
+    return ""
+
+
+def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+    problem = fitted.problem
+    moved = type(score.effect)(
+        **{p.name: float(v) for p, v in zip(parameters(score.effect), score.estimate, strict=True)}
+    )
+    again = fit(
+        problem.recordings,
+        (*problem.effects, moved),
+        clocks=problem.clocks,
+        free_clocks=free_clocks,
+        law_name=fitted.law_name,
+        side=problem.side,
+        start=fitted.noise.free,
+        weights=fitted.noise.weights,
+    )
+    count = len(parameters(score.effect))
+    gain = again.log_likelihood - fitted.log_likelihood - 0.5 * count * float(np.log(len(problem.nodes)))
+    before, after = ten_second_error(fitted), ten_second_error(again)
+    refused = ""
+    if gain <= 0.0:
+        refused = "gains nothing when everything is fitted together"
+    elif after > before:
+        refused = f"makes the {WINDOW_S:g} s error larger"
+    return Candidate(score, again, gain, (before, after), refused)
+
+
+def ten_second_error(fitted: Fit) -> float:
+    """Return the root mean square position error (m) after 10 s on the fitted recordings themselves."""
+    problem = fitted.problem
+    left = [
+        undo(aligned(recording, clock), problem.effects)
+        for recording, clock in zip(problem.recordings, problem.clocks, strict=True)
+    ]
+    return phased_rmse(left)

@@ -1,0 +1,99 @@
+"""Windows: how far odometry drifts from the truth over a time or a distance, and how far the model says it should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.study.likelihood import interval_covariance
+from odomcorrupt.study.nodes import intervals, pick_nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.increments import Increments
+    from odomcorrupt.model import Noise, TruthNoise
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.nodes import Nodes
+    from odomcorrupt.study.trajectory import Recording
+
+__all__ = ["WINDOW_S", "WindowErrors", "distance_windows", "phased_rmse", "rmse", "time_windows", "window_errors"]
+
+WINDOW_S = 10.0
+
+
+def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Nodes:
+    """Return non-overlapping windows of a length in time, whole ones only, each started at the truth pose.
+
+    phase : which part of a window to leave out at the start
+    """
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
+    length = np.diff(truth_s[picked])
+    return intervals(recording, picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
+
+
+def distance_windows(recording: Recording, length_m: float) -> Nodes:
+    """Return non-overlapping windows of a length of path, as the odometry measures it."""
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]))
+    xy = recording.odometry.xyt[:, :2]
+    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
+    at_truth = np.interp(truth_s[inside], odo_s, travelled)
+    marks = np.arange(at_truth[0], at_truth[-1], length_m)
+    picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
+    return intervals(recording, picked)
+
+
+def rmse(windows: Nodes) -> float:
+    """Return the root mean square position error (m) at the ends of windows started at the truth pose; NaN if none."""
+    miss = windows.odometry_step[:, :2] - windows.truth_step[:, :2]
+    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+
+
+def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
+    """Return the root mean square position error (m) over windows at five phases: steadier than one cut of the run."""
+    parts = [time_windows(recording, length_s, phase) for recording in recordings for phase in np.arange(5) / 5.0]
+    square = np.array([rmse(part) ** 2 * len(part) for part in parts if len(part)])
+    return float(np.sqrt(square.sum() / sum(len(part) for part in parts))) if len(square) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """Errors at the ends of n windows against what the model expects.
+
+    error : (n, 3) along, across (m), yaw (rad), in the frame of the window's end
+    covariance : (n, 3, 3) what the model expects of it, truth noise included
+    """
+
+    error: Array
+    covariance: Array
+
+    @property
+    def nees(self) -> Array:
+        """Normalised estimation error squared (n,), chi-square with 3 degrees where the model is right."""
+        solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
+        return np.sum(solved * self.error, axis=1)
+
+    @property
+    def expected(self) -> Array:
+        """Expected root mean square (3,) of along, across (m), yaw (rad)."""
+        return np.sqrt(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
+
+    @property
+    def measured(self) -> Array:
+        """Measured root mean square (3,)."""
+        return np.sqrt(np.mean(self.error**2, axis=0))
+
+    def coverage(self, quantile: float) -> Array:
+        """Return which part (3,) of the errors lies within +- quantile standard deviations."""
+        deviation = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return np.mean(np.abs(self.error) <= quantile * deviation, axis=0)
+
+
+def window_errors(windows: Nodes, noise: Noise, truth: TruthNoise, steps: Increments) -> WindowErrors:
+    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them."""
+    q = windows.covariance(noise.law, noise.coefficients, steps)
+    return WindowErrors(windows.residual, interval_covariance(windows, q, truth))
