@@ -14,9 +14,12 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from pathlib import Path
     from types import TracebackType
 
     from numpy.typing import NDArray
+
+    from odomcorrupt.bags.definition import Definition
 
 __all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Message"]
 
@@ -69,17 +72,24 @@ class Block:
 class BagReader(Protocol):
     """An open bag.
 
+    name : what errors call it
+    paths : the files it lies in, none for a pipe
     `channels` is complete at once where `complete` is true (the input can seek); on a pipe it fills while blocks are
     read, each channel before the first block that uses it. Closing is by context manager. Whatever is wrong with the
     bag is raised as BagError.
     """
 
     kind: Literal["ros1", "mcap", "sqlite3"]
+    name: str
+    paths: list[Path]
     complete: bool
     channels: Mapping[int, Channel]
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks in file order, each with a buffer of its own: several are held at once."""
+
+    def definition(self, channel: Channel) -> Definition:
+        """Return what the bag says of a channel's type."""
 
     def __enter__(self) -> Self: ...
 
@@ -93,6 +103,9 @@ class BagWriter(Protocol):
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
+
+    def provenance(self, name: str, items: Mapping[str, str]) -> None:
+        """Say how the bag came about, where its format has a place for that; ROS 1 has none."""
 
     def write(self, block: Block) -> None:
         """Write a block, its added messages behind its own."""

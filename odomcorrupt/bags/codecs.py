@@ -1,0 +1,94 @@
+"""Chunk compressions, by the names users know: none, lz4, zstd, bz2."""
+
+from __future__ import annotations
+
+import bz2
+from typing import TYPE_CHECKING
+
+import lz4.frame
+import numpy as np
+import zstandard
+
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["compress", "compress_for_ros1", "decompress"]
+
+_PIECE_BYTES = 1 << 20
+_Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
+"""What the codecs raise on bytes that are not theirs, or on a size no machine has."""
+
+
+def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np.uint8]:
+    """Return a chunk's bytes (size,) in a writable array of their own.
+
+    data : the compressed bytes
+    size : how many bytes the bag says they become
+    what : what errors call the chunk
+    """
+    try:
+        if codec == "zstd":
+            out = _unzstd(data, size)
+        elif codec == "lz4":
+            out = _unlz4(data, size)
+        elif codec == "bz2":
+            out = bytearray(bz2.BZ2Decompressor().decompress(data, max_length=size + 1))
+        else:
+            out = bytearray(data)
+    except _Damage as error:
+        raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
+    if len(out) != size:
+        raise BagError(
+            f"{what}: says it holds {size} bytes, but {len(out)} come out; the bag is damaged, --recover saves "
+            "what is whole"
+        )
+    return np.frombuffer(out, dtype=np.uint8)
+
+
+def _unzstd(data: memoryview, size: int) -> bytearray:
+    if zstandard.get_frame_parameters(data).content_size == size:
+        return bytearray(zstandard.ZstdDecompressor().decompress(data))
+    # The frame does not say, or says otherwise: grow with what really comes, up to the claim and one piece.
+    out = bytearray()
+    with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+        while len(out) <= size and (piece := reader.read(_PIECE_BYTES)):
+            out += piece
+    return out
+
+
+def _unlz4(data: memoryview, size: int) -> bytearray:
+    if size > 255 * len(data):
+        raise ValueError(f"{len(data)} bytes cannot become {size}")
+    context = lz4.frame.create_decompression_context()
+    # One byte more than claimed: a longer chunk shows, and the frame's checksum is reached.
+    out, _, whole = lz4.frame.decompress_chunk(context, data, max_length=size + 1, return_bytearray=True)
+    if not whole and len(out) <= size:
+        raise EOFError("the frame is cut short")
+    return out if isinstance(out, bytearray) else bytearray(out)
+
+
+def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
+    """Compress a chunk; level None is the fast one (zstd 1, plain LZ4, bz2 9 as bzip2 itself).
+
+    Independent blocks of 64 KB are what LZ4 packs and unpacks fastest: larger or linked ones go through its own buffer.
+    """
+    if codec == "zstd":
+        return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
+    if codec == "lz4":
+        packed: bytes = lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
+        return packed
+    if codec == "bz2":
+        return bz2.compress(data.data, 9 if level is None else level)
+    return data.data
+
+
+def compress_for_ros1(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
+    """Compress a chunk so that ROS 1 reads it: its LZ4 wants independent blocks, a checksum, and no content size."""
+    if codec != "lz4":
+        return compress(codec, data, level)
+    packed: bytes = lz4.frame.compress(
+        data.data, compression_level=level or 0, block_linked=False, store_size=False, content_checksum=True
+    )
+    return packed

@@ -1,0 +1,68 @@
+"""What a bag says about a topic's type, in the words of MCAP, into which every other format can be put."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+__all__ = ["Definition", "RosType", "definition_like", "ros_type"]
+
+
+class Definition(NamedTuple):
+    """A topic's type and what else is kept about it.
+
+    name : of the type, as the format writes it ("nav_msgs/Odometry" in ROS 1)
+    encoding : of the text: "ros1msg", "ros2msg", ..., "" for none
+    text : the message definition
+    metadata : QoS, type hash, latching, callerid
+    """
+
+    name: str
+    encoding: str
+    text: bytes
+    metadata: Mapping[str, str]
+
+
+class RosType(NamedTuple):
+    """A type that a bag does not bring along.
+
+    text : its definition with those of its parts, as bags store it
+    digest : the md5sum of ROS 1, the RIHS01 type hash of ROS 2
+    """
+
+    name: str
+    text: str
+    digest: str
+
+
+def ros_type(msgtype: str, encoding: str) -> RosType:
+    """Define a common type for messages of an encoding, "ros1" or "cdr"."""
+    # rosbags is heavy, and needed only for a type that no channel of the bag has.
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
+    if msgtype not in store.types and msgtype in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", msgtype))
+    if encoding not in ("ros1", "cdr") or msgtype not in store.types:
+        raise BagError(f"{msgtype}: no definition is known for encoding {encoding!r}; choose a type the bag has")
+    if encoding == "ros1":
+        text, digest = store.generate_msgdef(msgtype, ros_version=1)
+        return RosType(msgtype.replace("/msg/", "/"), text, digest)
+    text, _ = store.generate_msgdef(msgtype, ros_version=2)
+    return RosType(msgtype, text, store.hash_rihs01(msgtype))
+
+
+def definition_like(msgtype: str, encoding: str, like: Definition) -> Definition:
+    """Define a type for a topic that is otherwise like another one."""
+    kind = ros_type(msgtype, encoding)
+    metadata = dict(like.metadata)
+    for key in ("md5sum", "topic_type_hash"):
+        if key in metadata:
+            metadata[key] = kind.digest
+    if "type" in metadata:
+        metadata["type"] = kind.name
+    return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)

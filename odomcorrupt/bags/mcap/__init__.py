@@ -1,0 +1,1 @@
+"""MCAP files: with and without chunks, indexes and summary, from files and pipes."""

@@ -1,0 +1,116 @@
+"""Bring the parts of an MCAP's data section in as blocks."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Block
+from odomcorrupt.bags.codecs import decompress
+from odomcorrupt.bags.mcap.records import MESSAGE
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.source import Source
+
+__all__ = ["Chunk", "Loose", "McapFraming", "read_chunk", "read_pieces"]
+
+_PIECE_BYTES = 1 << 22
+_CODECS = {"": "none", "lz4": "lz4", "zstd": "zstd"}
+
+
+@dataclass(frozen=True, slots=True)
+class McapFraming:
+    """How a block stood in its file.
+
+    kind : "chunk"; "loose", messages outside chunks; "record", another record or a piece of a large one
+    codec : of a chunk
+    opcode : of a record, 0 for the later pieces of one
+    """
+
+    kind: Literal["chunk", "loose", "record"]
+    codec: str = "none"
+    opcode: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A decompressed chunk and the contents of the message indexes that follow it."""
+
+    data: NDArray[np.uint8]
+    codec: str
+    what: str
+    indexes: list[bytes] = field(default_factory=list)
+
+
+class Loose:
+    """Messages, schemas and channels outside chunks, collected until they are a block's worth."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        self.others: list[tuple[int, bytes]] = []
+        self._rows: list[tuple[int, int, int, int]] = []
+
+    def append(self, opcode: int, content: bytes, what: str) -> None:
+        """Append a record."""
+        self.data += struct.pack("<BQ", opcode, len(content))
+        if opcode != MESSAGE:
+            self.others.append((opcode, content))
+        elif len(content) < 22:
+            raise BagError(f"{what}: a message record of {len(content)} bytes is shorter than its fields; damaged bag")
+        else:
+            channel, log_ns = struct.unpack_from("<H4xq", content)
+            self._rows.append((channel, log_ns, len(self.data) + 22, len(content) - 22))
+        self.data += content
+
+    def block(self) -> Block:
+        """Return what was collected."""
+        return Block(np.frombuffer(self.data, np.uint8), np.array(self._rows, dtype=TABLE), McapFraming("loose"))
+
+
+def read_chunk(source: Source, length: int, what: str) -> Chunk:
+    """Read and decompress a chunk record's content."""
+    source.require(length, what)
+    named = f"{source.name}: {what}"
+    if length < 40:
+        raise BagError(f"{named}: a chunk record of {length} bytes is shorter than its fields; damaged bag")
+    size, crc, name_length = struct.unpack("<16xQII", source.read(32, what))
+    if 40 + name_length > length:
+        raise BagError(f"{named}: its compression's name of {name_length} bytes reaches beyond it; damaged bag")
+    name = source.read(name_length, what).decode(errors="replace")
+    (packed,) = struct.unpack("<Q", source.read(8, what))
+    if 40 + name_length + packed != length:
+        raise BagError(f"{named}: {packed} bytes of records in a record of {length} do not fit; damaged bag")
+    codec = _CODECS.get(name)
+    if codec is None:
+        raise BagError(f"{named}: compression {name!r} is not known (none, lz4, zstd); recompress the bag")
+    if codec == "none":
+        data = source.read_array(packed, what)
+        if size != packed:
+            raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
+    else:
+        data = decompress(codec, source.read_scratch(packed, what), size, named)
+    if crc not in (0, zlib.crc32(data.data)):
+        raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
+    return Chunk(data, codec, named)
+
+
+def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
+    """Yield a record that is not looked into, in pieces: attachments may be larger than memory."""
+    source.require(length, what)
+    left = length
+    head = struct.pack("<BQ", opcode, length)
+    while left or head:
+        content = source.read_array(min(left, _PIECE_BYTES), what)
+        left -= content.size
+        data = np.concatenate([np.frombuffer(head, dtype=np.uint8), content])
+        yield Block(data, np.empty(0, dtype=TABLE), McapFraming("record", opcode=opcode if head else 0))
+        head = b""

@@ -1,0 +1,77 @@
+"""Put messages into records: those of another format, and those that are added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Message
+from odomcorrupt.bags.mcap.contents import MESSAGE_HEADER
+from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Framed", "Sequences", "frame", "frame_added"]
+
+
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """Message records.
+
+    data : (size,) uint8
+    table : (n,) of dtype TABLE, its offsets counted from the start of data
+    """
+
+    data: NDArray[np.uint8]
+    table: NDArray[np.void]
+
+
+class Sequences:
+    """Counts messages per channel, from 0."""
+
+    def __init__(self) -> None:
+        self._next: dict[int, int] = {}
+
+    def take(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Return numbers for messages (n,) of these channels."""
+        numbers = np.empty(channels.size, dtype=np.uint32)
+        for channel in np.unique(channels).tolist():
+            own = np.flatnonzero(channels == channel)
+            first = self._next.get(channel, 0)
+            numbers[own] = np.arange(first, first + own.size)
+            self._next[channel] = first + own.size
+        return numbers
+
+
+def frame(data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences) -> Framed:
+    """Frame messages that lie in data where a table says; the table's channels are those to be written."""
+    lengths = table["length"]
+    ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)
+    framed = table.copy()
+    framed["offset"] = ends - lengths
+    heads = np.empty(table.size, dtype=MESSAGE_HEADER)
+    heads["opcode"] = MESSAGE
+    heads["length"] = lengths + (MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES)
+    heads["channel"] = table["channel"]
+    heads["sequence"] = sequences.take(table["channel"])
+    heads["log"] = heads["publish"] = table["log_ns"]
+    source = data.data
+    packed = memoryview(heads.tobytes())
+    pieces: list[memoryview] = []
+    for row, (begin, length) in enumerate(zip(table["offset"].tolist(), lengths.tolist(), strict=True)):
+        pieces.append(packed[row * MESSAGE_HEADER_BYTES : (row + 1) * MESSAGE_HEADER_BYTES])
+        pieces.append(source[begin : begin + length])
+    return Framed(np.frombuffer(b"".join(pieces), dtype=np.uint8), framed)
+
+
+def frame_added(messages: list[Message], sequences: Sequences) -> Framed:
+    """Frame messages that were not in the bag before."""
+    table = np.empty(len(messages), dtype=TABLE)
+    table["channel"] = [message.channel for message in messages]
+    table["log_ns"] = [message.log_ns for message in messages]
+    table["length"] = [len(message.data) for message in messages]
+    table["offset"] = np.cumsum(table["length"]) - table["length"]
+    return frame(np.frombuffer(b"".join(message.data for message in messages), dtype=np.uint8), table, sequences)

@@ -1,0 +1,160 @@
+"""What an MCAP's summary tells, collected while the data section is written."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+from itertools import groupby, pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.mcap.records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHUNK_INDEX,
+    MESSAGE_HEADER_BYTES,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    RECORD_HEADER_BYTES,
+    STATISTICS,
+    SUMMARY_OFFSET,
+    Fields,
+    record,
+    string,
+)
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["ChunkSpan", "Index", "message_indexes"]
+
+_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkSpan:
+    """A chunk that was written.
+
+    position, length : of the chunk record in the file, bytes
+    size, packed : bytes before and after compression
+    """
+
+    start_ns: int
+    end_ns: int
+    position: int
+    length: int
+    codec: str
+    size: int
+    packed: int
+
+
+@dataclass(slots=True)
+class Index:
+    """Statistics and indexes of a file that grows."""
+
+    counts: dict[int, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int = 0
+    chunks: list[bytes] = field(default_factory=list)
+    attachments: list[bytes] = field(default_factory=list)
+    metadata: list[bytes] = field(default_factory=list)
+
+    def count(self, table: NDArray[np.void]) -> tuple[int, int]:
+        """Count messages; return their first and last log time in nanoseconds, 0 and 0 for none."""
+        if not table.size:
+            return 0, 0
+        channels, counts = np.unique(table["channel"], return_counts=True)
+        for channel, count in zip(channels.tolist(), counts.tolist(), strict=True):
+            self.counts[channel] = self.counts.get(channel, 0) + count
+        times = table["log_ns"].astype(np.uint64)
+        start_ns, end_ns = int(times.min()), int(times.max())
+        self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
+        self.end_ns = max(self.end_ns, end_ns)
+        return start_ns, end_ns
+
+    def add_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]]) -> bytes:
+        """Note a chunk; return the message index records to write behind it.
+
+        indexes : channel and whole record, as `message_indexes` gives them
+        """
+        at = span.position + span.length
+        offsets = b""
+        for channel, index in indexes:
+            offsets += struct.pack("<HQ", channel, at)
+            at += len(index)
+        self.chunks.append(
+            record(
+                CHUNK_INDEX,
+                struct.pack("<QQQQI", span.start_ns, span.end_ns, span.position, span.length, len(offsets)),
+                offsets,
+                struct.pack("<Q", at - span.position - span.length),
+                string("" if span.codec == "none" else span.codec),
+                struct.pack("<QQ", span.packed, span.size),
+            )
+        )
+        return b"".join(index for _, index in indexes)
+
+    def add_record(self, opcode: int, head: bytes, position: int) -> None:
+        """Note a record of the data section that the summary points at.
+
+        head : the whole record or its first bytes, names included
+        position : where it begins in the file
+        """
+        length = RECORD_HEADER_BYTES + int.from_bytes(head[1:RECORD_HEADER_BYTES], "little")
+        fields = Fields(head[RECORD_HEADER_BYTES:], "record")
+        place = struct.pack("<QQ", position, length)
+        if opcode == METADATA:
+            self.metadata.append(record(METADATA_INDEX, place, string(fields.string())))
+        elif opcode == ATTACHMENT:
+            times = struct.pack("<QQ", fields.number("Q"), fields.number("Q"))
+            names = string(fields.string()) + string(fields.string())
+            size = struct.pack("<Q", fields.number("Q"))
+            self.attachments.append(record(ATTACHMENT_INDEX, place, times, size, names))
+
+    def summary(
+        self, schemas: list[bytes], channels: list[bytes], private: list[bytes], begin: int
+    ) -> tuple[bytes, int]:
+        """Return the summary section with its offsets, and where the offsets begin in the file.
+
+        schemas, channels, private : whole records
+        begin : where the section begins in the file
+        """
+        counts = b"".join(struct.pack("<HQ", *item) for item in sorted(self.counts.items()))
+        sizes = (len(schemas), len(channels), len(self.attachments), len(self.metadata), len(self.chunks))
+        statistics = record(
+            STATISTICS,
+            struct.pack("<QHIIII", sum(self.counts.values()), *sizes),
+            struct.pack("<QQI", self.start_ns or 0, self.end_ns, len(counts)),
+            counts,
+        )
+        groups = [schemas, channels, [statistics], self.chunks, self.attachments, self.metadata]
+        groups += [list(same) for _, same in groupby(sorted(private), key=lambda one: one[0])]
+        section = b""
+        offsets = b""
+        for group in groups:
+            if group:
+                data = b"".join(group)
+                offsets += record(SUMMARY_OFFSET, struct.pack("<BQQ", data[0], begin + len(section), len(data)))
+                section += data
+        return section + offsets, begin + len(section)
+
+
+def message_indexes(table: NDArray[np.void]) -> list[tuple[int, bytes]]:
+    """Return (channel, message index record) for each channel of a chunk's table."""
+    order = np.argsort(table["channel"], kind="stable")
+    channels = table["channel"][order]
+    entries = np.empty(table.size, dtype=_ENTRY)
+    entries["log"] = table["log_ns"][order]
+    entries["offset"] = table["offset"][order] - MESSAGE_HEADER_BYTES
+    bounds = np.flatnonzero(np.diff(channels)) + 1
+    return [
+        (int(channels[a]), _message_index(int(channels[a]), entries[a:b]))
+        for a, b in pairwise([0, *bounds.tolist(), table.size])
+        if b > a
+    ]
+
+
+def _message_index(channel: int, entries: NDArray[np.void]) -> bytes:
+    return record(MESSAGE_INDEX, struct.pack("<HI", channel, entries.nbytes), entries.tobytes())

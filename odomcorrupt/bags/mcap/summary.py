@@ -1,0 +1,97 @@
+"""The end of an MCAP file that can seek: its footer, and what its summary says of channels."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from odomcorrupt.bags.mcap.records import (
+    CHANNEL,
+    FOOTER,
+    MAGIC,
+    RECORD_HEADER_BYTES,
+    SCHEMA,
+    STATISTICS,
+    Fields,
+)
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from odomcorrupt.bags.source import Source
+
+__all__ = ["PRIVATE", "Summary", "read_summary"]
+
+PRIVATE = 0x80
+"""Opcodes from here on belong to applications."""
+_FOOTER_BYTES = RECORD_HEADER_BYTES + 20
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a summary section says.
+
+    schemas, channels : contents of the records repeated there
+    channel_count : from the statistics, or None without them
+    private : whole records of applications
+    """
+
+    schemas: list[bytes] = field(default_factory=list)
+    channels: list[bytes] = field(default_factory=list)
+    channel_count: int | None = None
+    private: list[bytes] = field(default_factory=list)
+
+    def keep(self, opcode: int, content: bytes, what: str) -> None:
+        """Remember a record of the summary section, where it matters."""
+        if opcode == SCHEMA:
+            self.schemas.append(content)
+        elif opcode == CHANNEL:
+            self.channels.append(content)
+        elif opcode == STATISTICS:
+            fields = Fields(content, what)
+            fields.number("Q"), fields.number("H")
+            self.channel_count = fields.number("I")
+        elif opcode >= PRIVATE:
+            self.private.append(struct.pack("<BQ", opcode, len(content)) + content)
+
+
+def read_summary(source: Source, size: int) -> Summary:
+    """Read the summary of a file of this size; an absent or damaged one gives an empty one, it is rebuilt anyway.
+
+    Raises
+    ------
+    BagError
+        Where the file does not end as an MCAP does: it was cut, or never closed.
+
+    """
+    tail_bytes = _FOOTER_BYTES + len(MAGIC)
+    if size >= tail_bytes + len(MAGIC):
+        source.seek(size - tail_bytes)
+        tail = source.read(tail_bytes, "footer")
+        opcode, length, summary_start, _, crc = struct.unpack_from("<BQQQI", tail)
+        if tail.endswith(MAGIC) and (opcode, length) == (FOOTER, 20):
+            return _read_section(source, summary_start, size - tail_bytes, tail, crc)
+    raise BagError(
+        f"{source.name}: the file of {size} bytes has no MCAP footer at its end: it is truncated or was never closed; "
+        "--recover saves what is whole"
+    )
+
+
+def _read_section(source: Source, start: int, end: int, tail: bytes, crc: int) -> Summary:
+    summary = Summary()
+    if not len(MAGIC) < start < end:
+        return summary
+    source.seek(start)
+    section = source.read(end - start, "summary")
+    if crc not in (0, zlib.crc32(section + tail[: _FOOTER_BYTES - 4])):
+        return summary
+    at = 0
+    while at < len(section):
+        content = at + RECORD_HEADER_BYTES
+        after = content + int.from_bytes(section[at + 1 : content], "little")
+        if after > len(section):
+            return Summary()
+        summary.keep(section[at], section[content:after], source.name)
+        at = after
+    return summary

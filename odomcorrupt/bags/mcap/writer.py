@@ -1,0 +1,168 @@
+"""Write blocks as an MCAP, to a file or a pipe: nothing is ever sought or told."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE
+from odomcorrupt.bags.codecs import compress
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.directory import Directory
+from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added
+from odomcorrupt.bags.mcap.index import ChunkSpan, Index, message_indexes
+from odomcorrupt.bags.mcap.reader import McapReader
+from odomcorrupt.bags.mcap.records import (
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    METADATA,
+    chunk_head,
+    mapping,
+    record,
+    string,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.output import Output
+
+__all__ = ["McapWriter"]
+
+
+class McapWriter:
+    """An MCAP being written from the blocks of a reader of any format.
+
+    codec : of the chunks; None keeps each chunk's own
+    level : of compression; None is the fast one
+    """
+
+    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+        self._output = output
+        self._reader = reader
+        self._codec = codec
+        self._level = level
+        self._index = Index()
+        self._directory = Directory(reader)
+        self._sequences = Sequences()
+
+    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
+        return self._directory.add(topic, msgtype, like)
+
+    def provenance(self, name: str, items: Mapping[str, str]) -> None:
+        """Write a metadata record here and now."""
+        self._write_record(METADATA, record(METADATA, string(name), mapping(items)))
+
+    def write(self, block: Block) -> None:
+        """Write a block, its added messages behind its own."""
+        framing = block.raw
+        if not isinstance(framing, McapFraming):
+            self._write_foreign(block)
+            return
+        if framing.kind == "record":
+            self._write_record(framing.opcode, block.data.data)
+            framing = McapFraming("loose")
+            if not block.added:
+                return
+            framed = self._added(block)
+        else:
+            framed = Framed(block.data, block.table)
+            if block.added:
+                framed = _joined(framed, self._added(block))
+        if framing.kind == "loose" and self._codec is None:
+            self._index.count(framed.table)
+            self._output.write(framed.data.data)
+        else:
+            self._write_chunk(framed, self._codec or framing.codec)
+
+    def _write_foreign(self, block: Block) -> None:
+        """Write messages of another format into a chunk of their own."""
+        table = block.table.copy()
+        table["channel"] = self._directory.translate(table["channel"])
+        framed = _joined(self._records(table["channel"]), frame(block.data, table, self._sequences))
+        if block.added:
+            framed = _joined(framed, self._added(block))
+        codec = getattr(block.raw, "codec", "zstd")
+        self._write_chunk(framed, self._codec or (codec if codec in ("none", "lz4") else "zstd"))
+
+    def _added(self, block: Block) -> Framed:
+        """Frame a block's added messages, behind the channels they need."""
+        messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
+        framed = frame_added(messages, self._sequences)
+        return _joined(self._records(framed.table["channel"]), framed)
+
+    def _records(self, channels: NDArray[np.uint32]) -> Framed:
+        """Return the schema and channel records that these channels still need in the file."""
+        data = self._directory.take_records(channels)
+        return Framed(np.frombuffer(data, dtype=np.uint8), np.empty(0, dtype=TABLE))
+
+    def _write_chunk(self, framed: Framed, codec: str) -> None:
+        start_ns, end_ns = self._index.count(framed.table)
+        packed = compress(codec, framed.data, self._level)
+        crc = zlib.crc32(framed.data.data)
+        head = chunk_head(start_ns, end_ns, size=framed.data.size, crc=crc, codec=codec, packed=len(packed))
+        span = ChunkSpan(
+            start_ns,
+            end_ns,
+            position=self._output.position,
+            length=len(head) + len(packed),
+            codec=codec,
+            size=framed.data.size,
+            packed=len(packed),
+        )
+        self._output.write(head, packed, self._index.add_chunk(span, message_indexes(framed.table)))
+
+    def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
+        """Write a record as it stands, or a later piece of one (opcode 0)."""
+        if opcode:
+            self._index.add_record(opcode, bytes(data[: 1 << 20]), self._output.position)
+        self._output.write(data)
+
+    def _finish(self) -> None:
+        output = self._output
+        output.write(record(DATA_END, struct.pack("<I", output.crc)))
+        begin, output.crc = output.position, 0
+        private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []
+        section, offsets = self._index.summary(*self._directory.packed(), private, begin)
+        footer = record(FOOTER, struct.pack("<QQI", begin, offsets, 0))[:-4]
+        output.write(section, footer)
+        output.write(struct.pack("<I", output.crc), MAGIC)
+
+    def __enter__(self) -> Self:
+        self._output.open()
+        try:
+            self._output.write(MAGIC, record(HEADER, self._directory.header()))
+        except BaseException:
+            self._output.discard()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+                self._output.commit()
+        finally:
+            # After a commit there is nothing left to discard.
+            self._output.discard()
+
+
+def _joined(first: Framed, second: Framed) -> Framed:
+    if not first.data.size:
+        return second
+    moved = second.table.copy()
+    moved["offset"] += first.data.size
+    return Framed(np.concatenate([first.data, second.data]), np.concatenate([first.table, moved]))

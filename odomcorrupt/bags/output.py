@@ -1,0 +1,120 @@
+"""Where a bag's bytes go: a file that appears only when complete, or a pipe."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from pathlib import Path
+from typing import BinaryIO
+
+from odomcorrupt.errors import BagError
+
+__all__ = ["Output", "refuse_target"]
+
+
+def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool) -> None:
+    """Refuse an output that exists, is one of the inputs, or has no directory to stand in."""
+    if not path.parent.is_dir():
+        raise BagError(f"{path}: the directory {path.parent} does not exist; create it first")
+    if not path.exists() or _is_stream(path):
+        return
+    if any(source.exists() and source.samefile(path) for source in inputs):
+        raise BagError(f"{path}: is the input; a bag is not rewritten in place, name another output")
+    if not overwrite:
+        raise BagError(f"{path}: exists already; name another output or give --overwrite")
+
+
+class Output:
+    """Bytes on their way into a file or a stream.
+
+    name : what errors call it
+    position : bytes written so far
+    crc : CRC-32 of the bytes written since it was last set to 0
+    """
+
+    def __init__(self, path: Path | None, stream: BinaryIO | None = None) -> None:
+        self.name = "stdout" if path is None else str(path)
+        self.position = 0
+        self.crc = 0
+        self._path = path
+        self._partial: Path | None = None
+        self._stream = stream
+
+    def open(self) -> None:
+        """Begin: beside the target under a hidden name, or straight into what is a stream already."""
+        if self._path is None:
+            return
+        if _is_stream(self._path):
+            self._stream = self._path.open("wb")
+            return
+        self._path = Path(os.path.realpath(self._path))
+        self._partial = beside(self._path)
+        try:
+            # Not tempfile: its files are readable by their owner only, and keep that when renamed.
+            self._stream = self._partial.open("xb", buffering=1 << 18)
+        except OSError as error:
+            raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
+
+    def write(self, *pieces: bytes | memoryview) -> None:
+        """Write bytes, all of them."""
+        stream = self._stream
+        if stream is None:
+            raise BagError(f"{self.name}: is not open")
+        try:
+            for piece in pieces:
+                view = memoryview(piece)
+                self.crc = zlib.crc32(view, self.crc)
+                self.position += len(view)
+                # An unbuffered stdout may take a part only.
+                while (taken := stream.write(view)) < len(view):
+                    view = view[taken:]
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def rewrite(self, position: int, data: bytes) -> None:
+        """Write over bytes of a file and return to its end."""
+        if self._stream is None or self._partial is None:
+            raise BagError(f"{self.name}: cannot seek; write this format to a file")
+        self._stream.seek(position)
+        self._stream.write(data)
+        self._stream.seek(0, os.SEEK_END)
+
+    def commit(self) -> None:
+        """Make what was written appear under its name, safe against a power cut."""
+        if self._stream is None:
+            return
+        try:
+            self._stream.flush()
+            if self._partial is not None and self._path is not None:
+                os.fsync(self._stream.fileno())
+                self._stream.close()
+                self._partial.replace(self._path)
+            elif self._path is not None:
+                self._stream.close()
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def discard(self) -> None:
+        """Leave nothing behind."""
+        if self._path is None or self._stream is None:
+            return
+        try:
+            self._stream.close()
+        finally:
+            if self._partial is not None:
+                self._partial.unlink(missing_ok=True)
+
+    def _failed(self, error: OSError) -> BagError:
+        if isinstance(error, BrokenPipeError):
+            return BagError(f"{self.name}: closed by its reader after {self.position} bytes")
+        return BagError(f"{self.name}: cannot be written: {error.strerror} (after {self.position} bytes)")
+
+
+def beside(path: Path) -> Path:
+    """Name a hidden neighbour of a path, on the same file system, for what is not complete yet."""
+    return path.with_name(f".{path.name}.{os.getpid()}.{os.urandom(4).hex()}.partial")
+
+
+def _is_stream(path: Path) -> bool:
+    """Tell whether a path is a device or named pipe, which nothing may be renamed over."""
+    return path.exists() and not path.is_file() and not path.is_dir()
