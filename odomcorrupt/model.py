@@ -85,10 +85,15 @@ class TruthNoise:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What belongs to a measurement and not to the robot; corruption and correction pass it by."""
+    """What belongs to a measurement and not to the robot; corruption and correction pass it by.
+
+    effects : lever arm and mounting yaw of the truth
+    clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
+    """
 
     effects: tuple[Effect, ...] = ()
     truth: TruthNoise | None = None
+    clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +101,7 @@ class MotionModel:
     """Noise and effects of one robot.
 
     standard_errors maps "effect.parameter" and names of coefficients to one standard error, where a fit made them.
-    source says in words where the numbers come from.
+    source says where the numbers come from: "recordings" lists the files that were fitted.
     """
 
     noise: Noise
@@ -104,7 +109,7 @@ class MotionModel:
     track_m: float | None = None
     setup: Setup = field(default_factory=Setup)
     standard_errors: Mapping[str, float] = field(default_factory=dict)
-    source: Mapping[str, str | float] = field(default_factory=dict)
+    source: Mapping[str, str | float | list[str]] = field(default_factory=dict)
 
     @property
     def silent(self) -> bool:

@@ -53,7 +53,7 @@ def coarse_clock(recording: Recording) -> Clock:
     count = int(np.clip(len(grid) * _GRID_S // _STRETCH_S, 1, 12))
     if len(grid) < 4 * reach:
         return Clock()
-    wide = np.concatenate((grid[0] - _GRID_S * np.arange(reach, 0, -1), grid, grid[-1] + _GRID_S * np.arange(1, reach + 1)))
+    wide = grid[0] + _GRID_S * np.arange(-reach, len(grid) + reach)
     odometry = _speeds(odo_s, recording.odometry.xyt, wide)
     truth = _speeds(truth_s, recording.truth.xyt, grid)
     times, lags = [], []

@@ -38,6 +38,7 @@ _SMALL = 0.1
 class Fit:
     """A fitted model of some recordings.
 
+    pieces : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' parameters, in order
@@ -45,6 +46,7 @@ class Fit:
     """
 
     problem: Problem
+    pieces: LawPieces
     noise: NoiseFit
     law_name: str
     standard_errors: Array
@@ -80,11 +82,11 @@ def fit(
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
     law = law_named(law_name)
-    noise: NoiseFit | None = None
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, side=side)
         columns = believed_columns(problem, free)
-        noise = fit_noise(problem.nodes, LawPieces(law, problem.nodes, problem.steps), columns, start=start, weights=weights)
+        pieces = LawPieces(law, problem.nodes, problem.steps)
+        noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights)
         start = noise.free
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         effects, clocks = _moved(effects, clocks, free, noise.theta)
@@ -93,7 +95,7 @@ def fit(
     own = sum(len(parameters(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[free] = errors[own:]
-    return Fit(problem, noise, law_name, errors[:own], clock_errors)
+    return Fit(problem, pieces, noise, law_name, errors[:own], clock_errors)
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:

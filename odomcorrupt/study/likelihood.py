@@ -45,7 +45,8 @@ class Whitener:
         solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
-        return solved[:, 0] if columns.ndim == 2 else solved
+        white: Array = solved[:, 0] if columns.ndim == 2 else solved
+        return white
 
     def log_likelihood(self, innovations: Array) -> float:
         """Return the log density in nats of whitened residuals (3 K,)."""

@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.nodes import Nodes
 
-__all__ = ["LawPieces", "NoiseFit", "fit_noise"]
+__all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "fit_noise"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
-_LOW, _HIGH = np.log(1e-5), np.log(10.0)
+LOWEST = 1e-5
+"""A coefficient this small is none."""
+_LOW, _HIGH = np.log(LOWEST), np.log(10.0)
 _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6
@@ -102,7 +104,7 @@ def fit_noise(
     a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
     that likelihoods can be compared.
     """
-    task = _Task(nodes, pieces, columns)
+    task = NoiseTask(nodes, pieces, columns)
     free = task.first_guess() if start is None else start
     if weights is not None:
         return task.evaluate(task.climb(free, weights), weights)
@@ -119,7 +121,7 @@ def fit_noise(
 
 
 @dataclass(frozen=True, slots=True)
-class _Task:
+class NoiseTask:
     """What stays the same while a fit climbs."""
 
     nodes: Nodes
@@ -152,11 +154,13 @@ class _Task:
         k = Coefficients(*map(float, coefficients))
         return NoiseFit(k, truth, likelihood, theta, covariance, weights, r, white, free)
 
-    def climb(self, free: Array, weights: Array) -> Array:
-        """Return the noise parameters of largest likelihood."""
+    def climb(self, free: Array, weights: Array, *, fixed: int | None = None) -> Array:
+        """Return the noise parameters of largest likelihood; one of them may be held where it is."""
         active = len(self.pieces.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        if fixed is not None:
+            low[fixed] = high[fixed] = free[fixed]
         found = minimize(
             lambda x: -self.evaluate(x, weights).log_likelihood,
             np.clip(free, low, high),
@@ -180,5 +184,6 @@ class _Task:
 def _inverse(normal: Array) -> Array:
     """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse: Array = np.linalg.pinv(normal * np.outer(scale, scale), rcond=1e-10, hermitian=True) * np.outer(scale, scale)
+    both = np.outer(scale, scale)
+    inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
     return inverse

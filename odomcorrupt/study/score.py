@@ -120,7 +120,7 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     if condition > 1e8:
         nothing = np.full(count, np.nan)
         return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2))
-    covariance = np.linalg.inv(normal)
+    covariance: Array = np.linalg.inv(normal)
     estimate = covariance @ (column.T @ r)
     best = column @ estimate
     statistic = float(best @ r)
@@ -132,9 +132,8 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     a = np.bincount(block, unit * unit, blocks)
     variance = float(np.sum((s - a * z) ** 2 / np.maximum(1.0 - a, 1e-6)))
     dof = max(float(1.0 / np.sum(a**2) - 1.0), 0.5)
-    return _Test(
-        estimate, covariance, statistic, variance, dof, separable=True, held_out=_held_out(r, column, block, blocks)
-    )
+    held_out = _held_out(r, column, block, blocks)
+    return _Test(estimate, covariance, statistic, variance, dof, separable=True, held_out=held_out)
 
 
 def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) -> Array:

@@ -32,7 +32,7 @@ __all__ = ["Candidate", "Clocks", "find_clocks", "library", "next_effect"]
 
 LEVEL = 0.01
 """Probability of naming any effect on data without one."""
-_CLOCK_LEVEL = 1e-4
+_CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _SHORTLIST = 4
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
@@ -53,35 +53,26 @@ def find_clocks(recordings: Sequence[Recording], *, side: Side, law_name: str = 
 
     A number that is not significant is left at zero: aligning what was aligned only adds noise.
     """
-    kinds = registry()
-    found = []
-    for recording in recordings:
-        nuisance = [kinds[name]() for name in NUISANCE]
-        keep = (True, True)
-        clock = coarse_clock(recording)
-        errors = (0.0, 0.0)
-        while any(keep):
-            start = Clock(clock.offset_s, clock.rate if keep[1] else 0.0)
-            best = fit(
-                [recording], nuisance, clocks=[start], free_clocks=[keep], side=side, law_name=law_name
-            )
-            clock = best.problem.clocks[0]
-            errors = tuple(float(e) for e in best.clock_errors[0])
-            nuisance = list(best.effects)
-            real = _significant(clock, errors)
-            if real == keep:
-                break
-            keep = real if real[0] or not keep[1] else (keep[0] and not keep[1], False) if real == (False, False) else real
-            if not any(keep):
-                clock, errors = Clock(), (0.0, 0.0)
-        found.append((clock, keep, errors))
+    found = [_find_clock(recording, side, law_name) for recording in recordings]
     return Clocks(*(tuple(part) for part in zip(*found, strict=True)))
 
 
-def _significant(clock: Clock, errors: tuple[float, ...]) -> tuple[bool, bool]:
-    limit = float(np.sqrt(chi2.ppf(1.0 - _CLOCK_LEVEL, 1)))
-    offset, rate = clock.offset_s, clock.rate
-    return (abs(offset) > limit * errors[0] > 0.0, abs(rate) > limit * errors[1] > 0.0)
+def _find_clock(
+    recording: Recording, side: Side, law_name: str
+) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
+    """Return the clock, which of its numbers are real, and their errors: both, the offset alone, or nothing."""
+    kinds = registry()
+    nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
+    clock = coarse_clock(recording)
+    for free in ((True, True), (True, False)):
+        start = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
+        best = fit([recording], nuisance, clocks=[start], free_clocks=[free], side=side, law_name=law_name)
+        clock, nuisance = best.problem.clocks[0], best.effects
+        errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
+        last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
+        if abs(last) > _CLOCK_LIMIT * error > 0.0:
+            return clock, free, errors
+    return Clock(), (False, False), (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,22 +75,26 @@ class WindowErrors:
     def nees(self) -> Array:
         """Normalised estimation error squared (n,), chi-square with 3 degrees where the model is right."""
         solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
-        return np.sum(solved * self.error, axis=1)
+        squared: Array = np.sum(solved * self.error, axis=1)
+        return squared
 
     @property
     def expected(self) -> Array:
         """Expected root mean square (3,) of along, across (m), yaw (rad)."""
-        return np.sqrt(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
+        deviation: Array = np.sqrt(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
+        return deviation
 
     @property
     def measured(self) -> Array:
         """Measured root mean square (3,)."""
-        return np.sqrt(np.mean(self.error**2, axis=0))
+        deviation: Array = np.sqrt(np.mean(self.error**2, axis=0))
+        return deviation
 
     def coverage(self, quantile: float) -> Array:
         """Return which part (3,) of the errors lies within +- quantile standard deviations."""
         deviation = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        return np.mean(np.abs(self.error) <= quantile * deviation, axis=0)
+        inside: Array = np.mean(np.abs(self.error) <= quantile * deviation, axis=0)
+        return inside
 
 
 def window_errors(windows: Nodes, noise: Noise, truth: TruthNoise, steps: Increments) -> WindowErrors:

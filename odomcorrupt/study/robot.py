@@ -1,0 +1,88 @@
+"""From recordings to a robot's model: the whole of `odomcorrupt fit`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.errors import EffectError
+from odomcorrupt.model import MotionModel, Noise, Setup
+from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.fit import Fit, believed_columns, fit
+from odomcorrupt.study.intervals import Interval, coefficient_intervals
+from odomcorrupt.study.nodes import NODE_S
+from odomcorrupt.study.search import Clocks, find_clocks, ten_second_error
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.trajectory import Recording
+
+__all__ = ["RobotFit", "effects_to_fit", "fit_robot"]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFit:
+    """A robot's model, and what stands behind it.
+
+    intervals : the noise coefficients with their 95 % intervals
+    ten_second_error_m : on the fitted recordings themselves: a description, not a test
+    """
+
+    model: MotionModel
+    fit: Fit
+    clocks: Clocks
+    intervals: tuple[Interval, ...]
+    ten_second_error_m: float
+
+
+def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
+    """Return the effects to fit: those of a start model, at their values, and the added ones at their identity."""
+    effects = [*start.effects, *start.setup.effects] if start is not None else []
+    for name in add:
+        if any(effect.name == name for effect in effects):
+            raise EffectError(f"--add {name}: the start model has it already; leave it out")
+        effect = effect_from_values(name, {})
+        if effect.clock:
+            raise EffectError(f"--add {name}: clocks are part of every fit already; leave it out")
+        if effect.kind == "noise":
+            raise EffectError(f"--add {name}: a random effect cannot be fitted this way yet")
+        effects.append(effect)
+    return effects
+
+
+def fit_robot(
+    recordings: Sequence[Recording], effects: Sequence[Effect], *, law_name: str, start: MotionModel | None = None
+) -> RobotFit:
+    """Fit clocks, effects and noise to recordings of one robot."""
+    side = choose_side(recordings[0], NODE_S)
+    clocks = find_clocks(recordings, side=side, law_name=law_name)
+    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, law_name=law_name, side=side)
+    intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
+    errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
+    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in parameters(effect)]
+    errors |= dict(zip(names, map(float, fitted.standard_errors), strict=True))
+    error = ten_second_error(fitted)
+    model = MotionModel(
+        noise=Noise(law_name, fitted.noise.coefficients, start.noise.step if start is not None else None),
+        effects=tuple(e for e in fitted.effects if e.kind != "setup"),
+        track_m=recordings[0].track_m if recordings[0].track_m is not None else (start.track_m if start else None),
+        setup=Setup(
+            effects=tuple(e for e in fitted.effects if e.kind == "setup"),
+            truth=fitted.noise.truth,
+            clocks={
+                r.name: (c.offset_s, c.rate) for r, c in zip(recordings, fitted.problem.clocks, strict=True)
+            },
+        ),
+        standard_errors=errors,
+        source={
+            "recordings": [r.name for r in recordings],
+            "drivers": side,
+            "ten_second_error_on_the_fitted_data_m": error,
+            "log_likelihood_nats": fitted.log_likelihood,
+        },
+    )
+    return RobotFit(model, fitted, clocks, tuple(intervals), error)
