@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Message"]
+__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Kind", "Message"]
+
+Kind = Literal["ros1", "mcap", "sqlite3"]
+"""What a bag is stored as."""
 
 TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("length", "<i8")])
 """One row a message, in the order in which the messages lie in the block's data."""
@@ -79,7 +82,7 @@ class BagReader(Protocol):
     bag is raised as BagError.
     """
 
-    kind: Literal["ros1", "mcap", "sqlite3"]
+    kind: Kind
     name: str
     paths: list[Path]
     complete: bool

@@ -9,7 +9,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Definition", "RosType", "definition_like", "ros_type"]
+__all__ = ["Definition", "RosType", "definition_like", "md5sum_of", "ros_type"]
 
 
 class Definition(NamedTuple):
@@ -66,3 +66,17 @@ def definition_like(msgtype: str, encoding: str, like: Definition) -> Definition
     if "type" in metadata:
         metadata["type"] = kind.name
     return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
+
+
+def md5sum_of(msgtype: str, definition: Definition) -> str:
+    """Return the md5sum by which ROS 1 knows a type, from its definition."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+    from rosbags.typesys.base import TypesysError  # noqa: PLC0415
+
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(get_types_from_msg(definition.text.decode(errors="replace"), msgtype))
+        _, digest = store.generate_msgdef(msgtype, ros_version=1)
+    except (TypesysError, KeyError) as error:
+        raise BagError(f"{msgtype}: has no md5sum, and its definition is incomplete: {error}") from error
+    return str(digest)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.layouts import PROGRAMS, Item, Template, read_template
+from odomcorrupt.bags.spans import windows
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
 def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.float64]:
     """Return a copy (n, count) of a field of all messages of a layout."""
     offset, count = item.fields[field]
-    raw = _windows(block.data, 8 * count)[layout.starts + offset]
+    raw = windows(block.data, 8 * count)[layout.starts + offset]
     return raw.view(_order(layout) + "f8").reshape(-1, count).astype(np.float64, copy=False)
 
 
@@ -89,12 +90,12 @@ def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArra
     """Write a field (n, count) of all messages of a layout into the block's data, in place."""
     offset, count = item.fields[field]
     raw = np.ascontiguousarray(np.broadcast_to(values, (layout.starts.size, count)), dtype=_order(layout) + "f8")
-    _windows(block.data, 8 * count)[layout.starts + offset] = raw.view(f"V{8 * count}")[:, 0]
+    windows(block.data, 8 * count)[layout.starts + offset] = raw.view(f"V{8 * count}")[:, 0]
 
 
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
     """Return the header stamps (n,) in nanoseconds since 1970."""
-    raw = _windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
+    raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
     stamps_ns: NDArray[np.int64] = raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
     return stamps_ns
 
@@ -118,7 +119,7 @@ def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArr
         )
     raw = np.empty(layout.starts.size, dtype=kind)
     raw["s"], raw["ns"] = seconds, nanoseconds
-    _windows(block.data, 8)[layout.starts + item.stamp] = raw.view("V8")
+    windows(block.data, 8)[layout.starts + item.stamp] = raw.view("V8")
 
 
 def _matches(
@@ -128,16 +129,9 @@ def _matches(
     same = lengths >= template.size
     width = template.mask.size
     candidates = np.flatnonzero(same) if not same.all() else slice(None)
-    heads = _windows(data, width)[starts[candidates]].view(np.uint8).reshape(-1, width)
+    heads = windows(data, width)[starts[candidates]].view(np.uint8).reshape(-1, width)
     same[candidates] = ~((heads ^ template.structure) & template.mask).any(axis=1)
     return same
-
-
-def _windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:
-    """View data as overlapping windows, one from each byte: fancy indexing then moves whole fields, unaligned."""
-    if data.size < width:
-        return np.empty(0, dtype=f"V{width}")  # of no message: an index into it would have been refused before
-    return np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
 
 
 def _order(layout: Layout) -> str:

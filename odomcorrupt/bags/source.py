@@ -29,10 +29,11 @@ class Source:
     position : bytes read so far
     """
 
-    def __init__(self, stream: BinaryIO, name: str, size: int | None = None) -> None:
+    def __init__(self, stream: BinaryIO, name: str) -> None:
         self._stream = stream
+        self._owned = False
         self.name = name
-        self.size = size
+        self.size: int | None = None
         self.position = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
@@ -44,7 +45,10 @@ class Source:
             stream = path.open("rb", buffering=_BUFFER_BYTES)
         except OSError as error:
             raise BagError(f"{path}: cannot be opened: {error.strerror}") from error
-        return cls(stream, str(path), path.stat().st_size if stream.seekable() else None)
+        source = cls(stream, str(path))
+        source._owned = True
+        source.size = path.stat().st_size if stream.seekable() else None
+        return source
 
     def sniff(self, size: int) -> bytes:
         """Return the first bytes without stepping over them; fewer where the input is shorter."""
@@ -123,10 +127,15 @@ class Source:
             raise self.cut(what, len(view), begin)
         self.position += begin
 
+    def close(self) -> None:
+        """Close a file; a pipe belongs to who gave it."""
+        if self._owned:
+            self._stream.close()
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._stream.close()
+        self.close()

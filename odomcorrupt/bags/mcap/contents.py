@@ -13,6 +13,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import TABLE
 from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+from odomcorrupt.bags.spans import gaps_between, windows
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -73,15 +74,13 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     if np.any(heads["opcode"] != MESSAGE) or lengths.max() > data.size or lengths.min() < 22:
         return None
     ends = starts + lengths.astype(np.int64) + RECORD_HEADER_BYTES
-    befores = np.concatenate([[0], ends])
-    afters = np.append(starts, data.size)
-    if np.any(befores > afters):
+    gaps = gaps_between(starts, ends, data.size)
+    if gaps is None:
         return None
     others: list[Record] = []
-    view = data.data
-    for gap in np.flatnonzero(befores != afters):
+    for begin, end in gaps:
         try:
-            messages, records = _walk(view, int(befores[gap]), int(afters[gap]), "")
+            messages, records = _walk(data.data, begin, end, "")
         except BagError:
             return None
         if messages:
@@ -113,12 +112,7 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
 
 def _heads(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> NDArray[np.void]:
     """Gather the headers of message records, unaligned."""
-    if data.size < MESSAGE_HEADER_BYTES:
-        return np.empty(0, dtype=MESSAGE_HEADER)
-    windows = np.ndarray(
-        (data.size - MESSAGE_HEADER_BYTES + 1,), dtype=f"V{MESSAGE_HEADER_BYTES}", buffer=data, strides=(1,)
-    )
-    return windows[starts].view(MESSAGE_HEADER)
+    return windows(data, MESSAGE_HEADER_BYTES)[starts].view(MESSAGE_HEADER)
 
 
 def _table(heads: NDArray[np.void], starts: NDArray[np.int64]) -> NDArray[np.void]:

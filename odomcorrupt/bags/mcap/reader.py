@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -30,11 +30,13 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
     from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Kind
 
 __all__ = ["McapReader"]
 
@@ -51,13 +53,14 @@ class McapReader:
     summary : what the summary section had; of a pipe, known when the blocks are read
     """
 
-    kind: Literal["mcap"] = "mcap"
+    kind: Kind = "mcap"
 
     def __init__(self, path: Path | None, source: Source) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
-        self.channels: dict[int, Channel] = {}
+        self._channels: dict[int, Channel] = {}
+        self.channels: Mapping[int, Channel] = self._channels
         self.schemas: dict[int, SchemaRecord] = {}
         self.summary = Summary()
         self._source = source
@@ -143,7 +146,9 @@ class McapReader:
         name = self.schemas[channel.schema].name if channel.schema else ""
         package, _, leaf = name.partition("/")
         msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
-        self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
+        self._channels.setdefault(
+            channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel)
+        )
 
     def _learn_all(self) -> None:
         """Learn every channel of a file: from its summary, or from its data where the summary does not tell all."""
@@ -181,7 +186,7 @@ class McapReader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._source.__exit__(kind, error, trace)
+        self._source.close()
 
 
 def _records(source: Source) -> Iterator[tuple[int, int, str]]:

@@ -1,0 +1,108 @@
+"""Open bags by what they contain, and bags to be written by their names."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, BinaryIO
+
+from odomcorrupt.bags.mcap.reader import McapReader
+from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
+from odomcorrupt.bags.mcap.writer import McapWriter
+from odomcorrupt.bags.output import Output, refuse_target
+from odomcorrupt.bags.ros1.reader import Ros1Reader
+from odomcorrupt.bags.ros1.records import MAGIC as ROS1_MAGIC
+from odomcorrupt.bags.ros1.writer import Ros1Writer
+from odomcorrupt.bags.source import Source
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import BagReader, BagWriter
+
+__all__ = ["open_reader", "open_writer"]
+
+_READERS: dict[bytes, type[McapReader | Ros1Reader]] = {MCAP_MAGIC: McapReader, ROS1_MAGIC: Ros1Reader}
+_CODECS = {"mcap": ("none", "lz4", "zstd"), "ros1": ("none", "lz4", "bz2")}
+_SUFFIXES = {".mcap": "mcap", ".bag": "ros1"}
+
+
+def open_reader(path: Path | None, stream: BinaryIO | None = None) -> BagReader:
+    """Open a bag, by its content.
+
+    path : None or "-" for a pipe
+    stream : the pipe, stdin unless given
+
+    Raises
+    ------
+    BagError
+        Where it is no bag, or its beginning or end is damaged.
+
+    """
+    if path is None or str(path) == "-":
+        return _reader(None, Source(sys.stdin.buffer if stream is None else stream, "stdin"))
+    if path.is_dir():
+        raise BagError(f"{path}: is a directory without a bag in it")
+    return _reader(path, Source.of_file(path))
+
+
+def _reader(path: Path | None, source: Source) -> BagReader:
+    try:
+        begin = source.sniff(16)
+        for magic, reader in _READERS.items():
+            if begin.startswith(magic):
+                return reader(path, source)
+    except BaseException:
+        source.close()
+        raise
+    source.close()
+    raise _unknown(source.name, begin)
+
+
+def _unknown(name: str, begin: bytes) -> BagError:
+    if not begin:
+        return BagError(f"{name}: is empty; nothing was recorded, or nothing came through the pipe")
+    if begin.startswith(b"#ROSBAG V1"):
+        return BagError(
+            f"{name}: is a ROS 1 bag of version {begin[9:12].decode()}; `rosbag migrate` makes it a 2.0 one"
+        )
+    if begin.startswith(b"\x28\xb5\x2f\xfd"):
+        return BagError(f"{name}: is a zstd-compressed file; decompress it first (`zstd -d`)")
+    return BagError(f"{name}: begins with {begin[:8]!r}, which is no MCAP, ROS 1 bag or ROS 2 bag")
+
+
+def open_writer(
+    path: Path | None,
+    reader: BagReader,
+    *,
+    overwrite: bool = False,
+    compression: str | None = None,
+    level: int | None = None,
+    stream: BinaryIO | None = None,
+) -> BagWriter:
+    """Prepare a bag that appears under its name when the writer's context ends without an error.
+
+    path : None or "-" for MCAP on a pipe; a suffix .mcap or .bag asks for that format, others keep the input's
+    compression : "none", "lz4", "zstd" (MCAP) or "bz2" (ROS 1); None keeps that of the input
+    level : of compression; None is the fast one
+    stream : the pipe, stdout unless given
+
+    Raises
+    ------
+    BagError
+        Where the output exists and overwrite is false, is the input, or cannot hold what the input holds.
+
+    """
+    if path is None or str(path) == "-":
+        output, kind = Output(None, sys.stdout.buffer if stream is None else stream), "mcap"
+    else:
+        refuse_target(path, reader.paths, overwrite=overwrite)
+        output, kind = Output(path), _SUFFIXES.get(path.suffix.lower(), reader.kind)
+    if compression is not None and compression not in _CODECS[kind]:
+        raise BagError(
+            f"compression {compression}: is not one of {', '.join(_CODECS[kind])}, which "
+            f"{'an MCAP' if kind == 'mcap' else 'a ROS 1 bag'} can have"
+        )
+    if kind == "ros1":
+        return Ros1Writer(output, reader, compression, level)
+    return McapWriter(output, reader, compression, level)

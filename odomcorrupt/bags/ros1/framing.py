@@ -1,0 +1,97 @@
+"""Put messages into records: those of another format, and those that are added."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Message
+from odomcorrupt.bags.ros1.records import INDEX, MESSAGE, pack_fields, pack_record
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["Framed", "frame", "indexes", "pack_time"]
+
+_INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
+_SECOND_NS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Framed:
+    """Records of messages, and of connections before them.
+
+    data : (size,) uint8
+    table : (n,) of dtype TABLE, its offsets counted from the start of data
+    starts : (n,) offsets of the message records, bytes
+    """
+
+    data: NDArray[np.uint8]
+    table: NDArray[np.void]
+    starts: NDArray[np.int64]
+
+    def followed_by(self, other: Framed) -> Framed:
+        """Return both, one behind the other."""
+        moved = other.table.copy()
+        moved["offset"] += self.data.size
+        return Framed(
+            np.concatenate([self.data, other.data]),
+            np.concatenate([self.table, moved]),
+            np.concatenate([self.starts, other.starts + self.data.size]),
+        )
+
+
+def pack_time(log_ns: int) -> bytes:
+    """Return a time as ROS 1 stores it, two unsigned 32-bit words."""
+    seconds, nanoseconds = divmod(log_ns, _SECOND_NS)
+    if not 0 <= seconds < 1 << 32:
+        raise BagError(f"log time {log_ns} ns: does not fit a ROS 1 bag (0 to 2106); write an MCAP instead")
+    return struct.pack("<II", seconds, nanoseconds)
+
+
+def frame(before: bytes, messages: list[Message]) -> Framed:
+    """Frame messages, behind records that must precede them."""
+    pieces = [before]
+    rows: list[tuple[int, int, int, int]] = []
+    starts: list[int] = []
+    at = len(before)
+    for message in messages:
+        fields = {
+            "conn": struct.pack("<I", message.channel),
+            "op": bytes([MESSAGE]),
+            "time": pack_time(message.log_ns),
+        }
+        pieces.append(pack_record(pack_fields(fields), message.data))
+        starts.append(at)
+        at += len(pieces[-1])
+        rows.append((message.channel, message.log_ns, at - len(message.data), len(message.data)))
+    data = np.frombuffer(b"".join(pieces), dtype=np.uint8)
+    return Framed(data, np.array(rows, dtype=TABLE), np.array(starts, dtype=np.int64))
+
+
+def indexes(framed: Framed) -> list[tuple[int, int, bytes]]:
+    """Return (connection, count, index record) for each connection of a chunk, ascending."""
+    order = np.argsort(framed.table["channel"], kind="stable")
+    channels = framed.table["channel"][order]
+    entries = np.empty(order.size, dtype=_INDEX_ENTRY)
+    entries["s"], entries["ns"] = np.divmod(framed.table["log_ns"][order], _SECOND_NS)
+    entries["offset"] = framed.starts[order]
+    found: list[tuple[int, int, bytes]] = []
+    for part in np.split(np.arange(order.size), np.flatnonzero(np.diff(channels)) + 1):
+        if not part.size:
+            continue
+        connection = int(channels[part[0]])
+        header = pack_fields(
+            {
+                "conn": struct.pack("<I", connection),
+                "count": struct.pack("<I", part.size),
+                "op": bytes([INDEX]),
+                "ver": struct.pack("<I", 1),
+            }
+        )
+        found.append((connection, part.size, pack_record(header, entries[part[0] : part[-1] + 1].tobytes())))
+    return found

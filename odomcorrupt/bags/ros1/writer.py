@@ -1,0 +1,139 @@
+"""Write blocks as a ROS 1 bag: message bytes, definitions, md5sums, callerids and latching as they were."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Self
+
+from odomcorrupt.bags.block import Block, Channel, Message
+from odomcorrupt.bags.codecs import compress_for_ros1
+from odomcorrupt.bags.ros1.connections import Connections
+from odomcorrupt.bags.ros1.framing import Framed, frame, indexes, pack_time
+from odomcorrupt.bags.ros1.reader import Ros1Framing
+from odomcorrupt.bags.ros1.records import BAG_HEADER, CHUNK, CHUNK_INFO, MAGIC, pack_fields, pack_record
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from types import TracebackType
+
+    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.output import Output
+
+__all__ = ["Ros1Writer"]
+
+_HEADER_BYTES = 4096
+"""What rosbag reserves for the bag header, so that it can be written over when the index is known."""
+_CHUNK_LIMIT = 1 << 32
+
+
+class Ros1Writer:
+    """A ROS 1 bag being written from the blocks of a reader.
+
+    codec : of the chunks; None keeps each chunk's own
+    level : of compression; None is the fast one
+    """
+
+    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+        self._output = output
+        self._codec = codec
+        self._level = level
+        self._connections = Connections(reader)
+        self._infos: list[bytes] = []
+
+    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a channel that is published like another one (latching, callerid); its id is fresh."""
+        return self._connections.add(topic, msgtype, like)
+
+    def provenance(self, name: str, items: Mapping[str, str]) -> None:
+        """Say nothing: a ROS 1 bag has no place for it that is not a topic."""
+
+    def write(self, block: Block) -> None:
+        """Write a block, its added messages behind its own."""
+        added = self._frame(block.added)
+        framing = block.raw
+        if isinstance(framing, Ros1Framing):
+            framed = Framed(block.data, block.table, framing.starts)
+            codec = framing.codec
+        else:
+            framed = self._frame(_messages(block))
+            codec = "lz4"
+        if added.data.size:
+            framed = framed.followed_by(added)
+        if framed.data.size:
+            self._write_chunk(framed, self._codec or codec)
+
+    def _frame(self, messages: list[Message]) -> Framed:
+        return frame(self._connections.take_records(one.channel for one in messages), messages)
+
+    def _write_chunk(self, framed: Framed, codec: str) -> None:
+        if framed.data.size >= _CHUNK_LIMIT:
+            raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
+        position = self._output.position
+        packed = compress_for_ros1(codec, framed.data, self._level)
+        header = pack_fields(
+            {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
+        )
+        found = indexes(framed)
+        self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)), packed)
+        self._output.write(b"".join(index for _, _, index in found))
+        times = framed.table["log_ns"]
+        info = pack_fields(
+            {
+                "chunk_pos": struct.pack("<Q", position),
+                "count": struct.pack("<I", len(found)),
+                "end_time": pack_time(int(times.max(initial=0))),
+                "op": bytes([CHUNK_INFO]),
+                "start_time": pack_time(int(times.min()) if times.size else 0),
+                "ver": struct.pack("<I", 1),
+            }
+        )
+        counts = b"".join(struct.pack("<II", connection, count) for connection, count, _ in found)
+        self._infos.append(pack_record(info, counts))
+
+    def _header(self, index_at: int, connections: int) -> bytes:
+        """Return the bag header, padded to a fixed size."""
+        header = pack_fields(
+            {
+                "chunk_count": struct.pack("<I", len(self._infos)),
+                "conn_count": struct.pack("<I", connections),
+                "index_pos": struct.pack("<Q", index_at),
+                "op": bytes([BAG_HEADER]),
+            }
+        )
+        return pack_record(header, b" " * (_HEADER_BYTES - len(header)))
+
+    def _finish(self) -> None:
+        index_at = self._output.position
+        connections = self._connections.packed()
+        self._output.write(*connections, *self._infos)
+        self._output.rewrite(len(MAGIC), self._header(index_at, len(connections)))
+
+    def __enter__(self) -> Self:
+        self._output.open()
+        try:
+            self._output.write(MAGIC, self._header(0, 0))
+        except BaseException:
+            self._output.discard()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+                self._output.commit()
+        finally:
+            # After a commit there is nothing left to discard.
+            self._output.discard()
+
+
+def _messages(block: Block) -> list[Message]:
+    """Return the messages of another format's block, one by one."""
+    view = block.data.data
+    return [
+        Message(channel, log_ns, bytes(view[offset : offset + length]))
+        for channel, log_ns, offset, length in block.table.tolist()
+    ]

@@ -1,0 +1,33 @@
+"""What lies between records that an index points at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["gaps_between", "windows"]
+
+
+def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) -> list[tuple[int, int]] | None:
+    """Return the spans of [0, size) that records (n,), sorted by start, leave; None where they overlap.
+
+    Where the gaps hold whole records, and none of the kind that was indexed, the index told the truth: record by
+    record each one begins where the last one ended.
+    """
+    befores = np.concatenate([[0], ends])
+    afters = np.append(starts, size)
+    if np.any(befores > afters):
+        return None
+    open_ones = np.flatnonzero(befores != afters)
+    return list(zip(befores[open_ones].tolist(), afters[open_ones].tolist(), strict=True))
+
+
+def windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:
+    """View data as overlapping windows, one from each byte: fancy indexing then moves whole fields, unaligned."""
+    if data.size < width:
+        return np.empty(0, dtype=f"V{width}")
+    return np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))
