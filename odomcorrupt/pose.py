@@ -26,7 +26,9 @@ def wrap(angle_rad: Array) -> Array:
 
 def rotate(xy_m: Array, angle_rad: Array) -> Array:
     """Return vectors (..., 2) turned by an angle (...)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    # a copy lies dense in memory: sines of strided angles may differ in the last bit
+    angle = np.array(angle_rad)
+    c, s = np.cos(angle), np.sin(angle)
     x, y = xy_m[..., 0], xy_m[..., 1]
     return np.stack((c * x - s * y, s * x + c * y), axis=-1)
 

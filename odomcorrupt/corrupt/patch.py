@@ -1,0 +1,181 @@
+"""Numbers of messages replaced in place: poses, twists, covariances, stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_stamps_ns
+from odomcorrupt.corrupt.correction import Correction
+from odomcorrupt.corrupt.covariance import pose_covariance
+from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.rigid import SpatialPoses, from_left, from_right
+from odomcorrupt.corrupt.targets import ODOMETRY, plain
+from odomcorrupt.corrupt.twist import TopicTwist
+from odomcorrupt.pose import yaw_from_quaternion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corrupt.correction import Curve
+    from odomcorrupt.corrupt.targets import Side
+    from odomcorrupt.model import MotionModel
+    from odomcorrupt.pose import Array
+
+__all__ = ["Changes", "Patcher", "Target"]
+
+PLANAR = np.array([0, 1, 5])
+"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
+
+PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
+"""Where their covariances stand in a row-major 6 x 6 matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """n messages of one layout of which one item is moved.
+
+    side : from which the correction acts
+    stamps_ns, time_ns : (n,) header stamps, and log times as running maxima
+    """
+
+    channel: Channel
+    layout: Layout
+    item: Item
+    side: Side
+    stamps_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Changes:
+    """Counts of what was moved: messages by topic, edges by "parent -> child", and how many beyond the curve's end."""
+
+    odometry: Counter[str] = field(default_factory=Counter)
+    edges: Counter[str] = field(default_factory=Counter)
+    held: int = 0
+
+
+class Patcher:
+    """Puts a correction into messages, one topic after the other."""
+
+    def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
+        self.changes = Changes()
+        self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
+        self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
+        self._twist = not keep_twist
+        self._covariance = not (keep_covariance or model.noise.coefficients.silent)
+        self._twists: dict[str, TopicTwist] = {}
+
+    def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
+        """Patch a block's targets in place; first_ns is when time began."""
+        at = curve.at(
+            np.concatenate([target.stamps_ns for target in targets]),
+            np.concatenate([target.time_ns for target in targets]),
+        )
+        self.changes.held += int(np.count_nonzero(at.held))
+        start = 0
+        odometry: dict[str, list[tuple[Target, Correction]]] = {}
+        for target in targets:
+            stop = start + len(target.stamps_ns)
+            part = _rows(at, slice(start, stop))
+            start = stop
+            if target.channel.msgtype == ODOMETRY:
+                self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
+                odometry.setdefault(target.channel.topic, []).append((target, part))
+            else:
+                item = target.item
+                edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
+                self.changes.edges[edge] += len(target.stamps_ns)
+                if self._moves:
+                    _move(block, target, part.xyt)
+            if self._clocks:
+                self._shift_stamps(block, target, first_ns)
+        if self._moves:
+            for topic, parts in odometry.items():
+                self._patch_odometry(block, topic, parts)
+
+    def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
+        clean = []
+        for target, at in parts:
+            position = gather(block, target.layout, target.item, "position")
+            quat = gather(block, target.layout, target.item, "orientation")
+            clean.append(np.column_stack((position[:, :2], yaw_from_quaternion(quat))))
+            _move(block, target, at.xyt)
+            if self._covariance:
+                noisy = gather(block, target.layout, target.item, "position")[:, :2].T
+                _set_planar(
+                    block, target, "pose_covariance", pose_covariance(at.sums, noisy - at.origin_xy), slice(None)
+                )
+        if not self._twist:
+            return
+        # one topic's messages may have several layouts: its twists follow each other in the order of arrival
+        rows = np.concatenate([target.layout.rows for target, _ in parts])
+        order = np.argsort(rows)
+        back = np.argsort(order)
+        every = Correction(
+            np.concatenate([at.xyt for _, at in parts])[order],
+            np.concatenate([at.sums for _, at in parts], axis=1)[:, order],
+            np.concatenate([at.origin_xy for _, at in parts], axis=1)[:, order],
+            np.concatenate([at.stretch for _, at in parts])[order],
+            np.concatenate([at.held for _, at in parts])[order],
+        )
+        stamps = np.concatenate([target.stamps_ns for target, _ in parts])[order]
+        change = self._twists.setdefault(topic, TopicTwist()).change(stamps, np.concatenate(clean)[order], every)
+        known, added, covariance = change.known[back], change.added[back], change.covariance[back]
+        start = 0
+        for target, _ in parts:
+            own = slice(start, start + len(target.stamps_ns))
+            start = own.stop
+            twist = gather(block, target.layout, target.item, "twist")
+            moved = np.flatnonzero(known[own] & added[own].any(axis=1) & np.isfinite(added[own]).all(axis=1))
+            if len(moved):
+                twist[np.ix_(moved, PLANAR)] += added[own][moved]
+                scatter(block, target.layout, target.item, "twist", twist)
+            if self._covariance:
+                _set_planar(block, target, "twist_covariance", covariance[own], known[own])
+
+    def _shift_stamps(self, block: Block, target: Target, first_ns: int) -> None:
+        t_s = (target.stamps_ns - first_ns) * np.float64(1e-9)
+        shift_s = sum(effect.stamp_shift_s(t_s) for effect in self._clocks)
+        shift_ns = np.rint(np.asarray(shift_s) * 1e9).astype(np.int64)
+        written = gather_stamps_ns(block, target.layout, target.item)
+        # a stamp of zero says "no stamp", and goes on saying so
+        scatter_stamps_ns(block, target.layout, target.item, written + np.where(written == 0, 0, shift_ns))
+
+
+def _rows(at: Correction, rows: slice) -> Correction:
+    return Correction(at.xyt[rows], at.sums[:, rows], at.origin_xy[:, rows], at.stretch[rows], at.held[rows])
+
+
+def _move(block: Block, target: Target, correction_xyt: Array) -> None:
+    """Move poses, those alone that the correction does move: the others keep their bits."""
+    moved = correction_xyt.any(axis=1)
+    if not moved.any():
+        return
+    position = gather(block, target.layout, target.item, "position")
+    quat = gather(block, target.layout, target.item, "orientation")
+    act = from_left if target.side == "left" else from_right
+    poses = act(correction_xyt[moved], SpatialPoses(position[moved], quat[moved]))
+    position[moved], quat[moved] = poses.position, poses.quat_xyzw
+    scatter(block, target.layout, target.item, "position", position)
+    scatter(block, target.layout, target.item, "orientation", quat)
+
+
+def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:
+    """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
+    whole = gather(block, target.layout, target.item, name)
+    planar = covariance.reshape(-1, 9)
+    whole[:, PLANAR_BLOCK] = np.where(_column(which, len(whole)), planar, whole[:, PLANAR_BLOCK])
+    scatter(block, target.layout, target.item, name, whole)
+
+
+def _column(which: slice | NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
+    chosen = np.zeros(n, dtype=bool)
+    chosen[which] = True
+    return chosen[:, None]

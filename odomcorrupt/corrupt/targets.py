@@ -1,0 +1,112 @@
+"""Which messages the correction of the odom frame moves: topics, frames, edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from odomcorrupt.errors import TopicError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.bags.block import Channel
+    from odomcorrupt.bags.messages import Item
+
+__all__ = ["ODOMETRY", "TRANSFORMS", "Frames", "Side", "drives", "find_driver", "plain", "resolve_frames", "side_of"]
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
+ENCODINGS = frozenset({"cdr", "ros1"})
+
+GLOBAL_FRAMES = frozenset({"map", "world", "earth", "utm"})
+"""Frames above odom, whatever namespace they carry: an edge between odom and one of them is localisation."""
+
+Side = Literal["left", "right"]
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """The odom frame and the robot's, without leading slashes; base is None where nothing names it."""
+
+    odom: str
+    base: str | None
+
+
+def plain(name: str) -> str:
+    """Return a frame or topic without leading slashes: with or without, it is the same one."""
+    return name.lstrip("/")
+
+
+def drives(channel: Channel, topic: str) -> bool:
+    """Whether a channel carries the odometry of that topic."""
+    readable = channel.msgtype == ODOMETRY and channel.encoding in ENCODINGS
+    return readable and plain(channel.topic) == plain(topic)
+
+
+def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
+    """Return the topic whose odometry drives the model.
+
+    Raises
+    ------
+    TopicError
+        Where there is none, or where several need a choice.
+
+    """
+    channels = tuple(channels)
+    topics = sorted({c.topic for c in channels if c.msgtype == ODOMETRY and c.encoding in ENCODINGS})
+    found = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
+    if asked is not None:
+        same = [topic for topic in topics if plain(topic) == plain(asked)]
+        if same:
+            return same[0]
+        kinds = sorted({f"{c.msgtype} in {c.encoding}" for c in channels if plain(c.topic) == plain(asked)})
+        if kinds:
+            raise TopicError(f"{bag}: {asked} is {', '.join(kinds)}; --odom-topic must name a nav_msgs/Odometry")
+        offer = f"nav_msgs/Odometry is on {', '.join(topics)}" if topics else f"found {found}"
+        raise TopicError(f"{bag}: no topic {asked} ({offer}); name another one with --odom-topic")
+    if not topics:
+        raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}); there is nothing to corrupt")
+    if len(topics) > 1:
+        raise TopicError(
+            f"{bag}: {len(topics)} nav_msgs/Odometry topics ({', '.join(topics)}); name the one that drives the "
+            "model with --odom-topic"
+        )
+    return topics[0]
+
+
+def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
+    """Return the frames that the driving odometry names, or those asked for.
+
+    Raises
+    ------
+    TopicError
+        Where the odometry sits in a frame that is not an odom frame, and no other one is named.
+
+    """
+    stated = plain(item.frame_id)
+    if odom_frame is None and (not stated or _last(stated) in GLOBAL_FRAMES):
+        raise TopicError(
+            f"{topic}: its messages are in frame {item.frame_id!r}, which is not an odometry frame; name the frame "
+            "that is to drift with --odom-frame"
+        )
+    base = plain(base_frame if base_frame is not None else item.child_frame_id)
+    return Frames(stated if odom_frame is None else plain(odom_frame), base or None)
+
+
+def side_of(parent: str, child: str, frames: Frames) -> Side | None:
+    """Return from which side the correction acts on the transform parent -> child; None where it stays.
+
+    Edges between odom and what lies above it are localisation and stay. Of the edges that end in odom, only the one
+    that comes from the base is an odometry edge turned round.
+    """
+    parent, child = plain(parent), plain(child)
+    if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:
+        return "left"
+    if child == frames.odom and frames.base is not None and parent == frames.base:
+        return "right"
+    return None
+
+
+def _last(frame: str) -> str:
+    return frame.rsplit("/", 1)[-1]

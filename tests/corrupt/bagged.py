@@ -1,0 +1,149 @@
+"""Bags that exist in memory alone: messages packed by hand, readers that are lists, and what a robot sends."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Block, Channel
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+
+ODOM = Channel(1, "/odom", "nav_msgs/msg/Odometry", "cdr")
+TF = Channel(2, "/tf", "tf2_msgs/msg/TFMessage", "cdr")
+IMU = Channel(3, "/imu", "sensor_msgs/msg/Imu", "cdr")
+OTHER = Channel(4, "/filtered", "nav_msgs/msg/Odometry", "cdr")
+TRUTH = Channel(5, "/truth", "nav_msgs/msg/Odometry", "cdr")
+
+
+def _text(out, text):
+    out += b"\0" * (-(len(out) - 4) % 4)
+    out += struct.pack("<I", len(text) + 1) + text.encode() + b"\0"
+
+
+def _header(out, stamp_ns, frame):
+    out += b"\0" * (-(len(out) - 4) % 4)
+    out += struct.pack("<iI", *divmod(int(stamp_ns), 10**9))
+    _text(out, frame)
+
+
+def _doubles(out, values):
+    out += b"\0" * (-(len(out) - 4) % 8)
+    out += np.asarray(values, dtype="<f8").tobytes()
+
+
+def quaternion(yaw, roll=0.0, pitch=0.0):
+    """The quaternion xyzw of z-y-x Euler angles."""
+    cr, sr, cp, sp = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def odometry(stamp_ns, xyt, twist=(0, 0, 0), *, frame="odom", child="base_link", z=0.0, tilt=(0.0, 0.0)):
+    out = bytearray(b"\0\1\0\0")
+    _header(out, stamp_ns, frame)
+    _text(out, child)
+    covariance = np.arange(36) / 1000.0
+    _doubles(out, [xyt[0], xyt[1], z, *quaternion(xyt[2], *tilt), *covariance])
+    _doubles(out, [twist[0], twist[1], 0, 0, 0, twist[2], *(covariance + 1)])
+    return bytes(out)
+
+
+def transforms(*edges):
+    """Pack edges (stamp, parent, child, xyt)."""
+    out = bytearray(b"\0\1\0\0" + struct.pack("<I", len(edges)))
+    for stamp_ns, parent, child, xyt in edges:
+        _header(out, stamp_ns, parent)
+        _text(out, child)
+        _doubles(out, [xyt[0], xyt[1], 0.0, *quaternion(xyt[2])])
+    return bytes(out)
+
+
+def blocks_of(messages, size=40):
+    """Cut messages (channel, log_ns, bytes) into blocks of `size` messages, or of the sizes in a list."""
+    sizes = [size] * (len(messages) // size + 1) if isinstance(size, int) else list(size)
+    out, i = [], 0
+    for count in sizes:
+        part = messages[i : i + count]
+        i += count
+        if part:
+            lengths = [len(data) for _, _, data in part]
+            table = np.zeros(len(part), dtype=TABLE)
+            table["channel"] = [channel.id for channel, _, _ in part]
+            table["log_ns"] = [log_ns for _, log_ns, _ in part]
+            table["length"] = lengths
+            table["offset"] = np.cumsum([0, *lengths[:-1]])
+            out.append(Block(np.frombuffer(b"".join(data for _, _, data in part), np.uint8).copy(), table))
+    assert i >= len(messages)
+    return out
+
+
+@dataclass
+class MemoryBag:
+    """A reader over blocks."""
+
+    held: list
+    channels: dict = field(default_factory=lambda: {c.id: c for c in (ODOM, TF, IMU)})
+    complete: bool = True
+    kind: str = "mcap"
+
+    def blocks(self):
+        yield from self.held
+
+
+def messages_of(blocks):
+    """Return every message's bytes, in order."""
+    return [
+        (int(row["channel"]), int(row["log_ns"]), block.data[row["offset"] : row["offset"] + row["length"]].tobytes())
+        for block in blocks
+        for row in block.table
+    ]
+
+
+def read(blocks, channel, name, edge=None):
+    """Return stamps (n,) and a field (n, count) of a channel's messages, in bag order; `edge` picks a transform."""
+    stamps, values = [], []
+    for block in blocks:
+        found = []
+        for layout in locate(block, channel):
+            for item in layout.items:
+                if edge is None or edge == (item.frame_id, item.child_frame_id):
+                    pairs = zip(gather_stamps_ns(block, layout, item), gather(block, layout, item, name), strict=True)
+                    found += [(row, s, v) for row, (s, v) in zip(layout.rows, pairs, strict=True)]
+        for _, stamp, value in sorted(found, key=lambda entry: entry[0]):
+            stamps.append(stamp)
+            values.append(value)
+    return np.array(stamps), np.array(values)
+
+
+def twists(t, poses):
+    """Twists whose mid-point integration gives the poses back."""
+    dt = np.diff(t) * 1e-9
+    turn = np.diff(poses[:, 2])
+    middle = poses[:-1, 2] + turn / 2
+    dx, dy = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+    along, across = np.cos(middle) * dx + np.sin(middle) * dy, np.cos(middle) * dy - np.sin(middle) * dx
+    return np.vstack((np.zeros((1, 3)), np.column_stack((along, across, turn)) / dt[:, None]))
+
+
+def robot(t, poses, latency_ns=3_000_000):
+    """What a robot sends on that drive: odometry, TF a little later, an IMU that is none of our business."""
+    out = []
+    for stamp, pose, twist in zip(t, poses, twists(t, poses), strict=True):
+        log = int(stamp) + latency_ns
+        out.append((ODOM, log, odometry(stamp, pose, twist)))
+        edges = (
+            (stamp, "odom", "base_link", pose),
+            (stamp, "map", "odom", (0.5, 0.2, 0.1)),
+            (stamp, "base_link", "laser", (0.1, 0.0, 0.0)),
+        )
+        out.extend(((TF, log + 1000, transforms(*edges)), (IMU, log + 2000, b"\0\1\0\0anything at all")))
+    return out
