@@ -21,7 +21,7 @@ from odomcorrupt.study.fit import fit
 from odomcorrupt.study.likelihood import whitener
 from odomcorrupt.study.nodes import NODE_S, join
 from odomcorrupt.study.problem import pose_problem, undo
-from odomcorrupt.study.search import find_clocks
+from odomcorrupt.study.search import Clocks, find_clocks
 from odomcorrupt.study.trajectory import Trajectory
 from odomcorrupt.study.windows import WindowErrors, distance_windows, rmse, time_windows, window_errors
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.clock import Clock
     from odomcorrupt.study.drivers import Side
     from odomcorrupt.study.trajectory import Recording
 
@@ -87,7 +86,7 @@ class Comparison:
     """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
 
     recordings: tuple[str, ...]
-    clocks: tuple[Clock, ...]
+    clocks: Clocks
     raw_error_m: float
     clock_error_m: float
     judgements: tuple[Judgement, ...]
@@ -100,7 +99,7 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
-        clocks=found.clocks,
+        clocks=found,
         raw_error_m=_ten_seconds(recordings),
         clock_error_m=_ten_seconds(on_time),
         judgements=tuple(_judge(name, model, on_time, side) for name, model in models.items()),

@@ -47,11 +47,8 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     found = []
     for position, index in enumerate(fitted.pieces.active):
         best = float(free[position])
-        ends = []
-        for direction in (-1.0, 1.0):
-            ends.append(_edge(task, fitted, position, best, direction, top))
-        value = float(getattr(fitted.noise.coefficients, NAMES[index]))
-        found.append(Interval(NAMES[index], value, *ends))
+        low, high = (_edge(task, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
+        found.append(Interval(NAMES[index], float(getattr(fitted.noise.coefficients, NAMES[index])), low, high))
     return found
 
 

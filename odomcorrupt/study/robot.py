@@ -55,11 +55,17 @@ def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect
 
 
 def fit_robot(
-    recordings: Sequence[Recording], effects: Sequence[Effect], *, law_name: str, start: MotionModel | None = None
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect],
+    *,
+    law_name: str,
+    start: MotionModel | None = None,
+    clocks: Clocks | None = None,
 ) -> RobotFit:
-    """Fit clocks, effects and noise to recordings of one robot."""
+    """Fit clocks (unless they are known already), effects and noise to recordings of one robot."""
     side = choose_side(recordings[0], NODE_S)
-    clocks = find_clocks(recordings, side=side, law_name=law_name)
+    if clocks is None:
+        clocks = find_clocks(recordings, side=side, law_name=law_name)
     fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, law_name=law_name, side=side)
     intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
@@ -73,9 +79,7 @@ def fit_robot(
         setup=Setup(
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
-            clocks={
-                r.name: (c.offset_s, c.rate) for r, c in zip(recordings, fitted.problem.clocks, strict=True)
-            },
+            clocks={r.name: (c.offset_s, c.rate) for r, c in zip(recordings, fitted.problem.clocks, strict=True)},
         ),
         standard_errors=errors,
         source={

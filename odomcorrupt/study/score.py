@@ -120,7 +120,7 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     if condition > 1e8:
         nothing = np.full(count, np.nan)
         return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2))
-    covariance: Array = np.linalg.inv(normal)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     estimate = covariance @ (column.T @ r)
     best = column @ estimate
     statistic = float(best @ r)

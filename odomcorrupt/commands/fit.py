@@ -1,0 +1,55 @@
+"""odomcorrupt fit: a robot's motion model from recordings of odometry and truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing, write_text
+from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
+
+__all__ = ["command"]
+
+
+@click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
+@click.argument("recordings", nargs=-1, required=True)
+@recording_options
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
+@click.option("--start", type=click.Path(dir_okay=False, path_type=Path), help="Model file whose effects to refit.")
+@click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
+@click.option("--law", help="Noise law. [default: that of the start model, or diffusion]")
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+def command(
+    recordings: tuple[str, ...],
+    odom: str | None,
+    truth: str | None,
+    track: float | None,
+    output: Path | None,
+    start: Path | None,
+    add: tuple[str, ...],
+    law: str | None,
+    overwrite: bool,  # noqa: FBT001 - click passes flags so
+) -> None:
+    """Fit the noise coefficients, the truth's own noise and the clocks, and the effects asked for.
+
+    Several recordings are runs of one robot, each with a clock of its own.
+    """
+    need_study()
+    from odomcorrupt.modelfile import format_model, read_model
+    from odomcorrupt.report.tables import fit_text
+    from odomcorrupt.study.robot import effects_to_fit, fit_robot
+
+    paths, models = split_arguments(recordings)
+    if models:
+        raise click.UsageError(f"{next(iter(models))} is a model; pass it with --start")
+    refuse_existing(output, overwrite=overwrite)
+    begin = read_model(start) if start is not None else None
+    effects = effects_to_fit(begin, add)
+    law_name = law or (begin.noise.law_name if begin is not None else "diffusion")
+    runs = read_all(paths, odom, truth, track if track is not None else (begin.track_m if begin else None))
+    result = fit_robot(runs, effects, law_name=law_name, start=begin)
+    click.echo(fit_text(result))
+    if output is not None:
+        write_text(output, format_model(result.model))
+        click.echo(f"wrote {output}", err=True)

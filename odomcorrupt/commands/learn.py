@@ -1,0 +1,74 @@
+"""odomcorrupt learn: the whole loop, from recordings to a robot's model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing, write_text
+from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
+
+__all__ = ["command"]
+
+
+@click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")
+@click.argument("recordings", nargs=-1, required=True)
+@recording_options
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
+@click.option("--judge", type=click.Path(), multiple=True, help="Recording to judge the result on (repeatable).")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture of the error falling.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+def command(
+    recordings: tuple[str, ...],
+    odom: str | None,
+    truth: str | None,
+    track: float | None,
+    output: Path | None,
+    judge: tuple[str, ...],
+    plot: Path | None,
+    as_json: bool,  # noqa: FBT001 - click passes flags so
+    overwrite: bool,  # noqa: FBT001 - as above
+) -> None:
+    """Learn which effects a robot has, write its model, and show the error falling.
+
+    Without --judge, the ladder is cross-validated on halves of the recordings themselves.
+    """
+    need_study()
+    from odomcorrupt.modelfile import format_model
+    from odomcorrupt.report.json import comparison_json, learned_json
+    from odomcorrupt.report.tables import clock_lines, comparison_text, fit_text, ladder_text
+    from odomcorrupt.study.compare import compare
+    from odomcorrupt.study.learn import learn
+    from odomcorrupt.study.robot import fit_robot
+
+    paths, models = split_arguments(recordings)
+    if models:
+        raise click.UsageError(f"{next(iter(models))} is a model; `fit --start` and `diagnose` take models")
+    refuse_existing(output, overwrite=overwrite)
+    refuse_existing(plot, overwrite=overwrite)
+    runs = read_all(paths, odom, truth, track)
+    judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
+    learned = learn(runs)
+    base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
+    robot = fit_robot(runs, learned.fit.effects, law_name="diffusion", clocks=learned.clocks)
+    ladder = {"without effects": base.model}
+    if learned.added:
+        ladder["with " + ", ".join(learned.added)] = robot.model
+    comparison = compare(judges, ladder)
+    if as_json:
+        click.echo(json.dumps(learned_json(learned) | {"comparison": comparison_json(comparison)}, indent=2))
+    else:
+        lines = clock_lines([r.name for r in runs], learned.clocks)
+        lines += [f"found:\n{ladder_text(learned)}" if learned.added else "nothing is missing", fit_text(robot), ""]
+        click.echo("\n".join([*lines, comparison_text(comparison)]))
+    if output is not None:
+        write_text(output, format_model(robot.model))
+        click.echo(f"wrote {output}", err=True)
+    if plot is not None:
+        from odomcorrupt.report.ladder import draw_ladder
+
+        draw_ladder(comparison, plot)
+        click.echo(f"wrote {plot}", err=True)

@@ -1,0 +1,182 @@
+"""Results of the study as plain text: what a person reads in a terminal."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.effect import parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.compare import Comparison, Horizon, Judgement
+    from odomcorrupt.study.intervals import Interval
+    from odomcorrupt.study.learn import Learned, Round
+    from odomcorrupt.study.robot import RobotFit
+    from odomcorrupt.study.search import Candidate, Clocks
+
+__all__ = ["candidates_table", "clock_lines", "comparison_text", "fit_text", "ladder_text", "value_text"]
+
+_AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "rad", "across_trans": "m"}
+
+
+def value_text(value: float, error: float | None, unit: str) -> str:
+    """Return a value with its error in units a person thinks in."""
+    if unit.startswith("rad"):
+        value, error, unit = degrees(value), None if error is None else degrees(error), "deg" + unit[3:]
+    elif unit == "m":
+        value, error, unit = value * 1e3, None if error is None else error * 1e3, "mm"
+    elif unit == "s":
+        value, error, unit = value * 1e3, None if error is None else error * 1e3, "ms"
+    elif unit == "":
+        value, error, unit = value * 1e2, None if error is None else error * 1e2, "%"
+    spread = "" if error is None else f" +- {error:.2g}"
+    return f"{value:.4g}{spread} {unit}"
+
+
+def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
+    """Return a line for every recording whose clock is off."""
+    lines = []
+    for name, clock, free, errors in zip(names, clocks.clocks, clocks.free, clocks.errors, strict=True):
+        if not any(free):
+            continue
+        parts = [f"offset {value_text(clock.offset_s, errors[0], 's')}"]
+        if free[1]:
+            parts.append(f"skew {clock.rate * 1e6:.0f} +- {errors[1] * 1e6:.0f} ppm")
+        lines.append(f"{name}: the odometry's clock is off: {', '.join(parts)}")
+    return lines
+
+
+def fit_text(result: RobotFit) -> str:
+    """Return what a fit found."""
+    truth = result.fit.noise.truth
+    names = [r.name for r in result.fit.problem.recordings]
+    lines = [f"law {result.fit.law_name}, coefficients with 95 % intervals:"]
+    lines += [_interval_line(result, interval) for interval in result.intervals]
+    errors = iter(result.fit.standard_errors)
+    lines += [_effect_line(effect, [float(next(errors)) for _ in parameters(effect)]) for effect in result.fit.effects]
+    lines += clock_lines(names, result.clocks)
+    wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
+    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {degrees(truth.yaw_rad):.2g} deg{wander}")
+    flagged = int((result.fit.noise.weights > 1.0).sum())
+    if flagged:
+        lines.append(
+            f"{flagged} of {len(result.fit.problem.nodes)} half-second stretches look like slips and weigh less"
+        )
+    lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
+    return "\n".join(lines)
+
+
+def _interval_line(result: RobotFit, interval: Interval) -> str:
+    name, value = interval.name, interval.value
+    heading = name.startswith("rot_")
+    scale, unit = (degrees(1.0), "deg") if heading else (1e3, "mm")
+    sense = (
+        f"{unit} after one {'metre' if _AFTER[name] == 'm' else 'radian'}" if _plain(result) else "as the law has it"
+    )
+    ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
+    human = f"  = {value * scale:.3g} {sense}" if _plain(result) else f"  {sense}"
+    return f"  {name:<13}{value:<10.4g} {ends:<22}{human}"
+
+
+def _plain(result: RobotFit) -> bool:
+    return result.fit.law_name == "diffusion"
+
+
+def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
+    values = [
+        f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}"
+        for p, error in zip(parameters(effect), errors, strict=True)
+    ]
+    return f"  {effect.name}: {', '.join(values)}"
+
+
+def candidates_table(look: Round, *, most: int = 8) -> str:
+    """Return the candidates of one look, the plainest first."""
+    lines = [f"{'effect':<16}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"]
+    lines += [_candidate_line(c) for c in look.candidates[:most]]
+    return "\n".join(lines)
+
+
+def _candidate_line(candidate: Candidate) -> str:
+    score = candidate.score
+    values = ", ".join(
+        f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
+        for p, v, e in zip(parameters(score.effect), score.estimate, score.standard_error, strict=True)
+    )
+    evidence = f"{candidate.gain:+.1f}" if candidate.fit is not None else f"p {score.p:.2g}"
+    held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
+    before, after = candidate.rmse
+    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fit is not None else ""
+    refused = f"  ({candidate.refused})" if candidate.refused else ""
+    return f"{score.effect.name:<16}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
+
+
+def ladder_text(learned: Learned) -> str:
+    """Return how the 10 s error of the fitted data fell, step by step."""
+    lines = []
+    for look in learned.rounds:
+        if look.added is not None:
+            before, after = look.candidates[0].rmse
+            rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""
+            lines.append(
+                f"  + {look.added:<16}{look.candidates[0].gain:+8.1f} nats   "
+                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s{rivals}"
+            )
+    return "\n".join(lines)
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return horizons of every model, the ladder, and where the last model fails."""
+    lines = []
+    for judgement in comparison.judgements:
+        how = (
+            "refitted on the other half of each recording it was fitted on" if judgement.refitted else "not fitted here"
+        )
+        lines += [f"{judgement.name} ({how})", *_horizon_lines(judgement.horizons), ""]
+    lines += _ladder_lines(comparison)
+    for judgement in comparison.judgements:
+        lines += ["", *_failure_lines(judgement)]
+    return "\n".join(lines)
+
+
+def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
+    heads = (("path", 6), ("windows", 9), ("position error", 22), ("yaw error", 22), ("NEES/3", 9), ("by chance", 15))
+    lines = ["  " + "".join(f"{head:>{width}}" for head, width in (*heads, ("inside 90 % band", 24)))]
+    for h in horizons:
+        position = f"{h.position_measured * 1e3:.1f} (exp. {h.position_expected * 1e3:.1f}) mm"
+        yaw = f"{degrees(h.measured[2]):.2f} (exp. {degrees(h.expected[2]):.2f}) deg"
+        chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
+        inside = " ".join(f"{100 * c:.0f}%" for c in h.coverage)
+        lines.append(
+            f"  {h.distance_m:>4g} m{h.windows:>9}{position:>22}{yaw:>22}{h.nees:>9.2f}{chance:>15}{inside:>24}"
+        )
+    return lines
+
+
+def _ladder_lines(comparison: Comparison) -> list[str]:
+    held = not any(j.refitted for j in comparison.judgements)
+    title = "held-out" if held else "cross-validated"
+    lines = [f"{title} position error after 10 s:"]
+    steps: list[tuple[str, float, float | None]] = [("odometry as it came", comparison.raw_error_m, None)]
+    if comparison.clock_error_m != comparison.raw_error_m:
+        steps.append(("its clock set right", comparison.clock_error_m, None))
+    steps += [(j.name, j.ten_second_error_m, j.nats_per_m) for j in comparison.judgements]
+    worst = max(error for _, error, _ in steps)
+    for name, error, nats in steps:
+        bar = "#" * round(40.0 * error / worst) if worst > 0.0 else ""
+        score = "" if nats is None else f"{nats:9.2f} nats/m"
+        lines.append(f"  {name:<28}{error * 1e3:9.1f} mm{score}  {bar}")
+    first, last = comparison.judgements[0], comparison.judgements[-1]
+    if held and len(comparison.judgements) > 1 and last.ten_second_error_m < first.ten_second_error_m:
+        ratio = last.ten_second_error_m / first.ten_second_error_m
+        lines.append(f"  the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}")
+    return lines
+
+
+def _failure_lines(judgement: Judgement) -> list[str]:
+    if not judgement.failures:
+        return [f"{judgement.name}: no kind of motion in which it fails"]
+    return [f"{judgement.name} fails:", *(f"  {f.sentence}" for f in judgement.failures[:5])]
