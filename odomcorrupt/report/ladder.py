@@ -33,7 +33,7 @@ def draw_ladder(comparison: Comparison, path: Path) -> None:
         above.xaxis.set_major_formatter("{x:g}")
         above.yaxis.set_major_formatter("{x:g}")
         above.grid(visible=True, which="major", color="0.9")
-        above.set_title("Error of the odometry against the truth: measured, and what each model expects", loc="left")
+        above.set_title("Odometry against truth: measured, and what each model expects", loc="left")
         above.legend(frameon=False, loc="upper left")
         _bars(below, comparison)
         figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)

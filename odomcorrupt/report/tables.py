@@ -143,17 +143,28 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
-    heads = (("path", 6), ("windows", 9), ("position error", 22), ("yaw error", 22), ("NEES/3", 9), ("by chance", 15))
+    heads = (
+        ("path", 6),
+        ("windows", 9),
+        ("position error (expected)", 28),
+        ("yaw error (expected)", 24),
+        ("NEES/3", 9),
+        ("by chance", 15),
+    )
     lines = ["  " + "".join(f"{head:>{width}}" for head, width in (*heads, ("inside 90 % band", 24)))]
     for h in horizons:
-        position = f"{h.position_measured * 1e3:.1f} (exp. {h.position_expected * 1e3:.1f}) mm"
-        yaw = f"{degrees(h.measured[2]):.2f} (exp. {degrees(h.expected[2]):.2f}) deg"
+        position = f"{_length(h.position_measured)} ({_length(h.position_expected)})"
+        yaw = f"{degrees(h.measured[2]):.2f} ({degrees(h.expected[2]):.2f}) deg"
         chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
         inside = " ".join(f"{100 * c:.0f}%" for c in h.coverage)
         lines.append(
-            f"  {h.distance_m:>4g} m{h.windows:>9}{position:>22}{yaw:>22}{h.nees:>9.2f}{chance:>15}{inside:>24}"
+            f"  {h.distance_m:>4g} m{h.windows:>9}{position:>28}{yaw:>24}{h.nees:>9.2f}{chance:>15}{inside:>24}"
         )
     return lines
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1e3:.1f} mm" if metres < 1.0 else f"{metres:.2f} m"
 
 
 def _ladder_lines(comparison: Comparison) -> list[str]:

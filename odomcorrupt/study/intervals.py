@@ -41,7 +41,7 @@ class Interval:
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     """Return the interval of every coefficient that the law and the drive know; columns are those of the fit."""
-    task = NoiseTask(fitted.problem.nodes, fitted.pieces, columns)
+    task = NoiseTask(fitted.problem.nodes, fitted.pieces, columns, fitted.noise.weights)
     top = fitted.log_likelihood
     free = fitted.noise.free
     found = []
@@ -54,7 +54,7 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
 
 def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:
     """Return where the profile has dropped by the quantile, in steps that double and then by interpolation."""
-    free, weights = fitted.noise.free.copy(), fitted.noise.weights
+    free = fitted.noise.free.copy()
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
     step = 0.1
     for _ in range(_STEPS + 3):
@@ -62,8 +62,8 @@ def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: f
         if outside <= np.log(LOWEST):
             return 0.0
         free[position] = outside
-        climbed = task.climb(free, weights, fixed=position)
-        drop = top - task.evaluate(climbed, weights).log_likelihood
+        climbed = task.climb(free, fixed=position)
+        drop = top - task.evaluate(climbed).log_likelihood
         if drop >= _DROP:
             # a parabola in the logarithm between the two points
             share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))

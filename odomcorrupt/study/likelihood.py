@@ -21,7 +21,17 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.nodes import Nodes
 
-__all__ = ["Whitener", "dense_covariance", "interval_covariance", "whitener"]
+__all__ = [
+    "Whitener",
+    "band_of",
+    "dense_covariance",
+    "factored",
+    "floor_band",
+    "interval_covariance",
+    "truth_pieces",
+    "truth_weights",
+    "whitener",
+]
 
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
 """Variance that nothing falls below (10 um, 1 urad): a robot that stands still must not make a singular matrix."""
@@ -56,21 +66,45 @@ class Whitener:
 
 def interval_covariance(nodes: Nodes, q: Array, truth: TruthNoise) -> Array:
     """Return the covariance (K, 3, 3) of each residual by itself: odometry's noise q, and the truth's at both ends."""
-    r = _white(truth)
-    a = _adjoint_of_inverse(nodes.truth_step)
-    total = q + r + a @ r @ np.swapaxes(a, 1, 2)
-    total[:, [0, 1], [0, 1]] += (truth.wander**2 * (nodes.end_s - nodes.start_s))[:, None]
+    total = q.copy()
+    for weight, (diagonal, _) in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+        total += weight * diagonal
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
 
 
-def _below(nodes: Nodes, truth: TruthNoise) -> Array:
-    """Return the covariances (K - 1, 3, 3) of each residual with the one before it."""
-    return -_adjoint_of_inverse(nodes.truth_step)[1:] @ _white(truth) * nodes.linked[1:, None, None]
+def truth_weights(truth: TruthNoise) -> tuple[float, float, float]:
+    """Return the weights of `truth_pieces`."""
+    return truth.xy_m**2, truth.yaw_rad**2, truth.wander**2
 
 
-def _white(truth: TruthNoise) -> Array:
-    return np.diag([truth.xy_m**2, truth.xy_m**2, truth.yaw_rad**2])
+def truth_pieces(nodes: Nodes) -> list[tuple[Array, Array]]:
+    """Return what unit noise of the truth adds, for its position, its heading and its wander.
+
+    Each is a pair: added to the residuals' own covariances (K, 3, 3), and to those with the one before (K - 1, 3, 3).
+    """
+    a = _adjoint_of_inverse(nodes.truth_step)
+    pieces = []
+    for unit in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])):
+        ar = a @ unit
+        pieces.append((unit + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]))
+    wander = np.zeros_like(a)
+    wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
+    pieces.append((wander, np.zeros_like(a[1:])))
+    return pieces
+
+
+def band_of(diagonal: Array, below: Array | None = None) -> Array:
+    """Return blocks (K, 3, 3) on the diagonal, and (K - 1, 3, 3) below it, as a lower banded matrix (6, 3 K)."""
+    k = len(diagonal)
+    band = np.zeros((_BAND + 1, 3 * k))
+    for row in range(3):
+        for column in range(row + 1):
+            band[row - column, column::3] = diagonal[:, row, column]
+        for column in range(3):
+            if below is not None:
+                band[3 + row - column, column : 3 * (k - 1) : 3] = below[:, row, column]
+    return band
 
 
 def whitener(nodes: Nodes, q: Array, truth: TruthNoise) -> Whitener:
@@ -84,15 +118,22 @@ def whitener(nodes: Nodes, q: Array, truth: TruthNoise) -> Whitener:
     truth : how noisy the truth is
 
     """
-    diagonal, below = interval_covariance(nodes, q, truth), _below(nodes, truth)
-    k = len(nodes)
-    band = np.zeros((_BAND + 1, 3 * k))
-    for row in range(3):
-        for column in range(row + 1):
-            band[row - column, column::3] = diagonal[:, row, column]
-        for column in range(3):
-            band[3 + row - column, column : 3 * (k - 1) : 3] = below[:, row, column]
-    factor, info = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
+    band = band_of(q) + floor_band(len(nodes))
+    for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+        band += weight * band_of(*piece)
+    return factored(band)
+
+
+def floor_band(count: int) -> Array:
+    """Return the floor of the covariance as a band (6, 3 K)."""
+    band = np.zeros((_BAND + 1, 3 * count))
+    band[0] = np.tile(FLOOR, count)
+    return band
+
+
+def factored(band: Array) -> Whitener:
+    """Return the whitener of a lower banded covariance (6, 3 K)."""
+    factor, info = lapack.dpbtrf(band, lower=1)
     if info != 0:
         raise FitError("the covariance of the residuals is not positive definite")
     return Whitener(factor, float(np.sum(np.log(factor[0]))))
@@ -100,7 +141,10 @@ def whitener(nodes: Nodes, q: Array, truth: TruthNoise) -> Whitener:
 
 def dense_covariance(nodes: Nodes, q: Array, truth: TruthNoise) -> Array:
     """Return the same covariance as a plain matrix (3 K, 3 K), for small K: tests and the curious."""
-    diagonal, below = interval_covariance(nodes, q, truth), _below(nodes, truth)
+    diagonal = interval_covariance(nodes, q, truth)
+    below = np.zeros((len(nodes) - 1, 3, 3))
+    for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+        below += weight * piece[1]
     k = len(nodes)
     full = np.zeros((3 * k, 3 * k))
     for i in range(k):

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from odomcorrupt.errors import FitError
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import TruthNoise
-from odomcorrupt.study.likelihood import Whitener, whitener
+from odomcorrupt.study.likelihood import Whitener, band_of, factored, floor_band, truth_pieces, truth_weights
 
 if TYPE_CHECKING:
     from odomcorrupt.increments import Increments
@@ -48,6 +48,8 @@ class LawPieces:
         unit = np.eye(len(NAMES))
         self._degree = law.degree
         self._single = [nodes.covariance(law, Coefficients(*row), steps) for row in unit]
+        self.active = [i for i, piece in enumerate(self._single) if piece.any()]
+        """Which coefficients do anything under this law and on this drive."""
         self._pairs: list[tuple[int, int, Array]] = []
         if law.degree == 2:
             for i, j in combinations(range(len(NAMES)), 2):
@@ -56,21 +58,15 @@ class LawPieces:
                 if np.abs(cross).max() > 1e-12 * np.abs(both).max():
                     self._pairs.append((i, j, cross))
 
-    @property
-    def active(self) -> list[int]:
-        """Which coefficients do anything under this law and on this drive."""
-        return [i for i, piece in enumerate(self._single) if piece.any()]
+    def parts(self) -> list[Array]:
+        """Return the matrices (K, 3, 3) that `shares` weighs."""
+        return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
 
-    def covariance(self, coefficients: Array) -> Array:
-        """Return (K, 3, 3) for the five coefficients, in the order of `NAMES`."""
-        weights = coefficients**self._degree
-        total = np.zeros_like(self._single[0])
-        for weight, piece in zip(weights, self._single, strict=True):
-            if weight > 0.0:
-                total += weight * piece
-        for i, j, cross in self._pairs:
-            total += coefficients[i] * coefficients[j] * cross
-        return total
+    def shares(self, coefficients: Array) -> Array:
+        """Return the weights of `parts` for the five coefficients, in the order of `NAMES`."""
+        single = coefficients[self.active] ** self._degree
+        pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
+        return np.concatenate((single, pairs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,46 +100,47 @@ def fit_noise(
     a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
     that likelihoods can be compared.
     """
-    task = NoiseTask(nodes, pieces, columns)
-    free = task.first_guess() if start is None else start
+    ones = np.ones(len(nodes))
+    task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights)
+    free = task.climb(task.first_guess() if start is None else start)
+    plain = done = task.evaluate(free)
     if weights is not None:
-        return task.evaluate(task.climb(free, weights), weights)
-    plain = task.evaluate(task.climb(free, np.ones(len(nodes))), np.ones(len(nodes)))
-    done = plain
+        return plain
     for _ in range(_ROBUST_ROUNDS):
         square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
         worse = square > _OUTLIER
         if worse.mean() < _CHANCE:
             break
-        new = np.where(worse, done.weights * square / 3.0, done.weights)
-        done = task.evaluate(task.climb(done.free, new), new)
+        task = NoiseTask(nodes, pieces, columns, np.where(worse, done.weights * square / 3.0, done.weights))
+        done = task.evaluate(task.climb(done.free))
     return plain if np.mean(done.weights > 1.0) > _SIGNAL else done
 
 
-@dataclass(frozen=True, slots=True)
 class NoiseTask:
-    """What stays the same while a fit climbs."""
+    """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
 
-    nodes: Nodes
-    pieces: LawPieces
-    columns: Array
-
-    def __post_init__(self) -> None:
-        if not self.pieces.active:
+    def __init__(self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array) -> None:
+        if not pieces.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
+        self._nodes, self._pieces, self._weights = nodes, pieces, weights
+        self._stacked = np.concatenate((nodes.residual[:, :, None], columns), axis=2)
+        bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
+        bands += [band_of(*piece) for piece in truth_pieces(nodes)]
+        self._bands = np.stack(bands).reshape(len(bands), -1)
+        self._floor = floor_band(len(nodes))
 
     def first_guess(self) -> Array:
         """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
-        scale = np.median(np.abs(self.nodes.residual), axis=0)
+        scale = np.median(np.abs(self._nodes.residual), axis=0)
         truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
-        return np.concatenate((np.full(len(self.pieces.active), np.log(0.02)), np.log(truth)))
+        return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
 
-    def evaluate(self, free: Array, weights: Array) -> NoiseFit:
+    def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise, columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
-        q = self.pieces.covariance(coefficients) * weights[:, None, None]
-        white = whitener(self.nodes, q, truth)
-        stacked = white.whiten(np.concatenate((self.nodes.residual[:, :, None], self.columns), axis=2))
+        shares = np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+        white = factored((shares @ self._bands).reshape(self._floor.shape) + self._floor)
+        stacked = white.whiten(self._stacked)
         r, b = stacked[:, 0], stacked[:, 1:]
         theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
         if b.shape[1]:
@@ -152,28 +149,28 @@ class NoiseTask:
             r = r - b @ theta
         likelihood = white.log_likelihood(r)
         k = Coefficients(*map(float, coefficients))
-        return NoiseFit(k, truth, likelihood, theta, covariance, weights, r, white, free)
+        return NoiseFit(k, truth, likelihood, theta, covariance, self._weights, r, white, free)
 
-    def climb(self, free: Array, weights: Array, *, fixed: int | None = None) -> Array:
+    def climb(self, free: Array, *, fixed: int | None = None) -> Array:
         """Return the noise parameters of largest likelihood; one of them may be held where it is."""
-        active = len(self.pieces.active)
+        active = len(self._pieces.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
         found = minimize(
-            lambda x: -self.evaluate(x, weights).log_likelihood,
+            lambda x: -self.evaluate(x).log_likelihood,
             np.clip(free, low, high),
             method="L-BFGS-B",
             bounds=list(zip(low, high, strict=True)),
-            options={"eps": 1e-4, "ftol": 1e-9, "maxiter": 60},
+            options={"eps": 1e-4, "ftol": 1e-8, "maxiter": 60},
         )
         climbed: Array = found.x
         return climbed
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (5,) and truth noise; what sits on its lower bound is exactly zero."""
-        active = self.pieces.active
+        active = self._pieces.active
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]
         coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
