@@ -1,0 +1,291 @@
+"""MCAP in, MCAP out, judged by the mcap library."""
+
+import io
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_ros2.decoder import DecoderFactory
+from oracles import (
+    OFFICE_MCAP,
+    SHARED,
+    VARIANTS,
+    copy,
+    copy_through_pipes,
+    damaged_copies_fail,
+    mcap_extras,
+    mcap_messages,
+    mcap_record_places,
+    mcap_records,
+    office_variant,
+)
+
+from odomcorrupt.bags.block import Message
+from odomcorrupt.bags.messages import gather, locate, scatter
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.errors import BagError
+
+SHIFT = np.array([10.0, 20.0, 30.0])
+CHUNK, MESSAGE_INDEX, FOOTER, DATA_END = 6, 7, 2, 15
+
+
+def channel_of(reader, topic):
+    return next(channel for channel in reader.channels.values() if channel.topic == topic)
+
+
+@pytest.fixture(params=VARIANTS)
+def variant(request, tmp_path):
+    return office_variant(tmp_path / "in.mcap", **VARIANTS[request.param])
+
+
+def test_nothing_patched_keeps_every_message_channel_and_extra(variant, tmp_path):
+    out = copy(variant, tmp_path / "out.mcap")
+    assert mcap_messages(out) == mcap_messages(variant)
+    assert mcap_extras(out)[0] == mcap_extras(variant)[0]
+    # Without indexes the library does not find extras by seeking; the output has indexes again.
+    records = mcap_records(variant)
+    assert len(mcap_extras(out)[1]) == sum(type(one).__name__ == "Attachment" for one in records)
+    assert len(mcap_extras(out)[2]) == sum(type(one).__name__ == "Metadata" for one in records) == 1
+
+
+def test_records_of_the_data_section_stay_in_place(variant, tmp_path):
+    out = copy(variant, tmp_path / "out.mcap")
+    rebuilt = (
+        "MessageIndex",
+        "ChunkIndex",
+        "AttachmentIndex",
+        "MetadataIndex",
+        "Statistics",
+        "SummaryOffset",
+        "Footer",
+    )
+
+    def data(path):
+        records = mcap_records(path)
+        end = next(n for n, one in enumerate(records) if type(one).__name__ == "DataEnd")
+        return [one for one in records[:end] if type(one).__name__ not in rebuilt]
+
+    assert data(out) == data(variant)
+
+
+def test_a_pipe_gives_the_same_bytes_as_a_file(variant, tmp_path):
+    through_file = copy(variant, tmp_path / "file.mcap")
+    through_pipe = copy_through_pipes(variant, tmp_path / "pipe.mcap")
+    assert through_pipe.read_bytes() == through_file.read_bytes()
+
+
+def test_the_summary_is_complete_and_every_checksum_true(variant, tmp_path):
+    out = copy(variant, tmp_path / "out.mcap")
+    data = out.read_bytes()
+    places = mcap_record_places(data)
+    end = next(begin for opcode, begin, _ in places if opcode == DATA_END)
+    assert struct.unpack_from("<I", data, end + 9) == (zlib.crc32(data[:end]),)
+    (opcode, footer, stop) = places[-1]
+    start, _, crc = struct.unpack_from("<QQI", data, footer + 9)
+    assert opcode == FOOTER
+    assert crc == zlib.crc32(data[start : stop - 4])
+    with out.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    messages = mcap_messages(variant)
+    assert mcap_messages(out, seek=True) == sorted(messages, key=lambda one: one.times[0])
+    statistics = summary.statistics
+    assert statistics.message_count == len(messages) == sum(statistics.channel_message_counts.values())
+    assert statistics.message_start_time == min(one.times[0] for one in messages)
+    assert statistics.message_end_time == max(one.times[0] for one in messages)
+    assert statistics.chunk_count == len(summary.chunk_indexes) == sum(place[0] == CHUNK for place in places)
+    assert statistics.attachment_count == len(summary.attachment_indexes)
+    assert statistics.metadata_count == len(summary.metadata_indexes)
+    assert len(summary.channels) == statistics.channel_count == len(summary.schemas) + 1
+
+
+@pytest.mark.parametrize("codec", ["none", "lz4", "zstd"])
+@pytest.mark.parametrize("level", [None, 5])
+def test_compression_asked_for_is_used(variant, tmp_path, codec, level):
+    out = copy(variant, tmp_path / "out.mcap", compression=codec, level=level)
+    assert mcap_messages(out) == mcap_messages(variant)
+    with out.open("rb") as stream:
+        indexes = make_reader(stream).get_summary().chunk_indexes
+    assert {index.compression for index in indexes} == {codec.replace("none", "")}
+
+
+def test_patched_numbers_are_what_another_decoder_reads(variant, tmp_path):
+    def shift(reader, _writer, block):
+        for layout in locate(block, channel_of(reader, "/odom")):
+            (item,) = layout.items
+            scatter(block, layout, item, "position", gather(block, layout, item, "position") + SHIFT)
+
+    def positions(path):
+        with path.open("rb") as stream:
+            reader = NonSeekingReader(stream, decoder_factories=[DecoderFactory()])
+            decoded = reader.iter_decoded_messages(topics=["/odom"])
+            points = [message.pose.pose.position for *_, message in decoded]
+        return np.array([[point.x, point.y, point.z] for point in points])
+
+    out = copy(variant, tmp_path / "out.mcap", shift)
+    np.testing.assert_array_equal(positions(out), positions(variant) + SHIFT)
+    untouched = [one for one in mcap_messages(variant) if one.topic != "/odom"]
+    assert [one for one in mcap_messages(out) if one.topic != "/odom"] == untouched
+
+
+@pytest.mark.parametrize("through", [copy, copy_through_pipes])
+def test_added_messages_and_channels_are_there_with_their_qos(variant, tmp_path, through):
+    made = {}
+
+    def add(reader, writer, block):
+        if not len(block.table):
+            return
+        row = block.table[0]
+        if not made:
+            odom = channel_of(reader, "/odom")
+            made["truth"] = writer.add_channel("/odom_truth", odom.msgtype, odom)
+            made["pose"] = writer.add_channel("/pose", "geometry_msgs/msg/PoseStamped", odom)
+            made["odom"] = odom
+        for channel in made.values():
+            block.added.append(Message(channel.id, int(row["log_ns"]) + 1, b"\0\1\0\0" + bytes(12)))
+
+    out = through(variant, tmp_path / "out.mcap", add)
+    seen = mcap_messages(out)
+    added = [one for one in seen if one.data == b"\0\1\0\0" + bytes(12)]
+    odom = next(one for one in seen if one.topic == "/odom")
+    assert {one.topic for one in added} == {"/odom_truth", "/pose", "/odom"}
+    truth = next(one for one in added if one.topic == "/odom_truth")
+    assert (truth.type, truth.publisher) == (odom.type, odom.publisher)
+    pose = next(one for one in added if one.topic == "/pose")
+    assert pose.type[0] == "geometry_msgs/msg/PoseStamped"
+    assert b"MSG: geometry_msgs/Pose" in pose.type[2]
+    assert [one for one in seen if one not in added] == mcap_messages(variant)
+
+
+def test_provenance_is_metadata(tmp_path):
+    with open_reader(OFFICE_MCAP) as reader, open_writer(tmp_path / "out.mcap", reader) as writer:
+        writer.provenance("odomcorrupt", {"seed": "7"})
+        for block in reader.blocks():
+            writer.write(block)
+    assert ("odomcorrupt", {"seed": "7"}) in mcap_extras(tmp_path / "out.mcap")[2]
+    assert ("office", {"floor": "3"}) in mcap_extras(tmp_path / "out.mcap")[2]
+
+
+@pytest.mark.parametrize("harm", ["missing", "unordered", "shifted", "short", "other chunk's"])
+def test_wrong_message_indexes_do_not_matter(tmp_path, harm):
+    data = OFFICE_MCAP.read_bytes()
+    places = mcap_record_places(data)
+    indexes = [data[begin:end] for opcode, begin, end in places if opcode == MESSAGE_INDEX]
+    out = b""
+    for number, (opcode, begin, end) in enumerate(places):
+        record = data[begin:end]
+        if opcode == MESSAGE_INDEX:
+            head, entries = record[:15], record[15:]
+            pairs = [entries[at : at + 16] for at in range(0, len(entries), 16)]
+            if harm == "missing" and number % 3:
+                continue
+            if harm == "unordered":
+                pairs.reverse()
+            if harm == "shifted":
+                pairs[0] = struct.pack("<QQ", 0, 2**63 if number % 2 else 3)
+            if harm == "short":
+                pairs[0] = pairs[-1]
+            record = head + b"".join(pairs)
+            if harm == "other chunk's":
+                record = indexes[number % len(indexes)]
+        out += record
+    damaged = tmp_path / "in.mcap"
+    # Without a summary that points at the old places.
+    cut = out.index(struct.pack("<BQ", DATA_END, 4))
+    footer = struct.pack("<BQI", DATA_END, 4, 0) + struct.pack("<BQQQI", FOOTER, 20, 0, 0, 0) + data[:8]
+    damaged.write_bytes(data[:8] + out[:cut] + footer)
+    copy(damaged, tmp_path / "out.mcap")
+    assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
+
+
+def test_records_of_applications_come_through_in_place(tmp_path):
+    data = OFFICE_MCAP.read_bytes()
+    places = mcap_record_places(data)
+    third = [begin for opcode, begin, _ in places if opcode == CHUNK][2]
+    end = next(begin for opcode, begin, _ in places if opcode == DATA_END)
+    private = struct.pack("<BQ", 0x91, 9_000_000) + bytes(range(250)) * 36_000
+    footer = struct.pack("<BQI", DATA_END, 4, 0) + struct.pack("<BQQQI", FOOTER, 20, 0, 0, 0) + data[:8]
+    source = tmp_path / "in.mcap"
+    source.write_bytes(data[:third] + private + data[third:end] + footer)
+    copy(source, tmp_path / "out.mcap", compression="none")
+    out = (tmp_path / "out.mcap").read_bytes()
+    found = mcap_record_places(out)
+    position = next(n for n, place in enumerate(found) if place[0] == 0x91)
+    assert out[found[position][1] : found[position][2]] == private
+    assert sum(place[0] == CHUNK for place in found[:position]) == 2
+    assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
+
+
+def test_a_bag_cut_anywhere_is_an_error_and_leaves_nothing(variant, tmp_path):
+    source = tmp_path.parent / f"{tmp_path.name}.mcap"
+    variant.rename(source)
+    size = source.stat().st_size
+    offsets = [*range(12), *np.linspace(20, size - 1, 40).astype(int).tolist(), *range(size - 40, size, 3)]
+    assert damaged_copies_fail(source, tmp_path, offsets, ".mcap") == []
+
+
+def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
+    data = OFFICE_MCAP.read_bytes()
+    for offset in [*range(12), *np.linspace(20, len(data) - 1, 60).astype(int).tolist()]:
+        with pytest.raises(BagError, match="stdin"):
+            copy(None, tmp_path / "out.mcap", stdin=io.BytesIO(data[:offset]))
+        assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("codec", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("where", ["record", "size", "crc", "name", "packed"])
+@pytest.mark.parametrize("claim", [0, 1, 2**31 - 1, 2**40, 2**63, 2**64 - 1])
+def test_a_chunk_that_lies_is_an_error_before_memory_is_taken(tmp_path, codec, where, claim):
+    source = copy(OFFICE_MCAP, tmp_path / "in.mcap", compression=codec)
+    data = bytearray(source.read_bytes())
+    begin = [begin for opcode, begin, _ in mcap_record_places(data) if opcode == CHUNK][1]
+    name = len(codec) if codec != "none" else 0
+    offset, kind = {
+        "record": (1, "<Q"),
+        "size": (25, "<Q"),
+        "crc": (33, "<I"),
+        "name": (37, "<I"),
+        "packed": (41 + name, "<Q"),
+    }[where]
+    struct.pack_into(kind, data, begin + offset, claim % 2 ** (8 * struct.calcsize(kind)) or 1)
+    source.write_bytes(data)
+    for stream in (None, io.BytesIO(data)):
+        with pytest.raises(BagError), open_reader(None if stream else source, stream) as reader:
+            for _ in reader.blocks():
+                pass
+
+
+def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
+    rng = np.random.default_rng(8)
+    data = OFFICE_MCAP.read_bytes()
+    for offset in [*range(8, 400, 3), *rng.integers(0, len(data), 150).tolist()]:
+        damaged = bytearray(data)
+        damaged[offset] ^= int(rng.integers(1, 256))
+        (tmp_path / "in.mcap").write_bytes(damaged)
+        try:
+            copy(tmp_path / "in.mcap", tmp_path / "out.mcap", overwrite=True)
+        except BagError:
+            assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("path", sorted(SHARED.rglob("*.mcap")), ids=lambda path: path.name)
+def test_recordings_of_others_go_through(path, tmp_path):
+    out = copy(path, tmp_path / "out.mcap")
+    assert mcap_messages(out) == mcap_messages(path)
+    assert mcap_extras(out) == mcap_extras(path)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
+def test_recordings_of_others_were_looked_at():
+    assert list(SHARED.rglob("*.mcap"))
+
+
+def test_a_file_can_be_read_twice_and_a_pipe_once():
+    with open_reader(OFFICE_MCAP) as reader:
+        assert reader.complete
+        assert len(list(reader.blocks())) == len(list(reader.blocks()))
+    with open_reader(None, io.BytesIO(OFFICE_MCAP.read_bytes())) as reader:
+        list(reader.blocks())
+        with pytest.raises(BagError, match="once"):
+            list(reader.blocks())
