@@ -1,0 +1,166 @@
+"""Bags are known by their content, and appear complete or not at all."""
+
+import io
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+from oracles import OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages
+
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.errors import BagError
+
+
+@pytest.mark.parametrize(("source", "kind"), [(OFFICE_BAG, "ros1"), (OFFICE_MCAP, "mcap")])
+def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
+    renamed = tmp_path / "recording.data"
+    renamed.write_bytes(source.read_bytes())
+    with open_reader(renamed) as reader:
+        assert reader.kind == kind
+    out = copy(renamed, tmp_path / "out.data")
+    with open_reader(out) as reader:
+        assert reader.kind == kind
+    with open_reader(None, io.BytesIO(source.read_bytes())) as reader:
+        assert (reader.kind, reader.complete) == (kind, False)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"#ROSBAG V1.2\n", "version 1.2"),
+        (b"\x28\xb5\x2f\xfd compressed", "zstd"),
+        (b"PK\3\4 and so on", "no MCAP, ROS 1 bag or ROS 2 bag"),
+    ],
+)
+def test_what_is_no_bag_is_refused_with_what_was_found(content, words, tmp_path):
+    (tmp_path / "in").write_bytes(content)
+    with pytest.raises(BagError, match=words):
+        open_reader(tmp_path / "in")
+    with pytest.raises(BagError, match=words):
+        open_reader(None, io.BytesIO(content))
+
+
+def test_a_missing_file_is_a_bag_error(tmp_path):
+    with pytest.raises(BagError, match=r"nothing\.mcap: cannot be opened"):
+        open_reader(tmp_path / "nothing.mcap")
+
+
+def test_an_existing_output_is_refused_before_anything_is_read(tmp_path):
+    target = tmp_path / "out.mcap"
+    target.write_bytes(b"precious")
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="--overwrite"):
+        open_writer(target, reader)
+    assert target.read_bytes() == b"precious"
+    copy(OFFICE_MCAP, target, overwrite=True)
+    assert mcap_messages(target) == mcap_messages(OFFICE_MCAP)
+
+
+def test_the_input_is_never_the_output(tmp_path):
+    source = tmp_path / "in.mcap"
+    source.write_bytes(OFFICE_MCAP.read_bytes())
+    (tmp_path / "link.mcap").symlink_to(source)
+    for name in ("in.mcap", "link.mcap"):
+        with open_reader(source) as reader, pytest.raises(BagError, match="is the input"):
+            open_writer(tmp_path / name, reader, overwrite=True)
+    assert source.read_bytes() == OFFICE_MCAP.read_bytes()
+
+
+def test_an_output_into_nowhere_is_refused(tmp_path):
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="does not exist"):
+        open_writer(tmp_path / "no" / "out.mcap", reader)
+
+
+@pytest.mark.parametrize("source", [OFFICE_BAG, OFFICE_MCAP])
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError, SystemExit])
+def test_a_failure_leaves_nothing_and_what_was_there_before(source, failure, tmp_path):
+    target = tmp_path / "out"
+    for before in (None, b"precious"):
+        if before:
+            target.write_bytes(before)
+
+        def fail(_reader, _writer, _block):
+            assert len(list(tmp_path.iterdir())) == 1 + target.exists()
+            raise failure
+
+        with pytest.raises(failure):
+            copy(source, target, fail, overwrite=True)
+        assert [one.name for one in tmp_path.iterdir()] == (["out"] if before else [])
+        assert not before or target.read_bytes() == before
+
+
+def test_nothing_appears_under_the_name_before_the_end(tmp_path):
+    target = tmp_path / "out.mcap"
+    copy(OFFICE_MCAP, target, lambda *_: not target.exists() or pytest.fail("it appeared early"))
+    assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_the_output_has_the_permissions_of_any_new_file(tmp_path):
+    (tmp_path / "plain").touch()
+    copy(OFFICE_MCAP, tmp_path / "out.mcap")
+    assert stat.S_IMODE((tmp_path / "out.mcap").stat().st_mode) == stat.S_IMODE((tmp_path / "plain").stat().st_mode)
+
+
+def test_a_link_to_an_output_stays_a_link(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    link = tmp_path / "out.mcap"
+    link.symlink_to(tmp_path / "elsewhere" / "real.mcap")
+    copy(OFFICE_MCAP, link)
+    assert link.is_symlink()
+    assert mcap_messages(tmp_path / "elsewhere" / "real.mcap") == mcap_messages(OFFICE_MCAP)
+
+
+@pytest.mark.parametrize(("name", "codec"), [("out.mcap", "bz2"), ("out.bag", "zstd"), ("out.bag", "snappy")])
+def test_a_compression_that_a_format_cannot_have_is_refused(name, codec, tmp_path):
+    with open_reader(OFFICE_BAG) as reader, pytest.raises(BagError, match=codec):
+        open_writer(tmp_path / name, reader, compression=codec)
+
+
+def test_a_named_pipe_is_written_to_and_not_replaced(tmp_path):
+    fifo = tmp_path / "out.mcap"
+    os.mkfifo(fifo)
+    got = []
+    thread = threading.Thread(target=lambda: got.append(fifo.read_bytes()))
+    thread.start()
+    copy(OFFICE_MCAP, fifo)
+    thread.join()
+    assert stat.S_ISFIFO(fifo.stat().st_mode)
+    assert got == [copy(OFFICE_MCAP, tmp_path / "plain.mcap").read_bytes()]
+
+
+def test_a_reader_that_goes_away_is_an_error():
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb", buffering=0) as stdout, pytest.raises(BagError, match="closed by its reader"):
+        copy(OFFICE_MCAP, None, stream=stdout)
+
+
+@pytest.mark.parametrize("flags", [[], ["-u"]])
+def test_real_stdin_and_stdout_carry_a_bag(flags, tmp_path):
+    program = (
+        "from odomcorrupt.bags.open import open_reader, open_writer\n"
+        "with open_reader(None) as reader, open_writer(None, reader) as writer:\n"
+        "    for block in reader.blocks(): writer.write(block)\n"
+    )
+    with OFFICE_MCAP.open("rb") as stdin:
+        feeder = subprocess.Popen(["cat"], stdin=stdin, stdout=subprocess.PIPE)
+    done = subprocess.run([sys.executable, *flags, "-c", program], stdin=feeder.stdout, capture_output=True, check=True)
+    feeder.stdout.close()
+    feeder.wait()
+    (tmp_path / "out.mcap").write_bytes(done.stdout)
+    assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(OFFICE_MCAP)
+    assert done.stderr == b""
+
+
+def test_blocks_have_buffers_of_their_own():
+    for path in (OFFICE_BAG, OFFICE_MCAP):
+        with open_reader(path) as reader:
+            blocks = list(reader.blocks())
+        sums = [block.data.sum() for block in blocks]
+        for block in blocks:
+            assert block.data.flags.writeable
+            block.data[:] = 0
+        assert all(sums)
