@@ -87,6 +87,7 @@ class Transform:
         self.driver: str | None = None
         self.frames: Frames | None = None
         self.unusable = 0
+        self.seen: set[int] = set()
         self._path = NoisyPath(model, seed, run)
         self._curve = Curve()
         self._now_ns = -(2**62)
@@ -107,10 +108,8 @@ class Transform:
             Where no odometry drives the model.
 
         """
-        if reader.complete or self.options.odom_topic is None:
-            self._find_driver(reader, name)
-        else:
-            self.driver = self.options.odom_topic
+        if self.driver is None:
+            self.prepare(reader, name)
         waiting: deque[_Held] = deque()
         for block in reader.blocks():
             waiting.append(self._take(block, reader))
@@ -123,17 +122,31 @@ class Transform:
             find_driver(reader.channels.values(), self.driver, name)
             raise TopicError(f"{name}: {self.driver} has no message with a pose; name another topic with --odom-topic")
 
-    def _find_driver(self, reader: BagReader, name: str) -> None:
-        if not reader.complete and self.options.odom_topic is None:
+    def prepare(self, reader: BagReader, name: str) -> None:
+        """Find the odometry that drives the model, before anything is read or written.
+
+        Raises
+        ------
+        TopicError
+            Where there is none, several, or no way to know yet.
+
+        """
+        asked = self.options.odom_topic
+        if reader.complete:
+            self.driver = find_driver(reader.channels.values(), asked, name)
+        elif asked is None:
             raise TopicError(f"{name}: on a pipe topics are not known beforehand; name the odometry with --odom-topic")
-        self.driver = find_driver(reader.channels.values(), self.options.odom_topic, name)
+        else:
+            self.driver = asked
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read what a block tells about the odometry, and let the curve grow."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
         parts = []
-        for number in np.unique(block.table["channel"]):
-            channel = reader.channels[int(number)]
+        present = set(np.unique(block.table["channel"]).tolist())
+        self.seen |= present
+        for number in sorted(present):
+            channel = reader.channels[number]
             if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
                 parts += [(channel, layout) for layout in locate(block, channel)]
         held = _Held(block, parts, time_ns)
@@ -144,15 +157,16 @@ class Transform:
         return held
 
     def _read_driver(self, held: _Held) -> None:
-        driver = self.driver or ""
-        layouts = [layout for channel, layout in held.parts if drives(channel, driver)]
-        if not layouts:
+        driving = [(channel, layout) for channel, layout in held.parts if drives(channel, self.driver or "")]
+        if not driving:
             return
+        self.driver = driving[0][0].topic
+        layouts = [layout for _, layout in driving]
         block, rows = held.block, np.concatenate([layout.rows for layout in layouts])
         if self.frames is None:
             first = min(layouts, key=lambda layout: int(layout.rows[0]))
             self.frames = resolve_frames(
-                first.items[0], driver, odom_frame=self.options.odom_frame, base_frame=self.options.base_frame
+                first.items[0], self.driver, odom_frame=self.options.odom_frame, base_frame=self.options.base_frame
             )
         stamps = np.concatenate([stamps_or_log_ns(block, layout, 0) for layout in layouts])
         position = np.concatenate([gather(block, layout, layout.items[0], "position") for layout in layouts])

@@ -1,0 +1,134 @@
+"""The command line: a group of commands of which `corrupt` needs no name.
+
+Commands are found by the names of the modules in `commands`; nothing heavy is imported before a command runs.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import pkgutil
+import signal
+import sys
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from odomcorrupt import __version__, commands
+from odomcorrupt.errors import OdomCorruptError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["DEFAULT", "cli", "main", "run"]
+
+DEFAULT = "corrupt"
+
+_OWN_FLAGS = frozenset({"--help", "--version"})
+
+
+@cache
+def _names() -> dict[str, str]:
+    """Return command names and the modules they live in; modules that begin with _ are no commands."""
+    found = (info.name for info in pkgutil.iter_modules(commands.__path__))
+    return {name.replace("_", "-"): name for name in sorted(found) if not name.startswith("_")}
+
+
+class _Group(click.Group):
+    """A group that takes the default command's arguments where the first one names no command."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Return the names of the commands."""
+        return list(_names())
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
+        """Import the module of a command."""
+        if cmd_name not in _names():
+            return None
+        module = importlib.import_module(f"{commands.__name__}.{_names()[cmd_name]}")
+        command: click.Command = module.command
+        return command
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Let the first token decide: a command, a flag of the group, or else the default command."""
+        if args and args[0] not in _names() and args[0] not in _OWN_FLAGS:
+            if not ctx.resilient_parsing:
+                _suggest(args[0])
+            args = [DEFAULT, *args]
+        return super().parse_args(ctx, args)
+
+    def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write both ways of calling."""
+        formatter.write_usage(ctx.command_path, "[OPTIONS] INPUT OUTPUT")
+        formatter.write_usage(ctx.command_path, "COMMAND ...", prefix="       ")
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the default command's options, the group's own, and the commands."""
+        default = self.get_command(ctx, DEFAULT)
+        own = [record for p in self.get_params(ctx) if (record := p.get_help_record(ctx)) is not None]
+        rows = []
+        if default is not None:
+            sub = click.Context(default, info_name=ctx.info_name)
+            options = (p for p in default.params if isinstance(p, click.Option))
+            rows = [record for p in options if (record := p.get_help_record(sub)) is not None]
+        with formatter.section("Options"):
+            formatter.write_dl(rows + own)
+        self.format_commands(ctx, formatter)
+
+
+def _suggest(word: str) -> None:
+    """Raise where a first token is neither a file nor an option, but nearly a command."""
+    near = difflib.get_close_matches(word, _names(), 1, 0.75)
+    if near and not Path(word).exists():
+        raise click.UsageError(f"{word}: no such file, and no such command; did you mean {near[0]}?")
+
+
+_HELP = """Make recorded odometry as wrong as a real robot's, and learn how wrong the real robot's is, and why.
+
+\b
+odomcorrupt in.bag out.bag --alpha 0.05 0.02 0.05 0.01 --seed 7
+odomcorrupt - - --odom-topic /odom < in.mcap > out.mcap
+
+INPUT and OUTPUT are bags; - is a pipe (MCAP). A bag that is called like a command is reached as ./fit."""
+
+
+@click.group(cls=_Group, help=_HELP)
+@click.version_option(__version__, prog_name="odomcorrupt", message="%(prog)s %(version)s")
+def cli() -> None:
+    """Be the group."""
+
+
+def run(args: Sequence[str]) -> int:
+    """Run the command line and return its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    try:
+        result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return error.exit_code
+    except click.ClickException as error:
+        _say(f"{error.format_message().replace(chr(10), ' ')} (see odomcorrupt --help)")
+        return error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return 130
+    except OdomCorruptError as error:
+        if not isinstance(error.__cause__, BrokenPipeError):
+            _say(str(error).replace("\n", " "))
+        return 1
+    return result if isinstance(result, int) else 0
+
+
+def _say(sentence: str) -> None:
+    click.echo(f"odomcorrupt: {sentence}", err=True)
+
+
+def _terminated(number: int, _frame: object) -> NoReturn:
+    sys.exit(128 + number)
+
+
+def main() -> NoReturn:
+    """Be the console script."""
+    # a kill unwinds like an error, so that a half-written output is removed
+    signal.signal(signal.SIGTERM, _terminated)
+    sys.exit(run(sys.argv[1:]))

@@ -1,0 +1,68 @@
+"""odomcorrupt INPUT OUTPUT: the default command."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from odomcorrupt.commands._model import choose_model, model_options
+
+__all__ = ["command"]
+
+
+@click.command("corrupt", short_help="Corrupt the odometry of a bag (the default: needs no name).")
+@click.argument("input_", metavar="INPUT")
+@click.argument("output", metavar="OUTPUT")
+@model_options
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
+@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
+@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
+@click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
+@click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
+@click.option(
+    "--twist",
+    type=click.Choice(["model", "keep"]),
+    default="model",
+    help="Twists: follow the noise, or as they are. [default: model]",
+)
+@click.option(
+    "--covariance", type=click.Choice(["model", "keep"]), default="model", help="Likewise covariances. [default: model]"
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
+@click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
+def command(input_: str, output: str, **given: Any) -> None:
+    """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
+
+    INPUT and OUTPUT are bags of any kind; - is a pipe.
+    """
+    from odomcorrupt.corrupt.run import Container, corrupt_bag
+    from odomcorrupt.corrupt.summary import summary
+    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.rng import draw_seed
+
+    chosen = choose_model(**{name: given[name] for name in ("alpha", "law", "step", "preset", "effects", "model")})
+    if output == "-" and sys.stdout.isatty():
+        raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
+    if input_ == "-" and sys.stdin.isatty():
+        raise click.UsageError("INPUT is - but stdin is a terminal; feed it a bag")
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    outcome = corrupt_bag(
+        None if input_ == "-" else Path(input_),
+        None if output == "-" else Path(output),
+        chosen.model,
+        seed=seed,
+        run=given["run"],
+        options=Options(
+            odom_topic=given["odom_topic"],
+            odom_frame=given["odom_frame"],
+            base_frame=given["base_frame"],
+            keep_twist=given["twist"] == "keep",
+            keep_covariance=given["covariance"] == "keep",
+        ),
+        container=Container(overwrite=given["overwrite"], compression=given["compression"], level=given["level"]),
+    )
+    click.echo(summary(outcome, chosen.origin), err=True)

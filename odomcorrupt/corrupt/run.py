@@ -1,0 +1,128 @@
+"""One bag corrupted from end to end: reader, transform, writer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import odomcorrupt
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.output import Output
+from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.transform import Transform
+from odomcorrupt.modelfile import format_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import Channel
+    from odomcorrupt.corrupt.drift import Drift
+    from odomcorrupt.corrupt.patch import Changes
+    from odomcorrupt.corrupt.targets import Frames
+    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.model import MotionModel
+
+__all__ = ["Container", "Outcome", "corrupt_bag"]
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """How the output is written: over an existing one, with which compression (None: as the input)."""
+
+    overwrite: bool = False
+    compression: str | None = None
+    level: int | None = None
+
+    def as_it_was(self, source: Path, target: Path) -> bool:
+        """Whether an output of unchanged messages is the input file itself."""
+        same_kind = source.suffix.lower() == target.suffix.lower() and source.is_file()
+        return same_kind and self.compression is None and self.level is None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one run did.
+
+    channels : those that carried messages
+    restarts : how often time jumped back
+    late : odometry messages too late to be put in order
+    unusable : odometry poses that are not numbers
+    """
+
+    model: MotionModel
+    seed: int
+    run: int
+    driver: str
+    frames: Frames
+    changes: Changes
+    drift: Drift
+    channels: tuple[Channel, ...]
+    restarts: int
+    late: int
+    unusable: int
+
+
+def corrupt_bag(
+    source: Path | None,
+    target: Path | None,
+    model: MotionModel,
+    *,
+    seed: int,
+    run: int,
+    options: Options,
+    container: Container,
+) -> Outcome:
+    """Corrupt a bag; None is a pipe. The output appears when it is complete, or not at all.
+
+    Raises
+    ------
+    BagError
+        Where the input cannot be read or the output not be written.
+    TopicError
+        Where no odometry drives the model.
+    EffectError
+        Where an effect is too strong for this drive.
+
+    """
+    transform = Transform(model, seed, run, options)
+    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+    with open_reader(source) as reader:
+        transform.prepare(reader, reader.name)
+        writer = open_writer(
+            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+        )
+        if silent and source is not None and target is not None and container.as_it_was(source, target):
+            for _ in transform.blocks(reader, reader.name):
+                pass
+            _copy(source, target)
+        else:
+            with writer:
+                for block in transform.blocks(reader, reader.name):
+                    writer.write(block)
+                if not silent:
+                    writer.provenance("odomcorrupt", _provenance(model, seed, run))
+        drift = transform.drift.result()
+        assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+        assert transform.frames is not None  # noqa: S101 - as above
+        channels = tuple(reader.channels[number] for number in sorted(transform.seen))
+    return Outcome(
+        model, seed, run, transform.driver or "", transform.frames, transform.changes, drift, channels,
+        transform.order.restarts, transform.order.late, transform.unusable,
+    )  # fmt: skip
+
+
+def _copy(source: Path, target: Path) -> None:
+    output = Output(target)
+    output.open()
+    try:
+        with source.open("rb") as file:
+            while piece := file.read(1 << 20):
+                output.write(piece)
+        output.commit()
+    except BaseException:
+        output.discard()
+        raise
+
+
+def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:
+    return {"version": odomcorrupt.__version__, "seed": str(seed), "run": str(run), "model": format_model(model)}

@@ -1,0 +1,134 @@
+"""What a run did, in one paragraph."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+from odomcorrupt.corrupt.drift import LEG_M
+from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.targets import ODOMETRY
+from odomcorrupt.effects.effect import parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.bags.block import Channel
+    from odomcorrupt.corrupt.drift import Drift
+    from odomcorrupt.corrupt.run import Outcome
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model import MotionModel
+
+__all__ = ["summary", "truth_tellers"]
+
+TRUTH_TYPES = frozenset({
+    ODOMETRY,
+    "sensor_msgs/msg/Imu",
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/NavSatFix",
+    "nav_msgs/msg/Path",
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TwistStamped",
+    "geometry_msgs/msg/TwistWithCovarianceStamped",
+})  # fmt: skip
+"""Messages that carry motion or poses, and that nobody moves."""
+
+
+def summary(outcome: Outcome, origin: str) -> str:
+    """Return one paragraph: what was changed, by which model, how far it drifted, and what it left true."""
+    silent = _is_silent(outcome.model)
+    drive = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
+    parts = [
+        f"{'Nothing to change' if silent else 'Moved'}: {_moved(outcome)}, driven by {outcome.driver} ({drive}).",
+        f"{_model(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
+    ]
+    if not silent:
+        parts += [_drift(outcome.drift), *_rate(outcome)]
+    parts += _oddities(outcome)
+    true = truth_tellers(outcome.channels, outcome.changes.odometry)
+    if true and not silent:
+        parts.append(f"Still telling the truth, and hiding the drift from a filter that reads them: {', '.join(true)}.")
+    return " ".join(parts)
+
+
+def truth_tellers(channels: Iterable[Channel], moved: Iterable[str]) -> list[str]:
+    """Return the topics, of those that carry messages, that still tell where the robot really is."""
+    moved = set(moved)
+    return sorted({
+        c.topic
+        for c in channels
+        if c.topic not in moved
+        and (c.msgtype in TRUTH_TYPES or (c.msgtype == "nav_msgs/msg/OccupancyGrid" and "costmap" in c.topic))
+    })  # fmt: skip
+
+
+def _is_silent(model: MotionModel) -> bool:
+    return model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+
+
+def _moved(outcome: Outcome) -> str:
+    topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
+    edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
+    none = [] if edges else [f"no transform from {outcome.frames.odom}"]
+    return ", ".join(topics + edges + none)
+
+
+def _model(model: MotionModel, origin: str) -> str:
+    noise = model.noise
+    values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
+    numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name != "across_trans")
+    words = "No noise" if noise.coefficients.silent else f"Law {noise.law_name}, {numbers}"
+    if noise.step is not None:
+        words += f", once per {noise.step}"
+    if origin:
+        words += f" ({origin})"
+    effects = [_effect(effect) for effect in model.effects if acts(effect)]
+    return words + (f"; effects {', '.join(effects)}" if effects else "")
+
+
+def _effect(effect: Effect) -> str:
+    values = ", ".join(f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect))
+    return f"{effect.name} ({values})"
+
+
+def _drift(drift: Drift) -> str:
+    end = f"at the end {_size(drift.end_drawn_m, drift.end_drawn_rad)}"
+    end += f" (noise alone is expected to make {_size(drift.end_expected_m, drift.end_expected_rad)})"
+    if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
+        return f"Drift: {end}."
+    return f"Drift: {end}, per {LEG_M:.0f} m {_size(drift.leg_drawn_m, drift.leg_drawn_rad)} ({_leg(drift)})."
+
+
+def _leg(drift: Drift) -> str:
+    return _size(drift.leg_expected_m or 0.0, drift.leg_expected_rad or 0.0)
+
+
+def _size(metres: float, radians: float) -> str:
+    return f"{metres:.3g} m, {math.degrees(radians):.3g} deg"
+
+
+def _rate(outcome: Outcome) -> list[str]:
+    noise, drift = outcome.model.noise, outcome.drift
+    if not noise.law.per_step or noise.step is not None or noise.coefficients.silent or drift.rate_hz is None:
+        return []
+    means = f"a drift of {_leg(drift)} per {LEG_M:.0f} m" if drift.leg_expected_m is not None else "the drift above"
+    here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and something else at another rate"
+    way_out = "--step 0.25m,0.2rad or --law diffusion do not depend on it"
+    return [f"The law {noise.law_name} is applied once per message: {here}; {way_out}."]
+
+
+def _oddities(outcome: Outcome) -> list[str]:
+    said = []
+    if outcome.changes.held:
+        said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
+    if outcome.restarts:
+        said.append(f"Time jumped back {outcome.restarts} times: each time the drift began anew.")
+    if outcome.drift.jumps:
+        said.append(f"The pose jumped {outcome.drift.jumps} times: the correction was held across.")
+    if outcome.late:
+        said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
+    if outcome.unusable:
+        said.append(f"{outcome.unusable} odometry poses are not numbers: left alone.")
+    return said

@@ -1,0 +1,139 @@
+"""Whole bags from end to end: the fixtures in, read again, compared."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bagged import messages_of, read
+from drives import model, silent
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corrupt.run import Container, corrupt_bag
+from odomcorrupt.corrupt.summary import summary
+from odomcorrupt.corrupt.transform import Options
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.pose import wrap, yaw_from_quaternion
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+BAGS = ["office.bag", "office.mcap"]
+
+
+def corrupt(source, target, chosen, seed=3, **container):
+    return corrupt_bag(source, target, chosen, seed=seed, run=0, options=Options(), container=Container(**container))
+
+
+def content(path):
+    """Return a bag's blocks and channels by topic."""
+    with open_reader(path) as reader:
+        blocks = list(reader.blocks())
+        return blocks, {channel.topic: channel for channel in reader.channels.values()}
+
+
+def planar(blocks, channel, edge=None):
+    _, position = read(blocks, channel, "position", edge)
+    _, quat = read(blocks, channel, "orientation", edge)
+    return np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
+
+
+@pytest.fixture(scope="module", params=BAGS)
+def both(request, tmp_path_factory):
+    source = FIXTURES / request.param
+    target = tmp_path_factory.mktemp("out") / request.param
+    outcome = corrupt(source, target, model())
+    return content(source), content(target), outcome
+
+
+def test_everything_but_odometry_and_its_edge_is_bit_identical(both):
+    (before, channels), (after, after_channels), _ = both
+    assert list(channels) == list(after_channels)
+    moved = {channels["/odom"].id, channels["/tf"].id}
+    was, now = messages_of(before), messages_of(after)
+    assert len(was) == len(now)
+    for (channel, log, data), (same_channel, same_log, new) in zip(was, now, strict=True):
+        assert (channel, log, len(data)) == (same_channel, same_log, len(new))
+        if channel not in moved:
+            assert data == new
+
+
+def test_odometry_drifts_and_its_transform_agrees(both):
+    (before, channels), (after, _), outcome = both
+    noisy = planar(after, channels["/odom"])
+    edge = planar(after, channels["/tf"], ("odom", "base_link"))
+    clean = planar(before, channels["/odom"])
+    assert np.array_equal(noisy[0], clean[0])
+    assert np.hypot(*(noisy - clean)[-1, :2]) == pytest.approx(outcome.drift.end_drawn_m, abs=1e-9)
+    assert np.abs(noisy - clean).max() > 0.05
+    assert edge[:, :2] == pytest.approx(noisy[:, :2], abs=1e-12)
+    assert np.abs(wrap(edge[:, 2] - noisy[:, 2])).max() < 1e-12
+
+
+def test_added_twist_integrates_to_the_added_motion(both):
+    """Fixtures' own twists are not exact, so what counts is that both differ from clean by the same motion."""
+    (before, channels), (after, _), _ = both
+    odom = channels["/odom"]
+    stamps, twist = read(after, odom, "twist")
+    clean_twist = read(before, odom, "twist")[1]
+    clean, noisy = planar(before, odom), planar(after, odom)
+    dt = np.diff(stamps)[:, None] * 1e-9
+    turn = wrap(np.diff(clean[:, 2]))
+    middle = clean[:-1, 2] + turn / 2
+    dx, dy = np.diff(clean[:, 0]), np.diff(clean[:, 1])
+    c, s = np.cos(middle), np.sin(middle)
+    body = np.stack((c * dx + s * dy, c * dy - s * dx, turn), 1) + (twist - clean_twist)[1:, [0, 1, 5]] * dt
+    path = accumulate(noisy[0], Increments(*np.ascontiguousarray(body.T)))
+    assert path[:, :2] == pytest.approx(noisy[:, :2], abs=1e-8)
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_the_same_seed_gives_the_same_file(name, tmp_path):
+    for number, seed in enumerate((3, 3, 4)):
+        corrupt(FIXTURES / name, tmp_path / f"{number}{name}", model(), seed)
+    first, second, third = ((tmp_path / f"{number}{name}").read_bytes() for number in range(3))
+    assert first == second
+    assert first != third
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_silent_model_copies_the_file_unless_a_container_option_is_given(name, tmp_path):
+    corrupt(FIXTURES / name, tmp_path / name, silent([effect_from_values("wheelbase", {})]))
+    assert (tmp_path / name).read_bytes() == (FIXTURES / name).read_bytes()
+    corrupt(FIXTURES / name, tmp_path / f"plain_{name}", silent(), compression="none")
+    assert (tmp_path / f"plain_{name}").read_bytes() != (FIXTURES / name).read_bytes()
+    assert messages_of(content(tmp_path / f"plain_{name}")[0]) == messages_of(content(FIXTURES / name)[0])
+
+
+def test_ros1_messages_may_leave_in_an_mcap_with_the_same_bytes(tmp_path):
+    corrupt(FIXTURES / "office.bag", tmp_path / "out.bag", model())
+    corrupt(FIXTURES / "office.bag", tmp_path / "out.mcap", model())
+    as_bag, as_mcap = (content(tmp_path / name)[0] for name in ("out.bag", "out.mcap"))
+    assert [data for _, _, data in messages_of(as_bag)] == [data for _, _, data in messages_of(as_mcap)]
+
+
+def test_model_seed_and_run_are_stored_in_an_mcap(tmp_path):
+    corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=77)
+    data = (tmp_path / "out.mcap").read_bytes()
+    assert b"rot_trans = 0.03" in data
+    assert b"77" in data
+
+
+def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
+    outcome = corrupt(
+        FIXTURES / "office.mcap", tmp_path / "out.mcap", model("linear", Coefficients(0.1, 0.1, 0.1, 0.1))
+    )
+    text = summary(outcome, "typed")
+    assert "3000 messages on /odom, 3000 transforms odom -> base_link, driven by /odom (25.05 m in 59.98 s)" in text
+    assert f"at the end {outcome.drift.end_drawn_m:.3g} m" in text
+    assert f"at this bag's {outcome.drift.rate_hz:.3g} Hz" in text
+    assert "\n" not in text
+    outcome.changes.held = 4
+    assert "held for 4 of these" in summary(outcome, "")
+
+
+def test_a_silent_summary_promises_no_drift(tmp_path):
+    text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", silent()), "")
+    assert text.startswith("Nothing to change: ")
+    assert "Drift" not in text

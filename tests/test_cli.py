@@ -1,0 +1,316 @@
+"""The command line: which command runs, what it says, and with which exit code it ends."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+import odomcorrupt
+from odomcorrupt.cli import cli, run
+from odomcorrupt.errors import BagError
+from odomcorrupt.laws import LAWS
+from odomcorrupt.presets import PRESETS
+
+FIXTURES = Path(__file__).parent.parent / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
+OFFICE1 = str(FIXTURES / "office.bag")
+
+
+@pytest.fixture
+def corrupt(tmp_path, capsys):
+    """Run the default command from the office into a file; return exit code, the line said, and the file."""
+
+    def call(*args, source=OFFICE, name="out.mcap"):
+        target = tmp_path / name
+        code = run([source, str(target), *args])
+        captured = capsys.readouterr()
+        assert not captured.out
+        return code, captured.err, target
+
+    return call
+
+
+def test_the_top_help_shows_the_default_commands_options_and_every_command(capsys):
+    assert run(["--help"]) == 0
+    text = capsys.readouterr().out
+    default = cli.get_command(click.Context(cli), "corrupt")
+    for option in default.params:
+        if isinstance(option, click.Option):
+            assert option.opts[0] in text
+    commands = cli.list_commands(click.Context(cli))
+    assert {"corrupt", "fit", "compare", "diagnose"} <= set(commands)
+    for name in commands:
+        assert f"\n  {name} " in text
+    assert not any(name.startswith("_") for name in commands)
+
+
+def test_help_names_every_law_and_preset():
+    default = cli.get_command(click.Context(cli), "corrupt")
+    help_of = {option.name: option.help for option in default.params if isinstance(option, click.Option)}
+    assert all(name in help_of["law"] for name in LAWS)
+    assert all(name in help_of["preset"] for name in PRESETS)
+
+
+def test_help_needs_none_of_the_heavy_libraries():
+    code = (
+        "import sys; from odomcorrupt.cli import run; run(['--help']); run(['corrupt', '--help']);"
+        "print(sorted({'numpy', 'scipy', 'rosbags', 'mcap'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_version_and_no_arguments(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"odomcorrupt {odomcorrupt.__version__}\n"
+    assert run([]) == 2
+    assert "Usage: odomcorrupt [OPTIONS] INPUT OUTPUT" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("first", [[], ["corrupt"], ["--"]])
+def test_the_default_command_needs_no_name(first, tmp_path, capsys):
+    assert run([*first, OFFICE, str(tmp_path / "out.mcap"), *([] if first == ["--"] else ["--seed", "1"])]) == 0
+    assert "Moved: 3000 messages on /odom, 3000 transforms odom -> base_link" in capsys.readouterr().err
+
+
+def test_options_may_come_first(tmp_path, capsys):
+    assert run(["--seed", "1", OFFICE, str(tmp_path / "out.mcap")]) == 0
+    assert "seed 1, run 0" in capsys.readouterr().err
+
+
+def test_a_bag_named_like_a_command_is_reached_by_its_path(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("fit").write_bytes(Path(OFFICE).read_bytes())
+    assert run(["./fit", "out.mcap", "--seed", "1"]) == 0
+    assert Path("out.mcap").exists()
+    assert "Moved" in capsys.readouterr().err
+
+
+def test_a_word_that_is_nearly_a_command_is_suggested(capsys):
+    assert run(["diagnos", "x.bag"]) == 2
+    assert "did you mean diagnose?" in capsys.readouterr().err
+
+
+def test_without_numbers_the_typical_preset_is_used_and_named(corrupt):
+    code, said, _ = corrupt("--seed", "1")
+    assert code == 0
+    assert "rot_rot 0.05 rot_trans 0.02 trans_trans 0.05 trans_rot 0.01 (preset typical: " in said
+    assert PRESETS["typical"].source in said
+
+
+def test_a_seed_is_drawn_printed_and_repeats_the_run(corrupt):
+    code, said, target = corrupt(name="first.mcap")
+    assert code == 0
+    seed = said.split("seed ")[1].split(",")[0]
+    again = corrupt("--seed", seed, name="second.mcap")[2]
+    other = corrupt("--seed", seed, "--run", "1", name="third.mcap")[2]
+    assert target.read_bytes() == again.read_bytes()
+    assert target.read_bytes() != other.read_bytes()
+
+
+def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
+    code, said, _ = corrupt(
+        "--alpha", "5deg", "10deg/m", "0.05", "0.01", "--law", "linear", "--step", "0.25m,0.2rad",
+        "--effect", "unequal_wheels:curvature=0.01", "--effect", "lever_arm:x=0.1,y=-0.05", "--seed", "1",
+    )  # fmt: skip
+    assert code == 0
+    assert "Law linear, rot_rot 0.08727 rot_trans 0.1745 trans_trans 0.05 trans_rot 0.01" in said
+    assert "once per 0.25m,0.2rad" in said
+    assert "unequal_wheels (curvature 0.01 rad/m), lever_arm (x 0.1 m, y -0.05 m)" in said
+    assert "something else at another rate" not in said
+
+
+def test_a_law_that_depends_on_the_rate_says_so_with_the_drift_it_means_here(corrupt):
+    _, said, _ = corrupt("--preset", "article", "--seed", "1")
+    assert "The law linear is applied once per message: these numbers mean a drift of 0." in said
+    assert "per 10 m at this bag's 50 Hz" in said
+
+
+def test_effects_alone_draw_no_noise_and_say_so(corrupt):
+    _, said, _ = corrupt("--effect", "wheel_scale:e=0.01", "--seed", "1")
+    assert "No noise (no noise beside the effects); effects wheel_scale (e 0.01)" in said
+
+
+def test_what_still_tells_the_truth_is_named(corrupt):
+    _, said, _ = corrupt("--seed", "1")
+    assert said.rstrip().endswith("/imu.")
+
+
+def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(corrupt, tmp_path):
+    file = tmp_path / "robot.toml"
+    file.write_text(
+        'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0.03\nrot_trans = 0.01\ntrans_trans = 0.02\n'
+        'trans_rot = 0.0\n[[effect]]\nname = "wheelbase"\ne = 0.02\n'
+    )
+    code, said, _ = corrupt("--model", str(file), "--seed", "1")
+    assert code == 0
+    assert "rot_rot 0.03" in said
+    assert "effects wheelbase (e 0.02)" in said
+    _, said, _ = corrupt("--model", str(file), "--seed", "1", "--alpha", "0", "0", "0", "0", name="other.mcap")
+    assert "No noise" in said
+    assert "effects wheelbase (e 0.02)" in said
+
+
+@pytest.mark.parametrize(
+    ("args", "sentence"),
+    [
+        (["--alpha", "1", "2", "3", "x"], "coefficient: 'x'; write a number"),
+        (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a finite number, zero or more"),
+        (["--alpha", "1", "2", "3"], "'--alpha' requires 4 arguments"),
+        (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
+        (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
+        (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, article"),
+        (["--preset", "article", "--alpha", "0", "0", "0", "0"], "--alpha and --preset both bring noise"),
+        (["--step", "0.25m,0.2rad"], "the law diffusion is the same at every step: leave --step out"),
+        (["--preset", "article", "--step", "often"], "step: 'often'; write message"),
+        (["--effect", "weel_scale:e=1"], "did you mean wheel_scale?"),
+        (["--effect", "wheel_scale:e"], "'e' is not key=number"),
+        (["--effect", "wheel_scale:x=1"], "has no parameter 'x'"),
+        (["--effect", "wheel_scale:e=7"], "e: 7; it must lie in"),
+        (["--seed", "-1"], "--seed"),
+        (["--nonsense"], "--nonsense"),
+        (["third"], "unexpected extra argument"),
+    ],
+)
+def test_wrong_usage_is_one_line_exit_code_two_and_no_output(corrupt, args, sentence):
+    code, said, target = corrupt(*args)
+    assert code == 2
+    assert sentence in said
+    assert said.startswith("odomcorrupt: ")
+    assert said.count("\n") == 1
+    assert not target.exists()
+
+
+def broken(tmp_path, kind):
+    data = Path(OFFICE).read_bytes()
+    files = {
+        "missing": None,
+        "text": b"this is no bag at all, but long enough to be one\n" * 9,
+        "empty": b"",
+        "truncated.mcap": data[: len(data) // 2],
+        "truncated.bag": Path(OFFICE1).read_bytes()[:300_000],
+    }
+    path = tmp_path / kind
+    if files[kind] is not None:
+        path.write_bytes(files[kind])
+    return path
+
+
+@pytest.mark.parametrize("kind", ["missing", "text", "empty", "truncated.mcap", "truncated.bag"])
+def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_nothing(corrupt, tmp_path, kind):
+    source = broken(tmp_path, kind)
+    before = sorted(tmp_path.iterdir())
+    code, said, _ = corrupt("--seed", "1", source=str(source))
+    assert code == 1
+    assert said.startswith(f"odomcorrupt: {source}: ")
+    assert said.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("args", "sentence"),
+    [
+        (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
+        (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
+        (["--effect", "wheel_scale:e=1"], "too strong to be put into this drive"),
+        (["--compression", "rar"], "compression rar: is not one of"),
+        (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
+    ],
+)
+def test_a_run_that_fails_is_one_line_exit_code_one_and_leaves_nothing(corrupt, tmp_path, args, sentence):
+    code, said, _ = corrupt(*args)
+    assert code == 1
+    assert sentence in said
+    assert said.startswith("odomcorrupt: ")
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_existing_output_is_refused_and_replaced_on_request(corrupt):
+    target = corrupt("--seed", "1")[2]
+    before = target.read_bytes()
+    code, said, _ = corrupt("--seed", "2")
+    assert (code, said.count("\n")) == (1, 1)
+    assert "exists already" in said
+    assert target.read_bytes() == before
+    assert corrupt("--seed", "2", "--overwrite")[0] == 0
+    assert target.read_bytes() != before
+
+
+def test_the_input_is_never_written_over(tmp_path, capsys):
+    bag = tmp_path / "office.mcap"
+    bag.write_bytes(Path(OFFICE).read_bytes())
+    assert run([str(bag), str(bag), "--overwrite"]) == 1
+    assert "is the input" in capsys.readouterr().err
+    assert bag.read_bytes() == Path(OFFICE).read_bytes()
+
+
+def console(*args, stdin):
+    return subprocess.run([sys.executable, "-m", "odomcorrupt", *args], stdin=stdin, capture_output=True, check=False)
+
+
+def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path):
+    with Path(OFFICE).open("rb") as file:
+        done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file)
+    assert done.returncode == 0
+    assert done.stderr.startswith(b"Moved: ")
+    assert run([OFFICE, str(tmp_path / "out.mcap"), "--seed", "5"]) == 0
+    assert done.stdout == (tmp_path / "out.mcap").read_bytes()
+
+
+def test_a_pipe_without_a_topic_or_cut_short_fails_in_one_line():
+    with Path(OFFICE).open("rb") as file:
+        done = console("-", "-", stdin=file)
+    assert (done.returncode, done.stdout) == (1, b"")
+    assert b"on a pipe topics are not known beforehand; name the odometry with --odom-topic" in done.stderr
+    half = subprocess.run(
+        [sys.executable, "-m", "odomcorrupt", "-", "-", "--odom", "odom"],
+        input=Path(OFFICE).read_bytes()[:200_000], capture_output=True, check=False,
+    )  # fmt: skip
+    assert half.returncode == 1
+    assert half.stderr.count(b"\n") == 1
+
+
+def test_a_consumer_that_closes_early_gets_no_complaint():
+    with Path(OFFICE).open("rb") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "odomcorrupt", "-", "-", "--odom", "odom"],
+            stdin=file, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        with process:
+            process.stdout.read(100)
+            process.stdout.close()
+            said = process.stderr.read()
+    assert said == b""
+    assert process.returncode != 0
+
+
+def stopping(error):
+    def stop(*_args, **_options):
+        raise error
+
+    return stop
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"), [(KeyboardInterrupt(), 130, ""), (BagError("a\nb"), 1, "odomcorrupt: a b\n")]
+)
+def test_interrupts_and_errors_end_with_their_code(monkeypatch, capsys, error, code, said):
+    monkeypatch.setattr("odomcorrupt.corrupt.run.corrupt_bag", stopping(error))
+    assert run([OFFICE, "out.mcap"]) == code
+    assert capsys.readouterr().err.strip() == said.strip()
+
+
+def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    assert run([OFFICE, "-"]) == 2
+    assert "stdout is a terminal" in capsys.readouterr().err
