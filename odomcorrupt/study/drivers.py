@@ -23,8 +23,10 @@ __all__ = ["Side", "choose_side", "driving_motion"]
 
 Side = Literal["odometry", "truth"]
 
-TRUTH_SMOOTHING_S = 0.5
-"""Noise of the truth over this window is a small part of the motion; starts and stops are blurred, but lightly."""
+TRUTH_SMOOTHING_S = (0.5, 2.0)
+"""Least and largest window for the truth: as short as its noise allows, because starts and stops are blurred by it."""
+_SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
+"""Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
 _JITTER_S = 0.2
 _BIAS = 0.002
 _FEW = 50
@@ -36,8 +38,8 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
     It is for regressors and noise laws alone: it cannot be composed exactly.
     """
     driver = recording.odometry if side == "odometry" else recording.truth
-    width_s = SMOOTHING_S if side == "odometry" else TRUTH_SMOOTHING_S
     t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
+    width_s = SMOOTHING_S if side == "odometry" else _truth_window(own, driver.xyt)
     middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
     world = slopes(own, driver.xyt, middle, width_s)
     pose = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
@@ -55,6 +57,15 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
         distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * dt),
         track_m=recording.track_m,
     )
+
+
+def _truth_window(t_s: Array, xyt: Array) -> float:
+    """Return the window (s) in which the truth's white noise leaves `_SLOPE_NOISE` of a slope."""
+    noise = np.sqrt(np.median(np.diff(xyt, n=2, axis=0) ** 2, axis=0) / 0.4549 / 6.0)
+    rate = 1.0 / float(np.median(np.diff(t_s)))
+    # a line through N samples in a window T has a slope of deviation sqrt(12 / N) noise / T
+    windows = (noise * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
+    return float(np.clip(windows.max(), *TRUTH_SMOOTHING_S))
 
 
 def choose_side(recording: Recording, node_s: float) -> Side:

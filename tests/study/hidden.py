@@ -1,0 +1,35 @@
+"""Recordings with a hidden cause, from the wheel-level simulation, as the study reads them."""
+
+from __future__ import annotations
+
+import numpy as np
+from wheelsim import SimulatedRun
+
+from odomcorrupt.study.clock import Clock, aligned
+from odomcorrupt.study.nodes import join
+from odomcorrupt.study.problem import undo
+from odomcorrupt.study.trajectory import Recording, Trajectory
+from odomcorrupt.study.windows import rmse, time_windows
+
+
+def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) -> Recording:
+    """Return a simulated run as a recording."""
+
+    def trajectory(stamps, xyt):
+        unwrapped = xyt.copy()
+        unwrapped[:, 2] = np.unwrap(unwrapped[:, 2])
+        return Trajectory(stamps, unwrapped)
+
+    return Recording(
+        name,
+        trajectory(run.odom_stamps_ns, run.odom_xyt),
+        trajectory(run.truth_stamps_ns, run.truth_xyt),
+        int(run.odom_stamps_ns[0]),
+        run.track_m if track else None,
+    )
+
+
+def ten_second_error(runs, effects=(), clock: Clock = Clock()) -> float:  # noqa: B008 - a frozen value
+    """RMS position error at the end of non-overlapping 10 s windows, each started at the truth pose, in metres."""
+    parts = [time_windows(undo(aligned(run, clock), effects)) for run in runs]
+    return rmse(join(parts, [0] * len(parts)))

@@ -1,0 +1,65 @@
+"""Where no effect is, none is found: for noise in the odometry (ours) and for noise in the contact (wheels)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden import as_recording
+from wandering import noisy_path, recording, wander
+from wheelsim import simulate
+
+from odomcorrupt.effects import registry
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.fit import fit
+from odomcorrupt.study.learn import learn
+from odomcorrupt.study.score import score_tests
+from odomcorrupt.study.search import library
+
+SEEDS = range(12)
+
+
+def z_scores(run) -> dict[str, float]:
+    """Return estimate over error of every effect, each tried alone."""
+    fitted = fit([run], side=choose_side(run, 0.5))
+    scores = score_tests(fitted, library(fitted), np.zeros((len(fitted.problem.nodes), 3, 0)))
+    return {s.effect.name: float(np.max(np.abs(s.estimate / s.standard_error))) for s in scores if s.separable}
+
+
+def own_noise(seed):
+    steps = wander(seed)
+    return recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), seed), seed=seed)
+
+
+def wheels(seed):
+    return as_recording(simulate(seed, None))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", [own_noise, wheels])
+def test_every_estimate_is_zero_within_its_error_on_clean_data(source):
+    scores = [z_scores(source(seed)) for seed in SEEDS]
+    for name in scores[0]:
+        z = np.array([s[name] for s in scores if name in s])
+        assert np.sqrt(np.mean(z**2)) < 1.8, f"{name}: {z}"
+        assert z.max() < 4.5, f"{name}: {z}"
+
+
+def test_time_offsets_of_clean_recordings_are_left_alone():
+    learned = learn([wheels(1)])
+    assert learned.clocks.free == ((False, False),)
+    assert learned.added == ()
+
+
+def test_registry_holds_the_first_eight_effects():
+    first = {
+        "wheel_scale",
+        "unequal_wheels",
+        "wheelbase",
+        "gyro_bias",
+        "side_slip",
+        "time_offset",
+        "lever_arm",
+        "mount_yaw",
+    }
+    assert first <= set(registry())

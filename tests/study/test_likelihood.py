@@ -1,0 +1,94 @@
+"""The banded likelihood is the dense normal, and its fit finds what was put in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+from scipy.stats import multivariate_normal
+
+from odomcorrupt.laws import LAWS, Coefficients
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.fit import believed_columns, fit
+from odomcorrupt.study.intervals import coefficient_intervals
+from odomcorrupt.study.likelihood import dense_covariance, whitener
+from odomcorrupt.study.noise_fit import LawPieces
+from odomcorrupt.study.problem import pose_problem
+from odomcorrupt.study.trajectory import Trajectory
+
+PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
+
+
+def short_problem(seed: int = 0):
+    steps = wander(seed, 20.0)
+    return pose_problem([recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_banded_likelihood_equals_the_dense_normal(law):
+    problem = short_problem()
+    nodes = problem.nodes
+    q = nodes.covariance(LAWS[law], Coefficients(0.05, 0.02, 0.05, 0.01, 0.003), problem.steps)
+    truth = TruthNoise(0.004, 0.006, 0.002)
+    white = whitener(nodes, q, truth)
+    banded = white.log_likelihood(white.whiten(nodes.residual))
+    dense = multivariate_normal(cov=dense_covariance(nodes, q, truth)).logpdf(nodes.residual.ravel())
+    assert banded == pytest.approx(dense, abs=1e-8 * abs(dense))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_polarised_pieces_are_the_law(law):
+    problem = short_problem()
+    k = np.array([0.05, 0.02, 0.07, 0.03, 0.004])
+    pieces = LawPieces(LAWS[law], problem.nodes, problem.steps)
+    total = np.tensordot(pieces.shares(k), np.array(pieces.parts()), axes=1)
+    direct = problem.nodes.covariance(LAWS[law], Coefficients(*k), problem.steps)
+    np.testing.assert_allclose(total, direct, rtol=1e-10, atol=1e-18)
+
+
+def test_a_gap_in_the_truth_breaks_the_chain_and_nothing_else():
+    steps = wander(1, 60.0)
+    whole = recording(steps, noisy_path(steps, PLANTED, 1))
+    truth = whole.truth
+    keep = np.ones(len(truth), dtype=bool)
+    keep[1000:1500] = False
+    holed = replace(whole, truth=Trajectory(truth.stamps_ns[keep], truth.xyt[keep]))
+    full, cut = pose_problem([whole]).nodes, pose_problem([holed]).nodes
+    assert len(cut) < len(full)
+    assert (cut.end_s - cut.start_s).max() < 1.6
+    assert (~cut.linked).sum() == 2
+
+
+@pytest.mark.slow
+def test_coefficients_come_back_from_simulated_drives_with_a_truth_of_1_to_20_mm():
+    inside = []
+    for seed, truth_mm in enumerate((1.0, 1.0, 3.0, 3.0, 10.0, 10.0, 20.0, 20.0)):
+        steps = wander(seed)
+        run = recording(steps, noisy_path(steps, PLANTED, seed), truth_mm=truth_mm, seed=seed)
+        side = choose_side(run, 0.5)
+        assert side == "truth"  # this noise sits in the odometry, sample by sample
+        fitted = fit([run], side=side)
+        k = fitted.noise.coefficients
+        assert k.rot_rot == pytest.approx(PLANTED.rot_rot, rel=0.15)
+        assert k.rot_trans == pytest.approx(PLANTED.rot_trans, rel=0.15)
+        assert k.trans_trans == pytest.approx(PLANTED.trans_trans, rel=0.15)
+        assert fitted.noise.truth.xy_m == pytest.approx(truth_mm * 1e-3, rel=0.15)
+        nothing = believed_columns(fitted.problem, [(False, False)])
+        weak = next(i for i in coefficient_intervals(fitted, nothing) if i.name == "trans_rot")
+        inside.append(weak.low <= PLANTED.trans_rot <= weak.high)
+    assert sum(inside) >= 7, "a 95 % interval misses one in twenty, not two in eight"
+
+
+def test_whitened_innovations_are_standard_normal_at_the_planted_model():
+    squares = []
+    for seed in range(4):
+        steps = wander(seed, 300.0)
+        problem = pose_problem([recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)], side="truth")
+        q = problem.nodes.covariance(LAWS["diffusion"], PLANTED, problem.steps)
+        white = whitener(problem.nodes, q, TruthNoise(0.003, 0.003, 0.0))
+        squares.append(white.whiten(problem.nodes.residual) ** 2)
+    all_squares = np.concatenate(squares)
+    assert all_squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(all_squares)))
