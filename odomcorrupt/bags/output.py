@@ -29,12 +29,14 @@ class Output:
 
     name : what errors call it
     position : bytes written so far
-    crc : CRC-32 of the bytes written since it was last set to 0
+    summing : whether bytes are summed up
+    crc : CRC-32 of the bytes summed since it was last set to 0
     """
 
     def __init__(self, path: Path | None, stream: BinaryIO | None = None) -> None:
         self.name = "stdout" if path is None else str(path)
         self.position = 0
+        self.summing = True
         self.crc = 0
         self._path = path
         self._partial: Path | None = None
@@ -63,7 +65,8 @@ class Output:
         try:
             for piece in pieces:
                 view = memoryview(piece)
-                self.crc = zlib.crc32(view, self.crc)
+                if self.summing:
+                    self.crc = zlib.crc32(view, self.crc)
                 self.position += len(view)
                 # An unbuffered stdout may take a part only.
                 while (taken := stream.write(view)) < len(view):

@@ -36,6 +36,7 @@ class Ros1Writer:
 
     def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
         self._output = output
+        output.summing = False  # a ROS 1 bag has no checksum of its own
         self._codec = codec
         self._level = level
         self._connections = Connections(reader)
