@@ -17,6 +17,7 @@ from odomcorrupt.motion import SMOOTHING_S, slopes
 from odomcorrupt.pose import rotate
 
 if TYPE_CHECKING:
+    from odomcorrupt.pose import Array
     from odomcorrupt.study.trajectory import Recording
 
 __all__ = ["Side", "choose_side", "driving_motion"]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from wheelsim import SimulatedRun
 
 from odomcorrupt.study.clock import Clock, aligned
 from odomcorrupt.study.nodes import join
 from odomcorrupt.study.problem import undo
 from odomcorrupt.study.trajectory import Recording, Trajectory
 from odomcorrupt.study.windows import rmse, time_windows
+from wheelsim import SimulatedRun
 
 
 def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) -> Recording:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hidden import as_recording
 from wandering import noisy_path, recording, wander
-from wheelsim import simulate
 
 from odomcorrupt.effects import registry
 from odomcorrupt.laws import Coefficients
@@ -15,6 +14,7 @@ from odomcorrupt.study.fit import fit
 from odomcorrupt.study.learn import learn
 from odomcorrupt.study.score import score_tests
 from odomcorrupt.study.search import library
+from wheelsim import simulate
 
 SEEDS = range(12)
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
-from wheelsim import CAUSES, simulate, simulate_without
 
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.learn import learn
+from wheelsim import CAUSES, simulate, simulate_without
 
 SEEDS = range(100, 140)
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from wandering import noisy_path, recording, wander
 from scipy.stats import multivariate_normal
+from wandering import noisy_path, recording, wander
 
 from odomcorrupt.laws import LAWS, Coefficients
 from odomcorrupt.model import TruthNoise
