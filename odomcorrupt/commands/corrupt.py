@@ -31,6 +31,15 @@ __all__ = ["command"]
 @click.option(
     "--covariance", type=click.Choice(["model", "keep"]), default="model", help="Likewise covariances. [default: model]"
 )
+@click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this topic, too.")
+@click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
+@click.option(
+    "--tf",
+    type=click.Choice(["odometry", "correction"]),
+    default="odometry",
+    help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
+)
+@click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
@@ -49,6 +58,8 @@ def command(input_: str, output: str, **given: Any) -> None:
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     if input_ == "-" and sys.stdin.isatty():
         raise click.UsageError("INPUT is - but stdin is a terminal; feed it a bag")
+    if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
+        raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
     seed = draw_seed() if given["seed"] is None else given["seed"]
     outcome = corrupt_bag(
         None if input_ == "-" else Path(input_),
@@ -62,6 +73,9 @@ def command(input_: str, output: str, **given: Any) -> None:
             base_frame=given["base_frame"],
             keep_twist=given["twist"] == "keep",
             keep_covariance=given["covariance"] == "keep",
+            keep_truth=given["keep_truth"],
+            keep_localisation=given["keep_localisation"],
+            new_odom_frame=given["new_odom_frame"],
         ),
         container=Container(overwrite=given["overwrite"], compression=given["compression"], level=given["level"]),
     )

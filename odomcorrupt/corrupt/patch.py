@@ -54,10 +54,14 @@ class Target:
 
 @dataclass(slots=True)
 class Changes:
-    """Counts of what was moved: messages by topic, edges by "parent -> child", and how many beyond the curve's end."""
+    """Counts of what was moved: messages by topic, edges by "parent -> child", how many beyond the curve's end.
+
+    static : edges that are published once for all time, and cannot follow a drift
+    """
 
     odometry: Counter[str] = field(default_factory=Counter)
     edges: Counter[str] = field(default_factory=Counter)
+    static: set[str] = field(default_factory=set)
     held: int = 0
 
 
@@ -92,6 +96,8 @@ class Patcher:
                 item = target.item
                 edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
                 self.changes.edges[edge] += len(target.stamps_ns)
+                if target.channel.topic.endswith("tf_static"):
+                    self.changes.static.add(edge)
                 if self._moves:
                     _move(block, target, part.xyt)
             if self._clocks:

@@ -12,7 +12,7 @@ from odomcorrupt.pose import rotate
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
 
-__all__ = ["SpatialPoses", "from_left", "from_right"]
+__all__ = ["SpatialPoses", "from_left", "from_right", "inverted"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,12 @@ def from_right(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
     back = np.zeros_like(poses.position)
     back[:, :2] = -rotate(correction_xyt[:, :2], -correction_xyt[:, 2])
     return SpatialPoses(poses.position + _turned(poses.quat_xyzw, back), quat)
+
+
+def inverted(poses: SpatialPoses) -> SpatialPoses:
+    """Return the poses seen the other way round."""
+    back = poses.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
+    return SpatialPoses(-_turned(back, poses.position), back)
 
 
 def _turned(quat_xyzw: Array, vector: Array) -> Array:

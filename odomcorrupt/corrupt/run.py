@@ -13,6 +13,7 @@ from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from odomcorrupt.bags.block import Channel
@@ -47,6 +48,7 @@ class Outcome:
     restarts : how often time jumped back
     late : odometry messages too late to be put in order
     unusable : odometry poses that are not numbers
+    added : how many messages were added, by what they are
     """
 
     model: MotionModel
@@ -60,6 +62,7 @@ class Outcome:
     restarts: int
     late: int
     unusable: int
+    added: Mapping[str, int]
 
 
 def corrupt_bag(
@@ -87,28 +90,40 @@ def corrupt_bag(
     transform = Transform(model, seed, run, options)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     with open_reader(source) as reader:
-        transform.prepare(reader, reader.name)
+        transform.driver.prepare(reader, reader.name)
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )
-        if silent and source is not None and target is not None and container.as_it_was(source, target):
+        adds = options.keep_truth is not None or options.new_odom_frame is not None
+        if silent and not adds and source is not None and target is not None and container.as_it_was(source, target):
             for _ in transform.blocks(reader, reader.name):
                 pass
             _copy(source, target)
         else:
             with writer:
-                for block in transform.blocks(reader, reader.name):
+                for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
                 if not silent:
                     writer.provenance("odomcorrupt", _provenance(model, seed, run))
         drift = transform.drift.result()
         assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-        assert transform.frames is not None  # noqa: S101 - as above
+        frames = transform.driver.frames
+        assert frames is not None  # noqa: S101 - as above
         channels = tuple(reader.channels[number] for number in sorted(transform.seen))
     return Outcome(
-        model, seed, run, transform.driver or "", transform.frames, transform.changes, drift, channels,
+        model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
         transform.order.restarts, transform.order.late, transform.unusable,
+        _added(transform),
     )  # fmt: skip
+
+
+def _added(transform: Transform) -> Mapping[str, int]:
+    added = {}
+    if transform.truth is not None:
+        added[f"clean odometry on {transform.truth.topic}"] = transform.truth.count
+    if transform.edge is not None and transform.driver.frames is not None:
+        added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
+    return added
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -72,7 +72,8 @@ def _moved(outcome: Outcome) -> str:
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
     none = [] if edges else [f"no transform from {outcome.frames.odom}"]
-    return ", ".join(topics + edges + none)
+    added = [f"{count} {what} added" for what, count in outcome.added.items()]
+    return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
 
 
 def _model(model: MotionModel, origin: str) -> str:
@@ -120,7 +121,10 @@ def _rate(outcome: Outcome) -> list[str]:
 
 
 def _oddities(outcome: Outcome) -> list[str]:
-    said = []
+    said = [
+        f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
+        for edge in sorted(outcome.changes.static)
+    ]
     if outcome.changes.held:
         said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
     if outcome.restarts:

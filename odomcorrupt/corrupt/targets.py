@@ -13,7 +13,17 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.bags.messages import Item
 
-__all__ = ["ODOMETRY", "TRANSFORMS", "Frames", "Side", "drives", "find_driver", "plain", "resolve_frames", "side_of"]
+__all__ = [
+    "ODOMETRY",
+    "TRANSFORMS",
+    "Frames",
+    "Side",
+    "find_driver",
+    "localisation_side_of",
+    "plain",
+    "resolve_frames",
+    "side_of",
+]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
@@ -38,12 +48,6 @@ def plain(name: str) -> str:
     return name.lstrip("/")
 
 
-def drives(channel: Channel, topic: str) -> bool:
-    """Whether a channel carries the odometry of that topic."""
-    readable = channel.msgtype == ODOMETRY and channel.encoding in ENCODINGS
-    return readable and plain(channel.topic) == plain(topic)
-
-
 def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
     """Return the topic whose odometry drives the model.
 
@@ -66,7 +70,10 @@ def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str
         offer = f"nav_msgs/Odometry is on {', '.join(topics)}" if topics else f"found {found}"
         raise TopicError(f"{bag}: no topic {asked} ({offer}); name another one with --odom-topic")
     if not topics:
-        raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}); there is nothing to corrupt")
+        way_out = "there is nothing to corrupt"
+        if any(c.msgtype in TRANSFORMS for c in channels):
+            way_out = "to corrupt TF alone, name its edge with --odom-frame and --base-frame"
+        raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}); {way_out}")
     if len(topics) > 1:
         raise TopicError(
             f"{bag}: {len(topics)} nav_msgs/Odometry topics ({', '.join(topics)}); name the one that drives the "
@@ -106,6 +113,15 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
     if child == frames.odom and frames.base is not None and parent == frames.base:
         return "right"
     return None
+
+
+def localisation_side_of(parent: str, child: str, frames: Frames) -> Side | None:
+    """Return from which side the correction must act on localisation, so that what lies above odom sees no drift."""
+    if side_of(parent, child, frames) is not None:
+        return None
+    if plain(child) == frames.odom:
+        return "right"
+    return "left" if plain(parent) == frames.odom else None
 
 
 def _last(frame: str) -> str:

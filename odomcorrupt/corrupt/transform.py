@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import locate
+from odomcorrupt.corrupt.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corrupt.correction import PATIENCE_NS, Curve
 from odomcorrupt.corrupt.drift import DriftMeter
+from odomcorrupt.corrupt.driver import Driver, stamps_or_log_ns
 from odomcorrupt.corrupt.order import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corrupt.patch import Patcher, Target
 from odomcorrupt.corrupt.path import NoisyPath
@@ -22,24 +24,22 @@ from odomcorrupt.corrupt.targets import (
     ENCODINGS,
     ODOMETRY,
     TRANSFORMS,
-    drives,
     find_driver,
+    localisation_side_of,
     plain,
-    resolve_frames,
     side_of,
-)
+)  # fmt: skip
 from odomcorrupt.errors import TopicError
-from odomcorrupt.pose import yaw_from_quaternion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Block, Channel
-    from odomcorrupt.bags.messages import Layout
+    from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
+    from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.corrupt.patch import Changes
-    from odomcorrupt.corrupt.targets import Frames
+    from odomcorrupt.corrupt.targets import Frames, Side
     from odomcorrupt.model import MotionModel
 
 __all__ = ["WAIT_NS", "Options", "Transform"]
@@ -55,6 +55,9 @@ class Options:
     odom_topic : the odometry that drives the model, None to find it
     odom_frame, base_frame : frames, where the odometry's own are not the ones of TF
     keep_twist, keep_covariance : leave twists or covariances as they are
+    keep_truth : a topic on which the clean odometry stays
+    keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
+    new_odom_frame : leave everything alone and publish the correction as the edge from this frame to odom
     """
 
     odom_topic: str | None = None
@@ -62,6 +65,9 @@ class Options:
     base_frame: str | None = None
     keep_twist: bool = False
     keep_covariance: bool = False
+    keep_truth: str | None = None
+    keep_localisation: bool = False
+    new_odom_frame: str | None = None
 
 
 @dataclass(slots=True)
@@ -84,10 +90,11 @@ class Transform:
         self.model = model
         self.order = TimeOrder()
         self.drift = DriftMeter()
-        self.driver: str | None = None
-        self.frames: Frames | None = None
+        self.driver = Driver(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
         self.unusable = 0
         self.seen: set[int] = set()
+        self.truth: TruthTopic | None = None
+        self.edge: CorrectionEdge | None = None
         self._path = NoisyPath(model, seed, run)
         self._curve = Curve()
         self._now_ns = -(2**62)
@@ -99,17 +106,22 @@ class Transform:
         """What has been changed so far."""
         return self._patcher.changes
 
-    def blocks(self, reader: BagReader, name: str) -> Iterator[Block]:
+    def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
         """Yield the blocks of a bag, patched, in their order.
+
+        writer : where channels are added, if options ask for some
 
         Raises
         ------
         TopicError
-            Where no odometry drives the model.
+            Where no odometry drives the model, or what is to be added is there already.
 
         """
-        if self.driver is None:
-            self.prepare(reader, name)
+        self.driver.prepare(reader, name)
+        if self.options.keep_truth is not None and writer is not None:
+            self.truth = TruthTopic(self.options.keep_truth, reader, writer)
+        if self.options.new_odom_frame is not None and writer is not None:
+            self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
         waiting: deque[_Held] = deque()
         for block in reader.blocks():
             waiting.append(self._take(block, reader))
@@ -119,62 +131,28 @@ class Transform:
         while waiting:
             yield self._patch(waiting.popleft())
         if self._first_ns is None:
-            find_driver(reader.channels.values(), self.driver, name)
-            raise TopicError(f"{name}: {self.driver} has no message with a pose; name another topic with --odom-topic")
-
-    def prepare(self, reader: BagReader, name: str) -> None:
-        """Find the odometry that drives the model, before anything is read or written.
-
-        Raises
-        ------
-        TopicError
-            Where there is none, several, or no way to know yet.
-
-        """
-        asked = self.options.odom_topic
-        if reader.complete:
-            self.driver = find_driver(reader.channels.values(), asked, name)
-        elif asked is None:
-            raise TopicError(f"{name}: on a pipe topics are not known beforehand; name the odometry with --odom-topic")
-        else:
-            self.driver = asked
+            if not self.driver.by_edge:
+                find_driver(reader.channels.values(), self.driver.topic, name)
+            raise TopicError(f"{name}: {self.driver.name} has no message with a pose; name another topic or edge")
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read what a block tells about the odometry, and let the curve grow."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
-        parts = []
         present = set(np.unique(block.table["channel"]).tolist())
         self.seen |= present
+        parts = []
         for number in sorted(present):
             channel = reader.channels[number]
             if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
                 parts += [(channel, layout) for layout in locate(block, channel)]
-        held = _Held(block, parts, time_ns)
-        self._read_driver(held)
+        if parts:
+            self._add(self.driver.read(block, parts, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
         self._extend(self.order.release(self._now_ns))
-        return held
+        return _Held(block, parts, time_ns)
 
-    def _read_driver(self, held: _Held) -> None:
-        driving = [(channel, layout) for channel, layout in held.parts if drives(channel, self.driver or "")]
-        if not driving:
-            return
-        self.driver = driving[0][0].topic
-        layouts = [layout for _, layout in driving]
-        block, rows = held.block, np.concatenate([layout.rows for layout in layouts])
-        if self.frames is None:
-            first = min(layouts, key=lambda layout: int(layout.rows[0]))
-            self.frames = resolve_frames(
-                first.items[0], self.driver, odom_frame=self.options.odom_frame, base_frame=self.options.base_frame
-            )
-        stamps = np.concatenate([stamps_or_log_ns(block, layout, 0) for layout in layouts])
-        position = np.concatenate([gather(block, layout, layout.items[0], "position") for layout in layouts])
-        quat = np.concatenate([gather(block, layout, layout.items[0], "orientation") for layout in layouts])
-        xyt = np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
-        new = Arrivals(stamps, held.time_ns[rows], xyt)
-        if len(layouts) > 1:
-            new = new.take(np.argsort(rows))
+    def _add(self, new: Arrivals) -> None:
         finite = np.flatnonzero(np.isfinite(new.xyt).all(axis=1))
         if len(finite) < len(new):
             self.unusable += len(new) - len(finite)
@@ -196,7 +174,7 @@ class Transform:
     def _ready(self, held: _Held) -> bool:
         """Whether nothing more can be learnt for a block."""
         age_ns = self._now_ns - held.seen_ns
-        if age_ns >= WAIT_NS or not held.parts or (self.frames is not None and not self._targets(held)):
+        if age_ns >= WAIT_NS or not held.parts or (self.driver.frames is not None and not self._targets(held)):
             return True
         until_ns = self._curve.known_until_ns
         if age_ns < PATIENCE_NS or until_ns is None:
@@ -205,31 +183,50 @@ class Transform:
 
     def _targets(self, held: _Held) -> list[Target]:
         if held.targets is None:
-            held.targets = [] if self.frames is None else self._find_targets(held, self.frames)
+            held.targets = [] if self.driver.frames is None else self._find_targets(held, self.driver.frames)
         return held.targets
 
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
         found = []
         for channel, layout in held.parts:
             for number, item in enumerate(layout.items):
-                side = side_of(item.frame_id, item.child_frame_id, frames)
-                if channel.msgtype == ODOMETRY:
-                    moves = drives(channel, self.driver or "") or plain(item.frame_id) == frames.odom
-                    side = "left" if moves else None
+                side = self._side(channel, item, frames)
                 if side is not None:
                     stamps_ns = stamps_or_log_ns(held.block, layout, number)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))
         return found
 
+    def _side(self, channel: Channel, item: Item, frames: Frames) -> Side | None:
+        """Return from which side the correction acts on an item; None where it stays."""
+        driving = self.driver.is_odometry(channel)
+        if self.options.new_odom_frame is not None:
+            if channel.msgtype in TRANSFORMS:
+                self._refuse_parent(channel, item, frames)
+            return "left" if driving else None
+        if channel.msgtype == ODOMETRY:
+            return "left" if driving or plain(item.frame_id) == frames.odom else None
+        side = side_of(item.frame_id, item.child_frame_id, frames)
+        if side is None and self.options.keep_localisation:
+            side = localisation_side_of(item.frame_id, item.child_frame_id, frames)
+        return side
+
+    def _refuse_parent(self, channel: Channel, item: Item, frames: Frames) -> None:
+        if localisation_side_of(item.frame_id, item.child_frame_id, frames) == "right":
+            raise TopicError(
+                f"{channel.topic}: {frames.odom} already has a parent, {item.frame_id}, and a frame has but one; "
+                "correct the odometry itself, with --tf odometry"
+            )
+
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
-        if targets and self._first_ns is not None:
-            self._curve.forget(int(min(target.time_ns[0] for target in targets)))
+        if not targets or self._first_ns is None:
+            return held.block
+        self._curve.forget(int(min(target.time_ns[0] for target in targets)))
+        driving = [target for target in targets if self.driver.is_odometry(target.channel)]
+        if self.truth is not None:
+            self.truth.add(held.block, driving)
+        if self.options.new_odom_frame is None:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
+        elif self.edge is not None and self.driver.frames is not None:
+            self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
         return held.block
-
-
-def stamps_or_log_ns(block: Block, layout: Layout, number: int) -> NDArray[np.int64]:
-    """Return header stamps (n,), log times where a stamp is zero."""
-    stamps_ns = gather_stamps_ns(block, layout, layout.items[number])
-    return np.where(stamps_ns == 0, block.table["log_ns"][layout.rows], stamps_ns)
