@@ -53,7 +53,7 @@ def fit_text(result: RobotFit) -> str:
     """Return what a fit found."""
     truth = result.fit.noise.truth
     names = [r.name for r in result.fit.problem.recordings]
-    lines = [f"law {result.fit.law_name}, coefficients with 95 % intervals:"]
+    lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
     lines += [_interval_line(result, interval) for interval in result.intervals]
     errors = iter(result.fit.standard_errors)
     lines += [_effect_line(effect, [float(next(errors)) for _ in parameters(effect)]) for effect in result.fit.effects]
@@ -82,7 +82,7 @@ def _interval_line(result: RobotFit, interval: Interval) -> str:
 
 
 def _plain(result: RobotFit) -> bool:
-    return result.fit.law_name == "diffusion"
+    return result.fit.problem.approach.law_name == "diffusion"
 
 
 def _effect_line(effect: Effect, errors: Sequence[float]) -> str:

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.clock import aligned
-from odomcorrupt.study.drivers import choose_side
 from odomcorrupt.study.failures import Failure, failures
 from odomcorrupt.study.fit import fit
 from odomcorrupt.study.likelihood import whitener
-from odomcorrupt.study.nodes import NODE_S, join
+from odomcorrupt.study.nodes import join
 from odomcorrupt.study.problem import pose_problem, undo
 from odomcorrupt.study.search import Clocks, find_clocks
 from odomcorrupt.study.trajectory import Trajectory
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.drivers import Side
+    from odomcorrupt.study.approach import Approach
     from odomcorrupt.study.trajectory import Recording
 
 __all__ = ["Comparison", "Horizon", "Judgement", "compare"]
@@ -94,29 +94,29 @@ class Comparison:
 
 def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
     """Judge models (by name) on recordings."""
-    side = choose_side(recordings[0], NODE_S)
-    found = find_clocks(recordings, side=side)
+    approach = choose_approach(recordings)
+    found = find_clocks(recordings, approach)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
         raw_error_m=_ten_seconds(recordings),
         clock_error_m=_ten_seconds(on_time),
-        judgements=tuple(_judge(name, model, on_time, side) for name, model in models.items()),
+        judgements=tuple(_judge(name, model, on_time, approach) for name, model in models.items()),
     )
 
 
-def _judge(name: str, model: MotionModel, recordings: Sequence[Recording], side: Side) -> Judgement:
+def _judge(name: str, model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> Judgement:
     fitted_on = model.source.get("recordings", [])
     known = fitted_on if isinstance(fitted_on, list) else []
     parts: list[tuple[Recording, MotionModel]] = []
     for recording in recordings:
         if recording.name in known:
             first, second = _halves(recording)
-            parts += [(first, _refit(model, second, side)), (second, _refit(model, first, side))]
+            parts += [(first, _refit(model, second, approach)), (second, _refit(model, first, approach))]
         else:
             parts.append((recording, model))
-    pieces = [_Judged(recording, own, side) for recording, own in parts]
+    pieces = [_Judged(recording, own, approach) for recording, own in parts]
     metres = sum(p.metres for p in pieces)
     return Judgement(
         name=name,
@@ -132,10 +132,10 @@ def _judge(name: str, model: MotionModel, recordings: Sequence[Recording], side:
 class _Judged:
     """One stretch of a recording under one model."""
 
-    def __init__(self, recording: Recording, model: MotionModel, side: Side) -> None:
+    def __init__(self, recording: Recording, model: MotionModel, approach: Approach) -> None:
         effects = (*model.effects, *model.setup.effects)
         self.model, self.truth = model, model.setup.truth or TruthNoise()
-        self.problem = pose_problem([recording], effects, side=side)
+        self.problem = pose_problem([recording], effects, approach=approach)
         self.left = undo(recording, effects)
         nodes = self.problem.nodes
         q = nodes.covariance(model.noise.law, model.noise.coefficients, self.problem.steps)
@@ -193,10 +193,10 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
     return replace(recording, truth=first), replace(recording, truth=second)
 
 
-def _refit(model: MotionModel, recording: Recording, side: Side) -> MotionModel:
+def _refit(model: MotionModel, recording: Recording, approach: Approach) -> MotionModel:
     """Return the model with its numbers estimated on this recording alone, its effects the same."""
     effects = (*model.effects, *model.setup.effects)
-    again = fit([recording], effects, side=side, law_name=model.noise.law_name)
+    again = fit([recording], effects, approach=replace(approach, law_name=model.noise.law_name))
     count = len(model.effects)
     return replace(
         model,

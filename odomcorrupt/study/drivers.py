@@ -18,9 +18,9 @@ from odomcorrupt.pose import rotate
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.trajectory import Recording
+    from odomcorrupt.study.trajectory import Recording, Trajectory
 
-__all__ = ["Side", "choose_side", "driving_motion"]
+__all__ = ["Side", "choose_side", "driving_motion", "truth_noise"]
 
 Side = Literal["odometry", "truth"]
 
@@ -40,7 +40,7 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
     """
     driver = recording.odometry if side == "odometry" else recording.truth
     t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
-    width_s = SMOOTHING_S if side == "odometry" else _truth_window(own, driver.xyt)
+    width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
     middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
     world = slopes(own, driver.xyt, middle, width_s)
     pose = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
@@ -60,12 +60,18 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
     )
 
 
-def _truth_window(t_s: Array, xyt: Array) -> float:
+def truth_noise(truth: Trajectory) -> Array:
+    """Return the deviation (3,) of the truth's white noise, m and rad: second differences cancel smooth driving."""
+    rough = np.diff(truth.xyt, n=2, axis=0)
+    noise: Array = np.sqrt(np.median(rough**2, axis=0) / 0.4549 / 6.0)  # 0.4549 is the median of chi-square with 1
+    return noise
+
+
+def _truth_window(truth: Trajectory) -> float:
     """Return the window (s) in which the truth's white noise leaves `_SLOPE_NOISE` of a slope."""
-    noise = np.sqrt(np.median(np.diff(xyt, n=2, axis=0) ** 2, axis=0) / 0.4549 / 6.0)
-    rate = 1.0 / float(np.median(np.diff(t_s)))
+    rate = 1.0 / float(np.median(np.diff(truth.stamps_ns)) * 1e-9)
     # a line through N samples in a window T has a slope of deviation sqrt(12 / N) noise / T
-    windows = (noise * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
+    windows = (truth_noise(truth) * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
     return float(np.clip(windows.max(), *TRUTH_SMOOTHING_S))
 
 

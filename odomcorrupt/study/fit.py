@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.laws import law_named
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.noise_fit import LawPieces, NoiseFit, fit_noise
 from odomcorrupt.study.problem import pose_problem
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.drivers import Side
+    from odomcorrupt.study.approach import Approach
     from odomcorrupt.study.problem import Problem
     from odomcorrupt.study.trajectory import Recording
 
@@ -48,7 +47,6 @@ class Fit:
     problem: Problem
     pieces: LawPieces
     noise: NoiseFit
-    law_name: str
     standard_errors: Array
     clock_errors: Array
 
@@ -69,8 +67,7 @@ def fit(
     *,
     clocks: Sequence[Clock] | None = None,
     free_clocks: Sequence[tuple[bool, bool]] | None = None,
-    law_name: str = "diffusion",
-    side: Side = "odometry",
+    approach: Approach,
     start: Array | None = None,
     weights: Array | None = None,
 ) -> Fit:
@@ -81,11 +78,10 @@ def fit(
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
-    law = law_named(law_name)
     for _ in range(_ROUNDS):
-        problem = pose_problem(recordings, effects, clocks, side=side)
+        problem = pose_problem(recordings, effects, clocks, approach=approach)
         columns = believed_columns(problem, free)
-        pieces = LawPieces(law, problem.nodes, problem.steps)
+        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
         noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights)
         start = noise.free
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
@@ -95,7 +91,7 @@ def fit(
     own = sum(len(parameters(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[free] = errors[own:]
-    return Fit(problem, pieces, noise, law_name, errors[:own], clock_errors)
+    return Fit(problem, pieces, noise, errors[:own], clock_errors)
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import Fit, fit
-from odomcorrupt.study.nodes import NODE_S
 from odomcorrupt.study.search import Candidate, Clocks, find_clocks, next_effect, ten_second_error
 
 if TYPE_CHECKING:
@@ -65,9 +64,9 @@ def learn(
     recordings: Sequence[Recording], start: Sequence[Effect] = (), *, law_name: str = "diffusion", most: int = _MOST
 ) -> Learned:
     """Search from a model with the given effects; `most` bounds how many are added."""
-    side = choose_side(recordings[0], NODE_S)
-    clocks = find_clocks(recordings, side=side, law_name=law_name)
-    fitted = fit(recordings, start, clocks=clocks.clocks, free_clocks=clocks.free, law_name=law_name, side=side)
+    approach = choose_approach(recordings, law_name)
+    clocks = find_clocks(recordings, approach)
+    fitted = fit(recordings, start, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
     rounds: list[Round] = []
     while True:
         candidates = next_effect(fitted, clocks.free)
@@ -82,8 +81,7 @@ def learn(
             best.fit.effects,
             clocks=best.fit.problem.clocks,
             free_clocks=clocks.free,
-            law_name=law_name,
-            side=side,
+            approach=approach,
             start=best.fit.noise.free,
         )
     fitted = _without_idlers(fitted, clocks, {e.name for e in start})
@@ -102,8 +100,7 @@ def _without_idlers(fitted: Fit, clocks: Clocks, keep: set[str]) -> Fit:
             [e for e in problem.effects if e.name != idle[0]],
             clocks=problem.clocks,
             free_clocks=clocks.free,
-            law_name=fitted.law_name,
-            side=problem.side,
+            approach=problem.approach,
             start=fitted.noise.free,
         )
     return fitted

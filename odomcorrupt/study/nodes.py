@@ -27,10 +27,8 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.trajectory import Recording
 
-__all__ = ["NODE_S", "Nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
+__all__ = ["Nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
 
-NODE_S = 0.5
-"""Default spacing of nodes, seconds."""
 GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
 LEAST_NODES = 20
@@ -113,7 +111,7 @@ class Nodes:
         return np.add.reduceat(outer, self.first, axis=0)
 
 
-def lay_nodes(recording: Recording, spacing_s: float = NODE_S) -> Nodes:
+def lay_nodes(recording: Recording, spacing_s: float) -> Nodes:
     """Return the intervals between truth samples `spacing_s` apart, with the odometry between them.
 
     Raises

@@ -17,8 +17,8 @@ from odomcorrupt.effects.effect import parameters
 from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.motion import corrected_increments, motion_of
 from odomcorrupt.study.clock import Clock, aligned
-from odomcorrupt.study.drivers import Side, driving_motion
-from odomcorrupt.study.nodes import NODE_S, Nodes, join, lay_nodes
+from odomcorrupt.study.drivers import driving_motion
+from odomcorrupt.study.nodes import Nodes, join, lay_nodes
 from odomcorrupt.study.trajectory import Recording, Trajectory
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.pose import Array
+    from odomcorrupt.study.approach import Approach
 
 __all__ = ["Problem", "pose_problem", "undo"]
 
@@ -51,7 +52,7 @@ class Problem:
     recordings: tuple[Recording, ...]
     effects: tuple[Effect, ...]
     clocks: tuple[Clock, ...]
-    side: Side
+    approach: Approach
     nodes: Nodes
     run: Array
     motions: tuple[Motion, ...]
@@ -88,22 +89,21 @@ def pose_problem(
     effects: Sequence[Effect] = (),
     clocks: Sequence[Clock] | None = None,
     *,
-    side: Side = "odometry",
-    spacing_s: float = NODE_S,
+    approach: Approach,
 ) -> Problem:
     """Take effects and clocks out of recordings and lay nodes over what is left."""
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
     left = [undo(recording, effects) for recording in on_time]
-    nodes = [lay_nodes(recording, spacing_s) for recording in left]
+    nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     return Problem(
         recordings=tuple(recordings),
         effects=tuple(effects),
         clocks=clocks,
-        side=side,
+        approach=approach,
         nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
         run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
-        motions=tuple(driving_motion(recording, side) for recording in on_time),
+        motions=tuple(driving_motion(recording, approach.side) for recording in on_time),
     )
 
 

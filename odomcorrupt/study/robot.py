@@ -9,10 +9,9 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model import MotionModel, Noise, Setup
-from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import Fit, believed_columns, fit
 from odomcorrupt.study.intervals import Interval, coefficient_intervals
-from odomcorrupt.study.nodes import NODE_S
 from odomcorrupt.study.search import Clocks, find_clocks, ten_second_error
 
 if TYPE_CHECKING:
@@ -63,10 +62,10 @@ def fit_robot(
     clocks: Clocks | None = None,
 ) -> RobotFit:
     """Fit clocks (unless they are known already), effects and noise to recordings of one robot."""
-    side = choose_side(recordings[0], NODE_S)
+    approach = choose_approach(recordings, law_name)
     if clocks is None:
-        clocks = find_clocks(recordings, side=side, law_name=law_name)
-    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, law_name=law_name, side=side)
+        clocks = find_clocks(recordings, approach)
+    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
     intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in parameters(effect)]
@@ -84,7 +83,7 @@ def fit_robot(
         standard_errors=errors,
         source={
             "recordings": [r.name for r in recordings],
-            "drivers": side,
+            "drivers": approach.side,
             "ten_second_error_on_the_fitted_data_m": error,
             "log_likelihood_nats": fitted.log_likelihood,
         },

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.drivers import Side
+    from odomcorrupt.study.approach import Approach
     from odomcorrupt.study.trajectory import Recording
 
 __all__ = ["Candidate", "Clocks", "find_clocks", "library", "next_effect"]
@@ -48,25 +48,23 @@ class Clocks:
     errors: tuple[tuple[float, float], ...]
 
 
-def find_clocks(recordings: Sequence[Recording], *, side: Side, law_name: str = "diffusion") -> Clocks:
+def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     """Estimate each recording's clock by exact resampling, with the usual systematic effects free beside it.
 
     A number that is not significant is left at zero: aligning what was aligned only adds noise.
     """
-    found = [_find_clock(recording, side, law_name) for recording in recordings]
+    found = [_find_clock(recording, approach) for recording in recordings]
     return Clocks(*(tuple(part) for part in zip(*found, strict=True)))
 
 
-def _find_clock(
-    recording: Recording, side: Side, law_name: str
-) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
+def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
     """Return the clock, which of its numbers are real, and their errors: both, the offset alone, or nothing."""
     kinds = registry()
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(recording)
     for free in ((True, True), (True, False)):
         start = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
-        best = fit([recording], nuisance, clocks=[start], free_clocks=[free], side=side, law_name=law_name)
+        best = fit([recording], nuisance, clocks=[start], free_clocks=[free], approach=approach)
         clock, nuisance = best.problem.clocks[0], best.effects
         errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
         last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
@@ -144,8 +142,7 @@ def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]
         (*problem.effects, moved),
         clocks=problem.clocks,
         free_clocks=free_clocks,
-        law_name=fitted.law_name,
-        side=problem.side,
+        approach=problem.approach,
         start=fitted.noise.free,
         weights=fitted.noise.weights,
     )

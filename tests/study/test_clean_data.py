@@ -9,7 +9,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.laws import Coefficients
-from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import fit
 from odomcorrupt.study.learn import learn
 from odomcorrupt.study.score import score_tests
@@ -21,7 +21,7 @@ SEEDS = range(12)
 
 def z_scores(run) -> dict[str, float]:
     """Return estimate over error of every effect, each tried alone."""
-    fitted = fit([run], side=choose_side(run, 0.5))
+    fitted = fit([run], approach=choose_approach([run]))
     scores = score_tests(fitted, library(fitted), np.zeros((len(fitted.problem.nodes), 3, 0)))
     return {s.effect.name: float(np.max(np.abs(s.estimate / s.standard_error))) for s in scores if s.separable}
 

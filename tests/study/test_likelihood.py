@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.laws import LAWS, Coefficients
 from odomcorrupt.model import TruthNoise
-from odomcorrupt.study.drivers import choose_side
+from odomcorrupt.study.approach import Approach, choose_approach
 from odomcorrupt.study.fit import believed_columns, fit
 from odomcorrupt.study.intervals import coefficient_intervals
 from odomcorrupt.study.likelihood import dense_covariance, whitener
@@ -24,7 +24,7 @@ PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 
 def short_problem(seed: int = 0):
     steps = wander(seed, 20.0)
-    return pose_problem([recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)])
+    return pose_problem([recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)], approach=Approach())
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -56,7 +56,7 @@ def test_a_gap_in_the_truth_breaks_the_chain_and_nothing_else():
     keep = np.ones(len(truth), dtype=bool)
     keep[1000:1500] = False
     holed = replace(whole, truth=Trajectory(truth.stamps_ns[keep], truth.xyt[keep]))
-    full, cut = pose_problem([whole]).nodes, pose_problem([holed]).nodes
+    full, cut = pose_problem([whole], approach=Approach()).nodes, pose_problem([holed], approach=Approach()).nodes
     assert len(cut) < len(full)
     assert (cut.end_s - cut.start_s).max() < 1.6
     assert (~cut.linked).sum() == 2
@@ -68,9 +68,9 @@ def test_coefficients_come_back_from_simulated_drives_with_a_truth_of_1_to_20_mm
     for seed, truth_mm in enumerate((1.0, 1.0, 3.0, 3.0, 10.0, 10.0, 20.0, 20.0)):
         steps = wander(seed)
         run = recording(steps, noisy_path(steps, PLANTED, seed), truth_mm=truth_mm, seed=seed)
-        side = choose_side(run, 0.5)
-        assert side == "truth"  # this noise sits in the odometry, sample by sample
-        fitted = fit([run], side=side)
+        approach = choose_approach([run])
+        assert approach.side == "truth"  # this noise sits in the odometry, sample by sample
+        fitted = fit([run], approach=approach)
         k = fitted.noise.coefficients
         assert k.rot_rot == pytest.approx(PLANTED.rot_rot, rel=0.15)
         assert k.rot_trans == pytest.approx(PLANTED.rot_trans, rel=0.15)
@@ -86,7 +86,9 @@ def test_whitened_innovations_are_standard_normal_at_the_planted_model():
     squares = []
     for seed in range(4):
         steps = wander(seed, 300.0)
-        problem = pose_problem([recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)], side="truth")
+        problem = pose_problem(
+            [recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)], approach=Approach("truth")
+        )
         q = problem.nodes.covariance(LAWS["diffusion"], PLANTED, problem.steps)
         white = whitener(problem.nodes, q, TruthNoise(0.003, 0.003, 0.0))
         squares.append(white.whiten(problem.nodes.residual) ** 2)
