@@ -12,7 +12,7 @@ from odomcorrupt.errors import OdomCorruptError
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["refuse_existing", "write_text"]
+__all__ = ["refuse_existing", "write_bytes", "write_text"]
 
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
@@ -22,14 +22,19 @@ def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
+    """Write text as UTF-8, whole or not at all."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
     """Write beside the target and rename when complete."""
     try:
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
         raise OdomCorruptError(f"{path}: cannot be written ({error.strerror})") from error
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(beside, 0o666 & ~umask)  # noqa: PTH101 - a mkstemp file is private until here

@@ -1,0 +1,68 @@
+"""odomcorrupt sample: where one motion may have ended."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt.commands._move import choose_move, move_options
+from odomcorrupt.commands._output import refuse_existing, write_text
+from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from odomcorrupt.sampling.account import Drawn
+
+__all__ = ["command"]
+
+
+@click.command("sample", short_help="Draw where one motion may have ended: the banana.")
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Result: .png, .svg, .pdf, .csv or .json."
+)
+@move_options
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+def command(output: Path | None, *, as_json: bool, overwrite: bool, **given: Any) -> None:
+    r"""Draw where one motion may have ended.
+
+    \b
+    odomcorrupt sample -o banana.png                             # the article's example
+    odomcorrupt sample --law article-code -o listing.png         # its listing, as it is
+    odomcorrupt sample --example rotation-heavy -o heavy.svg     # one of the lecture's settings
+    odomcorrupt sample --end 1,0.3,20deg --alpha 0.05 0.02 0.05 0.01 -n 5000 -o ends.csv
+    """
+    from odomcorrupt.rng import draw_seed, stream
+    from odomcorrupt.sampling.account import Drawn, csv_text, json_text, report_text
+    from odomcorrupt.sampling.samples import move_sampled
+
+    refuse_existing(output, overwrite=overwrite)
+    kind = None if output is None else picture_kind(output) or output.suffix.lower()
+    if kind not in (None, ".csv", ".json", *PICTURES):
+        raise click.UsageError(f"{output}: ends in {kind or 'nothing'}; write .png, .svg, .pdf, .csv or .json")
+    if kind in PICTURES:
+        need_pictures()
+    chosen = choose_move(given)
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    xyt = move_sampled(chosen.move, chosen.variances, chosen.count, stream(seed, 0, "sample"))
+    drawn = Drawn(
+        chosen.move, chosen.noise.model.noise, chosen.variances, xyt, seed, chosen.noise.origin,
+        chosen.noise.article_code,
+    )  # fmt: skip
+    click.echo(json_text(drawn) if as_json else report_text(drawn), nl=not as_json)
+    if output is None:
+        return
+    if kind in PICTURES:
+        _draw(output, drawn)
+        return
+    write_text(output, csv_text(xyt) if kind == ".csv" else json_text(drawn))
+    click.echo(f"wrote {output}", err=True)
+
+
+def _draw(output: Path, drawn: Drawn) -> None:
+    from odomcorrupt.report.banana import draw_banana
+    from odomcorrupt.sampling.account import title
+
+    save_picture(output, draw_banana(drawn.move, drawn.variances, drawn.xyt, title(drawn)))

@@ -1,0 +1,77 @@
+"""One motion, from a pose to a pose, as odometry tells it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
+from odomcorrupt.errors import ModelError
+from odomcorrupt.increments import BEARING_MIN_M, increments, rot_trans_rot
+
+if TYPE_CHECKING:
+    from odomcorrupt.increments import Increments, RotTransRot
+    from odomcorrupt.laws import Variances
+    from odomcorrupt.model import Noise
+    from odomcorrupt.pose import Array
+
+__all__ = ["Move", "move_between", "move_variances"]
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A motion in the plane.
+
+    start_xyt, end_xyt : (3,) odometry before and after, metres and radians
+    shift_xy : (2,) from start to end, metres
+    along_xy : (2,) unit vector along which noise on the travel acts: the bearing of the motion, or where that means
+        nothing (below `BEARING_MIN_M`) the heading after half the turn
+    steps : the motion as one increment
+    """
+
+    start_xyt: Array
+    end_xyt: Array
+    shift_xy: Array
+    along_xy: Array
+    steps: Increments
+
+    @property
+    def turn_rad(self) -> float:
+        """The turn, in [-pi, pi)."""
+        return float(self.steps.dtheta_rad[0])
+
+    @property
+    def parts(self) -> RotTransRot:
+        """The motion as turn, drive, turn."""
+        return rot_trans_rot(self.steps)
+
+
+def move_between(start_xyt: Array, end_xyt: Array) -> Move:
+    """Return the motion between two poses (3,)."""
+    steps = increments(np.stack((start_xyt, end_xyt)))
+    shift = end_xyt[:2] - start_xyt[:2]
+    length = float(np.hypot(*shift))
+    middle = start_xyt[2] + steps.dtheta_rad[0] / 2.0
+    along = shift / length if length >= BEARING_MIN_M else np.array([np.cos(middle), np.sin(middle)])
+    return Move(start_xyt, end_xyt, shift, along, steps)
+
+
+def move_variances(noise: Noise, move: Move, *, article_code: bool = False) -> Variances:
+    """Return the variances of noise on a motion, (1,) each: those that corruption would draw with.
+
+    Parameters
+    ----------
+    article_code
+        Do as the listing of "Adding noise to odometry data published by the Gazebo simulator" (2018) does: it hands
+        `sd * sd` to a function that takes a standard deviation. The deviation drawn with is the square of the
+        intended one, in units of itself; the law must be `linear`, the article's.
+
+    """
+    variances = noise_variances(noise, move.steps, StepGrowth()).variances
+    if not article_code:
+        return variances
+    if noise.law_name != "linear":
+        raise ModelError(f"article-code: law {noise.law_name}; the article's listing knows its own law, linear, only")
+    return type(variances)(variances.rot1**2, variances.trans**2, variances.across**2, variances.rot2**2)

@@ -1,0 +1,66 @@
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from odomcorrupt.cli import run
+
+
+def test_article_banana_needs_no_more_words(tmp_path, capsys):
+    picture = tmp_path / "banana.png"
+    assert run(["sample", "-o", str(picture)]) == 0
+    said = capsys.readouterr().out
+    assert "1000 samples" in said
+    assert "rot_trans 0.2618" in said
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_same_seed_gives_the_same_picture_to_the_bit(tmp_path):
+    for name in ("a.svg", "b.svg"):
+        assert run(["sample", "-o", str(tmp_path / name), "--seed", "4", "-n", "50"]) == 0
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_csv_and_json_hold_the_same_samples(tmp_path):
+    for name in ("s.csv", "s.json"):
+        assert run(["sample", "--end", "1,0.2,20deg", "-n", "20", "--seed", "5", "-o", str(tmp_path / name)]) == 0
+    content = json.loads((tmp_path / "s.json").read_text())
+    with (tmp_path / "s.csv").open() as file:
+        rows = [[float(v) for v in row.values()] for row in csv.DictReader(file)]
+    assert rows == content["xyt"]
+    np.testing.assert_allclose(content["samples"]["mean_xyt"], np.mean(rows, axis=0))
+    np.testing.assert_allclose(content["samples"]["covariance"], np.cov(np.transpose(rows)))
+
+
+def test_article_code_says_what_it_means(capsys):
+    assert run(["sample", "--law", "article-code", "--seed", "1"]) == 0
+    assert "sd*sd" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["-o", "x.gif"], ".gif"),
+        (["--end", "1,2"], "x,y,heading"),
+        (["--end", "1deg,2,3"], "x,y,heading"),
+        (["--example", "nope"], "balanced"),
+        (["--example", "balanced", "--preset", "typical"], "brings its own"),
+        (["--effect", "wheel_scale:e=0.01"], "drive"),
+        (["--law", "quadratic"], "--alpha"),
+        (["--law", "article-code", "--preset", "typical"], "linear"),
+    ],
+)
+def test_wrong_usage_is_told_in_one_line(arguments, word, capsys):
+    assert run(["sample", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert word in lines[0]
+
+
+def test_existing_output_is_kept(tmp_path, capsys):
+    out = tmp_path / "a.csv"
+    out.write_text("mine")
+    assert run(["sample", "-o", str(out)]) == 1
+    assert out.read_text() == "mine"
+    assert "--overwrite" in capsys.readouterr().err

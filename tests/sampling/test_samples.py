@@ -1,0 +1,130 @@
+import math
+
+import numpy as np
+import pytest
+
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.errors import ModelError
+from odomcorrupt.laws import LAWS, Coefficients
+from odomcorrupt.model import MotionModel, Noise, Step
+from odomcorrupt.rng import stream
+from odomcorrupt.sampling.examples import EXAMPLES
+from odomcorrupt.sampling.move import move_between, move_variances
+from odomcorrupt.sampling.samples import (
+    ellipse,
+    linearised_moments,
+    move_sampled,
+    sample_moments,
+    with_noise,
+)
+
+ARTICLE = EXAMPLES["article"]
+
+
+def article_move():
+    return move_between(np.array(ARTICLE.start_xyt), np.array(ARTICLE.end_xyt))
+
+
+def listing(noise):
+    """The article's listing, written out with numbers of its own: errors of rot1, trans, rot2 in, a pose out."""
+    theta1, theta2 = math.radians(30), math.radians(10)
+    rot1 = math.atan2(0.35, 0.2) - theta1
+    trans = math.hypot(0.2, 0.35)
+    rot2 = theta2 - theta1 - rot1
+    rot1, trans, rot2 = rot1 + noise[0], trans + noise[1], rot2 + noise[2]
+    return trans * math.cos(theta1 + rot1), trans * math.sin(theta1 + rot1), theta1 + rot1 + rot2
+
+
+def listing_deviations():
+    rot1, trans, rot2 = math.radians(30.2551187), 0.4031128874, math.radians(-50.2551187)
+    a1, a2, a3, a4 = 0.05, math.radians(15), 0.05, 0.01
+    sd_trans = a3 * trans + a4 * (abs(rot1) + abs(rot2))
+    return a1 * abs(rot1) + a2 * trans, sd_trans, a1 * abs(rot2) + a2 * trans
+
+
+def test_article_example_is_turn_drive_turn_of_the_listing():
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(20, 3))
+    ours = with_noise(article_move(), np.insert(noise, 2, 0.0, axis=1))
+    np.testing.assert_allclose(ours, [listing(row) for row in noise], atol=1e-12)
+
+
+def test_article_law_has_the_deviations_of_the_article_and_its_listing_their_squares():
+    intended = move_variances(ARTICLE.noise, article_move())
+    imitated = move_variances(ARTICLE.noise, article_move(), article_code=True)
+    for name, deviation in zip(("rot1", "trans", "rot2"), listing_deviations(), strict=True):
+        assert math.sqrt(getattr(intended, name)[0]) == pytest.approx(deviation, rel=1e-6)
+        assert math.sqrt(getattr(imitated, name)[0]) == pytest.approx(deviation**2, rel=1e-6)
+
+
+def test_listing_of_another_law_is_refused():
+    with pytest.raises(ModelError, match="linear"):
+        move_variances(Noise("quadratic", Coefficients(1, 1, 1, 1)), article_move(), article_code=True)
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_small_noise_has_the_linearised_moments(law):
+    move = move_between(np.array([1.0, -2.0, 0.4]), np.array([2.1, -1.5, 1.0]))
+    noise = Noise(law, Coefficients(1e-2, 1e-2, 1e-2, 1e-2))
+    variances = move_variances(noise, move)
+    variances = type(variances)(*(1e-4 * getattr(variances, n) for n in ("rot1", "trans", "across", "rot2")))
+    drawn = sample_moments(move_sampled(move, variances, 40_000, np.random.default_rng(3)))
+    expected = linearised_moments(move, variances)
+    scale = np.sqrt(np.outer(np.diag(expected.covariance), np.diag(expected.covariance)))
+    assert np.abs((drawn.covariance - expected.covariance) / scale).max() < 0.03
+    assert np.abs((drawn.mean_xyt - expected.mean_xyt) / np.sqrt(np.diag(expected.covariance))).max() < 0.03
+
+
+def test_straight_motion_is_drawn_as_corruption_draws_it():
+    """Corruption goes along the body's axis, sampling along the bearing: on a straight drive they are the same."""
+    noise = Noise("diffusion", Coefficients(0.3, 0.2, 0.1, 0.05))
+    poses = np.array([[0.5, 0.2, 0.3], [0.5 + math.cos(0.3), 0.2 + math.sin(0.3), 0.3]])
+    stamps = np.array([0, 10**9])
+    for run in range(5):
+        knots = NoisyPath(MotionModel(noise), 9, run).feed(stamps, poses)
+        rng = stream(9, run, "noise")
+        rng.standard_normal(4)  # the first pose draws too, and stays
+        move = move_between(*poses)
+        ours = move_sampled(move, move_variances(noise, move), 1, rng)
+        np.testing.assert_allclose(ours[0], (poses + knots.error_xyt)[1], atol=1e-12)
+
+
+def test_clean_motion_ends_where_odometry_says_even_below_the_bearing_threshold():
+    move = move_between(np.array([0.0, 0.0, 3.0]), np.array([0.01, 0.02, -3.0]))
+    silent = move_variances(Noise("diffusion", Coefficients(0, 0, 0, 0)), move)
+    end = move_sampled(move, silent, 2, np.random.default_rng(0))
+    np.testing.assert_allclose(end[:, :2], [[0.01, 0.02]] * 2, atol=1e-15)
+    np.testing.assert_allclose(end[:, 2], 2 * math.pi - 3.0)
+
+
+def test_step_of_a_book_law_is_honoured():
+    """Ten steps of 0.1 m have a tenth of the variance of trans of one metre at once."""
+    move = move_between(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    coefficients = Coefficients(0, 0, 0.01, 0)
+    once = move_variances(Noise("quadratic", coefficients), move)
+    stepped = move_variances(Noise("quadratic", coefficients, Step(0.1, 1.0)), move)
+    assert stepped.trans[0] == pytest.approx(once.trans[0] / 10, rel=1e-6)
+
+
+def test_ellipse_holds_the_share_of_a_gaussian():
+    rng = np.random.default_rng(1)
+    covariance = np.array([[0.04, 0.03, 0], [0.03, 0.09, 0], [0, 0, 1]])
+    points = rng.multivariate_normal([1, 2, 0], covariance, 50_000)
+    e = ellipse(sample_moments(points), 2.0)
+    turned = (points[:, :2] - e.centre_xy) @ np.array(
+        [[math.cos(e.angle_rad), -math.sin(e.angle_rad)], [math.sin(e.angle_rad), math.cos(e.angle_rad)]]
+    )
+    inside = (turned[:, 0] / e.major_m) ** 2 + (turned[:, 1] / e.minor_m) ** 2 < 1
+    assert inside.mean() == pytest.approx(1 - math.exp(-2), abs=0.006)
+    assert e.major_m > e.minor_m
+
+
+def test_lecture_settings_are_what_they_are_called():
+    spreads = {}
+    for name in ("balanced", "translation-heavy", "rotation-heavy"):
+        example = EXAMPLES[name]
+        move = move_between(np.array(example.start_xyt), np.array(example.end_xyt))
+        v = move_variances(example.noise, move)
+        spreads[name] = math.sqrt(v.trans[0]) / (math.sqrt(v.rot1[0]) * move.parts.trans_m[0])
+        assert example.count == 500
+    assert spreads["translation-heavy"] > 3 > spreads["balanced"] > 1 / 3 > spreads["rotation-heavy"]
