@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Kind", "Message"]
+__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Kind", "Message", "PartContents", "PartFraming"]
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
 """What a bag is stored as."""
@@ -72,6 +72,32 @@ class Block:
     added: list[Message] = field(default_factory=list)
 
 
+@dataclass(frozen=True, slots=True)
+class PartFraming:
+    """What is raw of a block of a bag of several files.
+
+    part : index of the file the block came from
+    own : the block as that file has it, with that file's channels
+    """
+
+    part: int
+    own: Block
+
+
+@dataclass(frozen=True, slots=True)
+class PartContents:
+    """What a written file of a bag holds.
+
+    counts : messages by topic
+    start_ns, end_ns : first and last log time, 0 and 0 where there is no message
+    """
+
+    name: str
+    counts: Mapping[str, int]
+    start_ns: int
+    end_ns: int
+
+
 class BagReader(Protocol):
     """An open bag.
 
@@ -88,8 +114,12 @@ class BagReader(Protocol):
     complete: bool
     channels: Mapping[int, Channel]
 
-    def blocks(self) -> Iterator[Block]:
-        """Yield the blocks in file order, each with a buffer of its own: several are held at once."""
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks in file order, each with a buffer of its own: several are held at once.
+
+        only : ids of channels that are wanted; messages of others, and blocks without wanted ones, may be left out
+            where that is cheaper
+        """
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the bag says of a channel's type."""
@@ -102,7 +132,13 @@ class BagReader(Protocol):
 
 
 class BagWriter(Protocol):
-    """A bag being written beside its final name: it appears when the context ends without an error, or never."""
+    """A bag being written beside its final name: it appears when the context ends without an error, or never.
+
+    keeps_rest : whether messages that are never passed to `write` are in the bag all the same: a sqlite3 file is
+        copied, so only what may change needs to be read (`blocks(only=...)`)
+    """
+
+    keeps_rest: bool
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""

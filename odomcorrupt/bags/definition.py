@@ -9,7 +9,12 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Definition", "RosType", "definition_like", "md5sum_of", "ros_type"]
+    from odomcorrupt.bags.block import BagReader
+
+__all__ = ["Definition", "RosType", "md5sum_of", "retyped", "ros_type"]
+
+_TYPED = ("md5sum", "topic_type_hash", "type")
+"""Metadata that belong to the type, not to the topic."""
 
 
 class Definition(NamedTuple):
@@ -56,16 +61,21 @@ def ros_type(msgtype: str, encoding: str) -> RosType:
     return RosType(msgtype, text, store.hash_rihs01(msgtype))
 
 
-def definition_like(msgtype: str, encoding: str, like: Definition) -> Definition:
-    """Define a type for a topic that is otherwise like another one."""
+def retyped(reader: BagReader, msgtype: str, encoding: str, like: Definition) -> Definition:
+    """Define a type for a topic that is otherwise like another one: as the bag itself does, or as commonly known."""
+    for other in reader.channels.values():
+        if (other.msgtype, other.encoding) == (msgtype, encoding):
+            found = reader.definition(other)
+            typed = {key: found.metadata[key] for key in _TYPED if key in found.metadata}
+            return found._replace(metadata={**_without(like.metadata, _TYPED), **typed})
     kind = ros_type(msgtype, encoding)
-    metadata = dict(like.metadata)
-    for key in ("md5sum", "topic_type_hash"):
-        if key in metadata:
-            metadata[key] = kind.digest
-    if "type" in metadata:
-        metadata["type"] = kind.name
+    values = {"md5sum": kind.digest, "topic_type_hash": kind.digest, "type": kind.name}
+    metadata = {**like.metadata, **{key: value for key, value in values.items() if key in like.metadata}}
     return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
+
+
+def _without(metadata: Mapping[str, str], keys: tuple[str, ...]) -> dict[str, str]:
+    return {key: value for key, value in metadata.items() if key not in keys}
 
 
 def md5sum_of(msgtype: str, definition: Definition) -> str:

@@ -12,19 +12,29 @@ from odomcorrupt.bags.output import Output, refuse_target
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.ros1.records import MAGIC as ROS1_MAGIC
 from odomcorrupt.bags.ros1.writer import Ros1Writer
+from odomcorrupt.bags.rosbag2.database import MAGIC as SQLITE_MAGIC
+from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
+from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
+from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, BagWriter
+    from odomcorrupt.bags.block import BagReader, BagWriter, Kind
 
 __all__ = ["open_reader", "open_writer"]
 
 _READERS: dict[bytes, type[McapReader | Ros1Reader]] = {MCAP_MAGIC: McapReader, ROS1_MAGIC: Ros1Reader}
-_CODECS = {"mcap": ("none", "lz4", "zstd"), "ros1": ("none", "lz4", "bz2")}
-_SUFFIXES = {".mcap": "mcap", ".bag": "ros1"}
+_CODECS: dict[Kind, tuple[str, ...]] = {
+    "mcap": ("none", "lz4", "zstd"),
+    "ros1": ("none", "lz4", "bz2"),
+    "sqlite3": ("none",),
+}
+_NAMES: dict[Kind, str] = {"mcap": "an MCAP", "ros1": "a ROS 1 bag", "sqlite3": "a sqlite3 bag"}
+_SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
 def open_reader(path: Path | None, stream: BinaryIO | None = None) -> BagReader:
@@ -42,7 +52,7 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None) -> BagReader:
     if path is None or str(path) == "-":
         return _reader(None, Source(sys.stdin.buffer if stream is None else stream, "stdin"))
     if path.is_dir():
-        raise BagError(f"{path}: is a directory without a bag in it")
+        return Rosbag2Reader(path)
     return _reader(path, Source.of_file(path))
 
 
@@ -56,6 +66,8 @@ def _reader(path: Path | None, source: Source) -> BagReader:
         source.close()
         raise
     source.close()
+    if path is not None and begin == SQLITE_MAGIC:
+        return Rosbag2Reader(path)
     raise _unknown(source.name, begin)
 
 
@@ -68,6 +80,8 @@ def _unknown(name: str, begin: bytes) -> BagError:
         )
     if begin.startswith(b"\x28\xb5\x2f\xfd"):
         return BagError(f"{name}: is a zstd-compressed file; decompress it first (`zstd -d`)")
+    if begin == SQLITE_MAGIC:
+        return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
     return BagError(f"{name}: begins with {begin[:8]!r}, which is no MCAP, ROS 1 bag or ROS 2 bag")
 
 
@@ -93,16 +107,36 @@ def open_writer(
         Where the output exists and overwrite is false, is the input, or cannot hold what the input holds.
 
     """
-    if path is None or str(path) == "-":
-        output, kind = Output(None, sys.stdout.buffer if stream is None else stream), "mcap"
-    else:
-        refuse_target(path, reader.paths, overwrite=overwrite)
-        output, kind = Output(path), _SUFFIXES.get(path.suffix.lower(), reader.kind)
+    kind = _kind(path, reader)
     if compression is not None and compression not in _CODECS[kind]:
         raise BagError(
-            f"compression {compression}: is not one of {', '.join(_CODECS[kind])}, which "
-            f"{'an MCAP' if kind == 'mcap' else 'a ROS 1 bag'} can have"
+            f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
         )
+    if path is None or str(path) == "-":
+        return McapWriter(Output(None, stream or sys.stdout.buffer), _single(reader, "mcap"), compression, level)
+    named = path.suffix.lower() in _SUFFIXES
+    refuse_target(path, reader.paths, overwrite=overwrite, directory=isinstance(reader, Rosbag2Reader) and not named)
+    if isinstance(reader, Rosbag2Reader) and not named:
+        return Rosbag2Writer(path, reader, compression, level)
+    if kind == "mcap":
+        return McapWriter(Output(path), _single(reader, "mcap"), compression, level)
     if kind == "ros1":
-        return Ros1Writer(output, reader, compression, level)
-    return McapWriter(output, reader, compression, level)
+        return Ros1Writer(Output(path), reader, compression, level)
+    part = _single(reader, "sqlite3")
+    if not isinstance(part, SqliteReader):
+        raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
+    return SqliteWriter(path, part)
+
+
+def _kind(path: Path | None, reader: BagReader) -> Kind:
+    """Return the format that an output's name asks for, or that of the input."""
+    if path is None or str(path) == "-":
+        return "mcap"
+    return _SUFFIXES.get(path.suffix.lower(), reader.kind)
+
+
+def _single(reader: BagReader, kind: Kind) -> BagReader | SqliteReader:
+    """Return the reader of a bag's only file, where that is of a kind: what is written is this file again."""
+    if isinstance(reader, Rosbag2Reader) and len(reader.parts) == 1 and reader.kind == kind:
+        return reader.parts[0]
+    return reader

@@ -9,11 +9,16 @@ from typing import BinaryIO
 
 from odomcorrupt.errors import BagError
 
-__all__ = ["Output", "refuse_target"]
+__all__ = ["Output", "beside", "refuse_target"]
+
+_BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
-def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool) -> None:
-    """Refuse an output that exists, is one of the inputs, or has no directory to stand in."""
+def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory: bool) -> None:
+    """Refuse an output that exists, is one of the inputs, or has no directory to stand in.
+
+    directory : whether the output will be one
+    """
     if not path.parent.is_dir():
         raise BagError(f"{path}: the directory {path.parent} does not exist; create it first")
     if not path.exists() or _is_stream(path):
@@ -22,6 +27,13 @@ def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool) -> None:
         raise BagError(f"{path}: is the input; a bag is not rewritten in place, name another output")
     if not overwrite:
         raise BagError(f"{path}: exists already; name another output or give --overwrite")
+    if path.is_dir() != directory:
+        kinds = ("a directory", "a file")
+        raise BagError(
+            f"{path}: is {kinds[directory]}, {kinds[not directory]} will not replace it; name another output"
+        )
+    if directory and not all(one.suffix in _BAG_SUFFIXES and one.is_file() for one in path.iterdir()):
+        raise BagError(f"{path}: holds more than a ROS 2 bag, it is not replaced; name another output")
 
 
 class Output:

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["Chunk", "Loose", "McapFraming", "read_chunk", "read_pieces"]
+__all__ = ["CODECS", "Chunk", "Loose", "McapFraming", "read_chunk", "read_pieces"]
 
 _PIECE_BYTES = 1 << 22
-_CODECS = {"": "none", "lz4": "lz4", "zstd": "zstd"}
+CODECS = ("none", "lz4", "zstd")
+"""Compressions of chunks, by the names users know: the file calls none an empty string."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +90,8 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
     (packed,) = struct.unpack("<Q", source.read(8, what))
     if 40 + name_length + packed != length:
         raise BagError(f"{named}: {packed} bytes of records in a record of {length} do not fit; damaged bag")
-    codec = _CODECS.get(name)
-    if codec is None:
+    codec = name or "none"
+    if codec not in CODECS or name == "none":
         raise BagError(f"{named}: compression {name!r} is not known (none, lz4, zstd); recompress the bag")
     if codec == "none":
         data = source.read_array(packed, what)

@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt import __version__
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import Definition, definition_like
+from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord, string
 from odomcorrupt.errors import BagError
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.definition import Definition
 
 __all__ = ["Directory"]
 
@@ -47,12 +48,18 @@ class Directory:
 
     def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel that is published like another one."""
+        definition = self._reader.definition(like)
+        if msgtype != like.msgtype:
+            definition = retyped(self._reader, msgtype, like.encoding, definition)
+        return self.add_defined(topic, msgtype, like.encoding, definition)
+
+    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a channel of which everything is known."""
         identifier = _LAST_ID if self._native else _LAST_FOREIGN_ID
         while identifier in self._ids or identifier in self._reader.channels:
             identifier -= 1
-        channel = Channel(identifier, topic, msgtype, like.encoding)
-        definition = self._reader.definition(like)
-        self._register(channel, definition if msgtype == like.msgtype else self._retyped(channel, definition))
+        channel = Channel(identifier, topic, msgtype, encoding)
+        self._register(channel, definition)
         return channel
 
     def written_id(self, channel: int) -> int:
@@ -86,6 +93,12 @@ class Directory:
             channels = {one.id: one.raw for one in self._native.channels.values()} | channels
         return [one.pack() for one in schemas.values()], [one.pack() for one in channels.values()]
 
+    def topic(self, written: int) -> str:
+        """Return the topic that is written under an id."""
+        if self._native and written in self._native.channels:
+            return self._native.channels[written].topic
+        return self._channels[written].topic
+
     def _register(self, channel: Channel, definition: Definition) -> int:
         identifier = channel.id if self._native else len(self._ids)
         if identifier > _LAST_ID:
@@ -115,14 +128,3 @@ class Directory:
     def _pack_schema_of(self, channel: int) -> bytes:
         schema = self._schemas.get(self._channels[channel].schema)
         return schema.pack() if schema else b""
-
-    def _retyped(self, channel: Channel, like: Definition) -> Definition:
-        """Define a type as the bag itself does on another topic, or as it is commonly known."""
-        for other in self._reader.channels.values():
-            if (other.msgtype, other.encoding) == (channel.msgtype, channel.encoding):
-                found = self._reader.definition(other)
-                typed = {
-                    key: found.metadata[key] for key in ("md5sum", "topic_type_hash", "type") if key in found.metadata
-                }
-                return found._replace(metadata={**like.metadata, **typed})
-        return definition_like(channel.msgtype, channel.encoding, like)

@@ -10,11 +10,12 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Message
 from odomcorrupt.bags.mcap.contents import MESSAGE_HEADER
 from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+from odomcorrupt.bags.spans import windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Framed", "Sequences", "frame", "frame_added"]
+__all__ = ["Framed", "Sequences", "frame", "frame_added", "reframe"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,23 @@ def frame(data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences
         pieces.append(packed[row * MESSAGE_HEADER_BYTES : (row + 1) * MESSAGE_HEADER_BYTES])
         pieces.append(source[begin : begin + length])
     return Framed(np.frombuffer(b"".join(pieces), dtype=np.uint8), framed)
+
+
+def reframe(data: NDArray[np.uint8], table: NDArray[np.void]) -> Framed:
+    """Take message records of an MCAP out of their surroundings, and give them the table's channels."""
+    lengths = table["length"] + MESSAGE_HEADER_BYTES
+    ends = np.cumsum(lengths)
+    framed = table.copy()
+    framed["offset"] = ends - table["length"]
+    source = data.data
+    begins = (table["offset"] - MESSAGE_HEADER_BYTES).tolist()
+    joined = bytearray().join(
+        source[begin : begin + length] for begin, length in zip(begins, lengths.tolist(), strict=True)
+    )
+    out = np.frombuffer(joined, dtype=np.uint8)
+    places = ends - lengths + RECORD_HEADER_BYTES
+    windows(out, 2)[places] = table["channel"].astype("<u2").view("V2")
+    return Framed(out, framed)
 
 
 def frame_added(messages: list[Message], sequences: Sequences) -> Framed:

@@ -30,7 +30,7 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -77,7 +77,7 @@ class McapReader:
         schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
         return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         if not self.complete:
             if self._begun:

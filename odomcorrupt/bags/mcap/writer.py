@@ -5,15 +5,16 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE
+from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
 from odomcorrupt.bags.codecs import compress
-from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.directory import Directory
-from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added
+from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
 from odomcorrupt.bags.mcap.index import ChunkSpan, Index, message_indexes
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.output import Output
 
 __all__ = ["McapWriter"]
@@ -43,9 +45,12 @@ __all__ = ["McapWriter"]
 class McapWriter:
     """An MCAP being written from the blocks of a reader of any format.
 
+    keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
     """
+
+    keeps_rest = False
 
     def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
         self._output = output
@@ -60,41 +65,47 @@ class McapWriter:
         """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
         return self._directory.add(topic, msgtype, like)
 
+    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a channel of which everything is known."""
+        return self._directory.add_defined(topic, msgtype, encoding, definition)
+
+    def contents(self) -> PartContents:
+        """Count what was written so far."""
+        counts = {self._directory.topic(channel): count for channel, count in self._index.counts.items()}
+        return PartContents(Path(self._output.name).name, counts, self._index.start_ns or 0, self._index.end_ns)
+
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Write a metadata record here and now."""
         self._write_record(METADATA, record(METADATA, string(name), mapping(items)))
 
     def write(self, block: Block) -> None:
         """Write a block, its added messages behind its own."""
-        framing = block.raw
-        if not isinstance(framing, McapFraming):
-            self._write_foreign(block)
-            return
-        if framing.kind == "record":
+        framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
+        if isinstance(framing, McapFraming) and framing.kind == "record":
             self._write_record(framing.opcode, block.data.data)
-            framing = McapFraming("loose")
             if not block.added:
                 return
             framed = self._added(block)
         else:
-            framed = Framed(block.data, block.table)
+            framed = self._own(block, framing)
             if block.added:
                 framed = _joined(framed, self._added(block))
-        if framing.kind == "loose" and self._codec is None:
+        if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
             self._output.write(framed.data.data)
         else:
-            self._write_chunk(framed, self._codec or framing.codec)
+            codec = getattr(framing, "codec", "zstd")
+            self._write_chunk(framed, self._codec or (codec if codec in CODECS else "zstd"))
 
-    def _write_foreign(self, block: Block) -> None:
-        """Write messages of another format into a chunk of their own."""
+    def _own(self, block: Block, framing: object) -> Framed:
+        """Return a block's own messages as records: as they stand, where they come from the file that is written."""
+        native = isinstance(framing, McapFraming)
+        if native and not isinstance(block.raw, PartFraming):
+            return Framed(block.data, block.table)
         table = block.table.copy()
         table["channel"] = self._directory.translate(table["channel"])
-        framed = _joined(self._records(table["channel"]), frame(block.data, table, self._sequences))
-        if block.added:
-            framed = _joined(framed, self._added(block))
-        codec = getattr(block.raw, "codec", "zstd")
-        self._write_chunk(framed, self._codec or (codec if codec in ("none", "lz4") else "zstd"))
+        records = reframe(block.data, table) if native else frame(block.data, table, self._sequences)
+        return _joined(self._records(table["channel"]), records)
 
     def _added(self, block: Block) -> Framed:
         """Frame a block's added messages, behind the channels they need."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import Definition, definition_like, md5sum_of
+from odomcorrupt.bags.definition import Definition, md5sum_of, retyped
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.ros1.records import Connection
 from odomcorrupt.errors import BagError
@@ -43,9 +43,7 @@ class Connections:
         channel = Channel(identifier, topic, msgtype, "ros1")
         definition = self._reader.definition(like)
         if msgtype != like.msgtype:
-            others = [self._reader.definition(one) for one in self._reader.channels.values() if one.msgtype == msgtype]
-            same = others[0] if others else definition_like(msgtype, "ros1", definition)
-            definition = same._replace(metadata={**same.metadata, **_publisher(definition)})
+            definition = retyped(self._reader, msgtype, "ros1", definition)
         self._make(channel, definition)
         return channel
 

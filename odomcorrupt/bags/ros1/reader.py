@@ -26,7 +26,7 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -109,7 +109,7 @@ class Ros1Reader:
         kept.pop("message_definition", None)
         return Definition(connection.type, "ros1msg", connection.fields.get("message_definition", b""), kept)
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         if self.complete:
             with Source.of_file(self.paths[0]) as source:

@@ -30,9 +30,12 @@ _CHUNK_LIMIT = 1 << 32
 class Ros1Writer:
     """A ROS 1 bag being written from the blocks of a reader.
 
+    keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
     """
+
+    keeps_rest = False
 
     def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
         self._output = output

@@ -1,0 +1,128 @@
+"""The sqlite3 files of rosbag2: topics and what is known about their types, in all versions of the tables."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import quote
+
+from odomcorrupt.bags.definition import Definition
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+__all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "reported"]
+
+MAGIC: Final = b"SQLite format 3\0"
+ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A row of the topics table, with its type's definition where the bag has one.
+
+    digest : RIHS01 type hash, "" in older bags
+    """
+
+    id: int
+    name: str
+    type: str
+    encoding: str
+    qos: str
+    digest: str
+    definition_encoding: str
+    definition_text: str
+
+    def definition(self) -> Definition:
+        """Return the same in the words of an MCAP written by rosbag2."""
+        metadata = {"offered_qos_profiles": self.qos}
+        if self.digest:
+            metadata["topic_type_hash"] = self.digest
+        return Definition(self.type, self.definition_encoding, self.definition_text.encode(), metadata)
+
+
+@contextmanager
+def reported(path: Path) -> Iterator[None]:
+    """Say of sqlite's errors which file they are about."""
+    try:
+        yield
+    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
+        raise BagError(f"{path}: sqlite3 says {error}; the bag is truncated or damaged, try --recover") from error
+
+
+def has_log(path: Path) -> bool:
+    """Tell whether a write-ahead log holds part of the data: the recorder is alive, or was killed."""
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and log.stat().st_size > 0
+
+
+def read_only(path: Path) -> sqlite3.Connection:
+    """Open a file without writing anything, not even the lock files that sqlite leaves beside a log."""
+    _require_whole(path)
+    mode = "mode=ro" if has_log(path) else "immutable=1"
+    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
+
+
+def columns(connection: sqlite3.Connection, table: str) -> list[str]:
+    """Return the names of a table's columns; none where there is no such table."""
+    return [str(row[1]) for row in connection.execute(f"PRAGMA table_info({table})")]
+
+
+def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
+    """Return the topics by id.
+
+    Raises
+    ------
+    BagError
+        Where the tables are not those of a rosbag2, or messages are compressed one by one.
+
+    """
+    if not {"id", "name", "type"} <= set(columns(connection, "topics")) or not columns(connection, "messages"):
+        raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
+    first = connection.execute("SELECT data FROM messages LIMIT 1").fetchone()
+    if first and isinstance(first[0], bytes) and first[0].startswith(ZSTD_MAGIC):
+        raise BagError(f"{path}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that")
+    definitions: dict[str, tuple[str, str]] = {}
+    if columns(connection, "message_definitions"):
+        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        definitions = {row[0]: (row[1], row[2]) for row in connection.execute(query)}
+    cursor = connection.execute("SELECT * FROM topics ORDER BY id")
+    names = [column[0] for column in cursor.description]
+    return [_topic(dict(zip(names, row, strict=True)), definitions) for row in cursor]
+
+
+def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topic:
+    """Read a row of the topics table, whose columns became more with time."""
+    encoding, text = definitions.get(row["type"], ("", ""))
+    return Topic(
+        id=row["id"],
+        name=row["name"],
+        type=row["type"],
+        encoding=row.get("serialization_format") or "cdr",
+        qos=row.get("offered_qos_profiles") or "",
+        digest=row.get("type_description_hash") or "",
+        definition_encoding=encoding,
+        definition_text=text,
+    )
+
+
+def _require_whole(path: Path) -> None:
+    """Refuse a file shorter than its own header says: sqlite would notice only when it meets a missing page."""
+    with path.open("rb") as stream:
+        head = stream.read(100)
+    if len(head) < 100:
+        raise BagError(f"{path}: has {len(head)} bytes, less than the header of a sqlite3 file; it is truncated")
+    (page,) = struct.unpack_from(">H", head, 16)
+    changes, pages = struct.unpack_from(">II", head, 24)
+    (valid_for,) = struct.unpack_from(">I", head, 92)
+    size = (65536 if page == 1 else page) * pages
+    if changes == valid_for and path.stat().st_size < size and not has_log(path):
+        raise BagError(
+            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, --recover saves what "
+            "is whole"
+        )

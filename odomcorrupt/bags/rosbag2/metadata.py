@@ -1,0 +1,182 @@
+"""metadata.yaml: read it, carry it over with what changed, or write one where there was none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from io import StringIO
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import PartContents
+    from odomcorrupt.bags.definition import Definition
+
+__all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info"]
+
+_ROOT = "rosbag2_bagfile_information"
+
+
+class TopicInfo(NamedTuple):
+    """A topic, as metadata.yaml knows it."""
+
+    name: str
+    encoding: str
+    definition: Definition
+
+
+@dataclass(slots=True)
+class Addition:
+    """Messages that were added to a file of a bag.
+
+    counts : messages by topic name
+    """
+
+    counts: dict[str, int] = field(default_factory=dict)
+    start_ns: int | None = None
+    end_ns: int = 0
+
+    def note(self, topic: str, log_ns: int) -> None:
+        """Count a message."""
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.start_ns = log_ns if self.start_ns is None else min(self.start_ns, log_ns)
+        self.end_ns = max(self.end_ns, log_ns)
+
+
+def read_info(path: Path) -> dict[str, Any]:
+    """Read what a metadata.yaml says."""
+    yaml = _yaml("safe")
+    try:
+        document = yaml.load(path.read_text(encoding="utf8"))
+    except (OSError, ValueError, _yaml_error()) as error:
+        raise BagError(
+            f"{path}: cannot be read: {error}; without it the directory's files are read as they are"
+        ) from error
+    info = document.get(_ROOT) if isinstance(document, dict) else None
+    if not isinstance(info, dict) or not isinstance(info.get("relative_file_paths"), list):
+        raise BagError(f"{path}: is not a rosbag2 metadata.yaml; without it the directory's files are read as they are")
+    return info
+
+
+def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
+    """Return a YAML text with its bag information changed, all else as it stands."""
+    yaml = _yaml("rt")
+    yaml.preserve_quotes = True
+    yaml.width = 1 << 30
+    document = yaml.load(text)
+    change(document.get(_ROOT, document))
+    out = StringIO()
+    yaml.dump(document, out)
+    return out.getvalue()
+
+
+def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) -> None:
+    """Say in custom_data how the bag came about."""
+    custom = info.get("custom_data") or {}
+    info["custom_data"] = {**custom, **{f"{name}.{key}": value for key, value in items.items()}}
+
+
+def added(info: dict[str, Any], additions: list[Addition], topics: Mapping[str, TopicInfo]) -> None:
+    """Count added messages.
+
+    additions : by file, in the order of the file list
+    topics : those that were added to, by name
+    """
+    entries = {entry["topic_metadata"]["name"]: entry for entry in info.get("topics_with_message_count") or []}
+    files = info.get("files") or [{} for _ in additions]
+    for file, addition in zip(files, additions, strict=False):
+        if addition.start_ns is None:
+            continue
+        for topic, count in addition.counts.items():
+            if topic not in entries:
+                hashed = any("type_description_hash" in entry["topic_metadata"] for entry in entries.values())
+                entries[topic] = _topic_entry(topics[topic], hashed=hashed)
+                info["topics_with_message_count"].append(entries[topic])
+            entries[topic]["message_count"] += count
+        for span in (info, file):
+            if "message_count" in span:
+                span["message_count"] += sum(addition.counts.values())
+                _extend(span, addition.start_ns, addition.end_ns)
+
+
+def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], distro: str) -> str:
+    """Write the metadata.yaml of a bag that had none."""
+    counts: dict[str, int] = {}
+    for part in parts:
+        for topic, count in part.counts.items():
+            counts[topic] = counts.get(topic, 0) + count
+    filled = [part for part in parts if part.counts]
+    start_ns = min((part.start_ns for part in filled), default=0)
+    entries = [_topic_entry(topic, hashed=True) for topic in topics]
+    for entry in entries:
+        entry["message_count"] = counts.get(entry["topic_metadata"]["name"], 0)
+    named = any(isinstance(entry["topic_metadata"]["offered_qos_profiles"], list) for entry in entries)
+    info = {
+        "version": 9 if named else 8,
+        "storage_identifier": storage,
+        "duration": {"nanoseconds": max((part.end_ns for part in filled), default=0) - start_ns},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": sum(counts.values()),
+        "topics_with_message_count": entries,
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [part.name for part in parts],
+        "files": [
+            {
+                "path": part.name,
+                "starting_time": {"nanoseconds_since_epoch": part.start_ns},
+                "duration": {"nanoseconds": part.end_ns - part.start_ns},
+                "message_count": sum(part.counts.values()),
+            }
+            for part in parts
+        ],
+        "custom_data": {},
+        "ros_distro": distro,
+    }
+    yaml = _yaml("safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False
+    yaml.width = 1 << 30
+    out = StringIO()
+    yaml.dump({_ROOT: info}, out)
+    return out.getvalue()
+
+
+def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
+    """Describe a topic; QoS with names for numbers is version 9's, and is no text there."""
+    metadata = topic.definition.metadata
+    qos: Any = metadata.get("offered_qos_profiles", "")
+    if "history: keep" in qos or "history: system" in qos or "history: unknown" in qos:
+        qos = _yaml("safe").load(qos)
+    entry = {
+        "name": topic.name,
+        "type": topic.definition.name,
+        "serialization_format": topic.encoding,
+        "offered_qos_profiles": qos,
+    }
+    if hashed:
+        entry["type_description_hash"] = metadata.get("topic_type_hash", "")
+    return {"topic_metadata": entry, "message_count": 0}
+
+
+def _extend(span: dict[str, Any], start_ns: int, end_ns: int) -> None:
+    before_ns = span["starting_time"]["nanoseconds_since_epoch"]
+    after_ns = max(before_ns + span["duration"]["nanoseconds"], end_ns)
+    span["starting_time"]["nanoseconds_since_epoch"] = min(before_ns, start_ns)
+    span["duration"]["nanoseconds"] = after_ns - min(before_ns, start_ns)
+
+
+def _yaml(kind: str) -> Any:
+    # Heavy, and needed for directories only.
+    from ruamel.yaml import YAML  # noqa: PLC0415
+
+    return YAML(typ=kind)
+
+
+def _yaml_error() -> type[Exception]:
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+
+    return YAMLError

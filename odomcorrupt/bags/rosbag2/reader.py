@@ -1,0 +1,112 @@
+"""Read a ROS 2 bag of one or more files as if it were one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
+from odomcorrupt.bags.mcap.reader import McapReader
+from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
+from odomcorrupt.bags.rosbag2.database import MAGIC as SQLITE_MAGIC
+from odomcorrupt.bags.rosbag2.parts import BagFiles, find_files
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
+from odomcorrupt.bags.source import Source
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from odomcorrupt.bags.definition import Definition
+
+__all__ = ["Rosbag2Reader", "open_part"]
+
+
+class Rosbag2Reader:
+    """A directory, or a single sqlite3 file.
+
+    metadata : text of metadata.yaml, or None without one
+    parts : readers of the files
+    numbers : by file, the bag's channel of each of the file's channels
+    """
+
+    complete = True
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        found = find_files(path) if path.is_dir() else BagFiles([path], None)
+        self.directory = path if path.is_dir() else None
+        self.metadata = found.metadata
+        self.paths = [path, *found.files]
+        self.parts = [open_part(file) for file in found.files]
+        self.kind: Kind = self.parts[0].kind
+        if any(part.kind != self.kind for part in self.parts):
+            raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
+        self.channels: Mapping[int, Channel] = self.parts[0].channels
+        self.numbers: list[dict[int, int]] = []
+        self._definitions: dict[int, Definition] = {}
+        self._number()
+
+    def definition(self, channel: Channel) -> Definition:
+        """Return what the first file that has a channel says of its type."""
+        return self._definitions[channel.id]
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks, file after file."""
+        for index, (part, numbers) in enumerate(zip(self.parts, self.numbers, strict=True)):
+            wanted = None if only is None else {own for own, number in numbers.items() if number in only}
+            for block in part.blocks(wanted):
+                if len(self.parts) == 1:
+                    yield block
+                    continue
+                table = block.table.copy()
+                known, places = np.unique(table["channel"], return_inverse=True)
+                table["channel"] = np.array([numbers[one] for one in known.tolist()], dtype=np.uint32)[places]
+                yield Block(block.data, table, PartFraming(index, block))
+
+    def _number(self) -> None:
+        """Give the channels of all files numbers: the first file's keep theirs, a topic has one in all files."""
+        channels: dict[int, Channel] = {}
+        same: dict[tuple[str, str, str], int] = {}
+        for part in self.parts:
+            numbers: dict[int, int] = {}
+            for channel in part.channels.values():
+                key = (channel.topic, channel.msgtype, channel.encoding)
+                number = channel.id if part is self.parts[0] else same.get(key)
+                if number is None:
+                    number = max(channels, default=0) + 1
+                if number not in channels:
+                    channels[number] = Channel(number, *key, raw=channel.raw)
+                    self._definitions[number] = part.definition(channel)
+                same.setdefault(key, number)
+                numbers[channel.id] = number
+            self.numbers.append(numbers)
+        self.channels = channels
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for part in self.parts:
+            part.__exit__(kind, error, trace)
+
+
+def open_part(path: Path) -> SqliteReader | McapReader:
+    """Open a file of a bag, by its content."""
+    source = Source.of_file(path)
+    try:
+        begin = source.sniff(16)
+        if begin.startswith(MCAP_MAGIC):
+            return McapReader(path, source)
+    except BaseException:
+        source.close()
+        raise
+    source.close()
+    if begin == SQLITE_MAGIC:
+        return SqliteReader(path)
+    raise BagError(f"{path}: begins with {begin[:8]!r}, which is neither sqlite3 nor MCAP")

@@ -1,0 +1,171 @@
+"""Write a sqlite3 file of rosbag2: copy it, then update the rows that changed and insert those that are new."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+from contextlib import closing
+from typing import TYPE_CHECKING, Self
+
+from odomcorrupt.bags.block import Channel, PartContents
+from odomcorrupt.bags.definition import retyped
+from odomcorrupt.bags.output import beside
+from odomcorrupt.bags.rosbag2.database import columns, has_log, read_only, reported
+from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from odomcorrupt.bags.block import Block
+    from odomcorrupt.bags.definition import Definition
+
+__all__ = ["SqliteWriter"]
+
+
+class SqliteWriter:
+    """One .db3 file being written.
+
+    keeps_rest : what is never passed to `write` is there all the same
+    """
+
+    keeps_rest = True
+
+    def __init__(self, path: Path, reader: SqliteReader) -> None:
+        self._path = path
+        self._partial = beside(path)
+        self._reader = reader
+        self._added: dict[int, str] = {}
+        self._connection = sqlite3.connect(":memory:")
+
+    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
+        definition = self._reader.definition(like)
+        if msgtype != like.msgtype:
+            definition = retyped(self._reader, msgtype, like.encoding, definition)
+        return self.add_defined(topic, msgtype, like.encoding, definition)
+
+    def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
+        """Add a topic of which everything is known."""
+        values = {
+            "id": max([*self._reader.channels, *self._added], default=0) + 1,
+            "name": topic,
+            "type": msgtype,
+            "serialization_format": encoding,
+            "offered_qos_profiles": definition.metadata.get("offered_qos_profiles", ""),
+            "type_description_hash": definition.metadata.get("topic_type_hash", ""),
+        }
+        with reported(self._path):
+            self._insert("topics", values)
+            if columns(self._connection, "message_definitions") and not self._defines(msgtype):
+                self._insert(
+                    "message_definitions",
+                    {
+                        "topic_type": msgtype,
+                        "encoding": definition.encoding,
+                        "encoded_message_definition": definition.text.decode(errors="replace"),
+                        "type_description_hash": values["type_description_hash"],
+                    },
+                )
+        identifier = int(str(values["id"]))
+        self._added[identifier] = topic
+        return Channel(identifier, topic, msgtype, encoding)
+
+    def provenance(self, name: str, items: Mapping[str, str]) -> None:
+        """Say how the bag came about in the file's own metadata, where it has any."""
+        with reported(self._path):
+            if not columns(self._connection, "metadata"):
+                return
+            for row, text in self._connection.execute("SELECT rowid, metadata FROM metadata").fetchall():
+                new = edited(text, lambda info: add_provenance(info, name, items))
+                self._connection.execute("UPDATE metadata SET metadata = ? WHERE rowid = ?", (new, row))
+
+    def write(self, block: Block) -> None:
+        """Update the messages of a block that changed, and insert its added ones."""
+        framing = block.raw
+        if not isinstance(framing, SqliteFraming):
+            raise BagError(f"{self._path}: a bag of another format cannot become sqlite3; name the output .mcap")
+        changed: list[tuple[bytes, int]] = []
+        spans = zip(block.table["offset"].tolist(), block.table["length"].tolist(), strict=True)
+        for row, before, (offset, length) in zip(framing.rows.tolist(), framing.before, spans, strict=True):
+            now = block.data[offset : offset + length].tobytes()
+            if now != before:
+                changed.append((now, row))
+        with reported(self._path):
+            self._connection.executemany("UPDATE messages SET data = ? WHERE rowid = ?", changed)
+            self._connection.executemany(
+                "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+                [(one.channel, one.log_ns, one.data) for one in block.added],
+            )
+
+    def contents(self) -> PartContents:
+        """Count what the file holds by now."""
+        names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+        with reported(self._path):
+            rows = self._connection.execute(query).fetchall()
+        start_ns, end_ns = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
+        return PartContents(self._path.name, {names[row[0]]: row[1] for row in rows}, start_ns, end_ns)
+
+    def _insert(self, table: str, values: Mapping[str, object]) -> None:
+        known = [name for name in columns(self._connection, table) if name in values]
+        marks = ", ".join("?" for _ in known)
+        statement = f"INSERT INTO {table} ({', '.join(known)}) VALUES ({marks})"  # noqa: S608 - all names are ours
+        self._connection.execute(statement, [values[name] for name in known])
+
+    def _defines(self, msgtype: str) -> bool:
+        query = "SELECT 1 FROM message_definitions WHERE topic_type = ?"
+        return self._connection.execute(query, (msgtype,)).fetchone() is not None
+
+    def __enter__(self) -> Self:
+        try:
+            with reported(self._path):
+                self._begin()
+        except BaseException as error:
+            self._discard()
+            if isinstance(error, OSError) and not isinstance(error, BagError):
+                raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
+            raise
+        return self
+
+    def _begin(self) -> None:
+        if has_log(self._reader.path):
+            # Part of the data is in the log: only sqlite itself puts both together.
+            with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
+                source.backup(target)
+        else:
+            shutil.copyfile(self._reader.path, self._partial)
+        self._connection = sqlite3.connect(self._partial, isolation_level=None)
+        (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
+        # No journal: on any failure the whole file goes.
+        for pragma in ("journal_mode = DELETE", "journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
+            self._connection.execute(f"PRAGMA {pragma}").fetchall()
+        self._connection.execute("BEGIN")
+
+    def _finish(self) -> None:
+        self._connection.execute("COMMIT")
+        if self._journal == "wal":
+            self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
+        self._connection.close()
+        with self._partial.open("rb") as stream:
+            os.fsync(stream.fileno())
+        self._partial.replace(self._path)
+
+    def _discard(self) -> None:
+        self._connection.close()
+        for leftover in self._path.parent.glob(f"{self._partial.name}*"):
+            leftover.unlink()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                with reported(self._path):
+                    self._finish()
+        finally:
+            self._discard()
