@@ -107,7 +107,7 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
         own = (0.0, 0.0, 0.0) if given["end"] is not None else example.start_xyt
         start = np.array(own if given["start"] is None else given["start"])
         end = np.array(example.end_xyt if given["end"] is None else given["end"])
-        move = move_between(start, end)
+        move = move_between(start, end, arc=noise.model.noise.law.arc)
         variances = move_variances(noise.model.noise, move, article_code=noise.article_code)
     except ModelError as error:
         raise click.UsageError(str(error)) from error

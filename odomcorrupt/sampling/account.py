@@ -122,24 +122,26 @@ def report_text(drawn: Drawn) -> str:
 
 def law_words(noise: Noise, *, article_code: bool = False) -> str:
     """Return the law and its coefficients, with the convention that they follow."""
-    values = dataclasses.asdict(noise.coefficients)
-    numbers = ", ".join(f"{name} {value:.4g}" for name, value in values.items() if value or name != "across_trans")
+    numbers = ", ".join(f"{name} {value:.4g}" for name, value in _numbers(noise))
     step = f", once per {noise.step}" if noise.step is not None else ""
-    meaning = {
-        "diffusion": "deviation after 1 m or 1 rad",
-        "linear": "deviation = coefficient x motion",
-        "quadratic": "variance = coefficient x motion^2",
-    }[noise.law_name]
+    meaning = {"diffusion": "deviation after 1 m or 1 rad", "linear": "deviation = coefficient x motion"}.get(
+        noise.law_name, "variance = coefficient x motion^2"
+    )
     return f"law {'article-code' if article_code else noise.law_name} ({meaning}{step}): {numbers}"
 
 
 def title(drawn: Drawn) -> str:
     """Return the heading of a picture: two short lines."""
-    values = dataclasses.asdict(drawn.noise.coefficients)
-    numbers = "  ".join(f"{name} {value:.3g}" for name, value in values.items() if value or name != "across_trans")
+    numbers = "  ".join(f"{name} {value:.3g}" for name, value in _numbers(drawn.noise))
     name = "article-code (sd passed squared)" if drawn.article_code else drawn.noise.law_name
     step = f" per {drawn.noise.step}" if drawn.noise.step is not None else ""
     return f"Where one motion may end: law {name}{step}, {len(drawn.xyt)} samples, seed {drawn.seed}\n{numbers}"
+
+
+def _numbers(noise: Noise) -> list[tuple[str, float]]:
+    """Return the four coefficients, and those of the rarer ones that are not zero."""
+    values = dataclasses.asdict(noise.coefficients)
+    return [(name, value) for i, (name, value) in enumerate(values.items()) if i < 4 or value]
 
 
 def _pose(xyt: Array) -> str:

@@ -28,6 +28,7 @@ class Move:
     shift_xy : (2,) from start to end, metres
     along_xy : (2,) unit vector along which noise on the travel acts: the bearing of the motion, or where that means
         nothing (below `BEARING_MIN_M`) the heading after half the turn
+    swing : share of rot1's error by which the travel is turned: all of it, or half where a law spreads it over an arc
     steps : the motion as one increment
     """
 
@@ -35,6 +36,7 @@ class Move:
     end_xyt: Array
     shift_xy: Array
     along_xy: Array
+    swing: float
     steps: Increments
 
     @property
@@ -48,14 +50,17 @@ class Move:
         return rot_trans_rot(self.steps)
 
 
-def move_between(start_xyt: Array, end_xyt: Array) -> Move:
-    """Return the motion between two poses (3,)."""
+def move_between(start_xyt: Array, end_xyt: Array, *, arc: bool = False) -> Move:
+    """Return the motion between two poses (3,).
+
+    arc : whether the law is one that spreads rot1 over the translation, `Law.arc`
+    """
     steps = increments(np.stack((start_xyt, end_xyt)))
     shift = end_xyt[:2] - start_xyt[:2]
     length = float(np.hypot(*shift))
     middle = start_xyt[2] + steps.dtheta_rad[0] / 2.0
     along = shift / length if length >= BEARING_MIN_M else np.array([np.cos(middle), np.sin(middle)])
-    return Move(start_xyt, end_xyt, shift, along, steps)
+    return Move(start_xyt, end_xyt, shift, along, 0.5 if arc else 1.0, steps)
 
 
 def move_variances(noise: Noise, move: Move, *, article_code: bool = False) -> Variances:
@@ -69,7 +74,9 @@ def move_variances(noise: Noise, move: Move, *, article_code: bool = False) -> V
         intended one, in units of itself; the law must be `linear`, the article's.
 
     """
-    variances = noise_variances(noise, move.steps, StepGrowth()).variances
+    if noise.coefficients.white_v or noise.coefficients.white_omega:
+        raise ModelError("white noise on twists goes with time, and one motion has none; draw along a bag instead")
+    variances = noise_variances(noise, move.steps, np.zeros(1), StepGrowth()).variances
     if not article_code:
         return variances
     if noise.law_name != "linear":

@@ -60,7 +60,7 @@ def with_noise(move: Move, noise: Array) -> Array:
     along = move.along_xy
     left = np.array([-along[1], along[0]])
     travelled = move.shift_xy + trans[:, None] * along + across[:, None] * left
-    xy = move.start_xyt[:2] + rotate(travelled, rot1)
+    xy = move.start_xyt[:2] + rotate(travelled, move.swing * rot1)
     return np.column_stack((xy, move.start_xyt[2] + move.turn_rad + rot1 + rot2))
 
 
@@ -74,8 +74,8 @@ def linearised_moments(move: Move, variances: Variances) -> Moments:
     along, shift = move.along_xy, move.shift_xy
     jacobian = np.array(
         [
-            [-shift[1], along[0], -along[1], 0.0],
-            [shift[0], along[1], along[0], 0.0],
+            [-move.swing * shift[1], along[0], -along[1], 0.0],
+            [move.swing * shift[0], along[1], along[0], 0.0],
             [1.0, 0.0, 0.0, 1.0],
         ]
     )

@@ -1,0 +1,102 @@
+import math
+
+import numpy as np
+import pytest
+
+from odomcorrupt.errors import ModelError
+from odomcorrupt.laws import Coefficients, Variances
+from odomcorrupt.model import Noise
+from odomcorrupt.sampling.density import density_on_grid, pose_density, product, table_5_5
+from odomcorrupt.sampling.examples import EXAMPLES
+from odomcorrupt.sampling.move import move_between, move_variances
+from odomcorrupt.sampling.samples import move_sampled
+
+FORWARD = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]))
+REVERSE = move_between(np.array([0.3, -0.2, 0.5]), np.array([-0.5, -0.5, 0.2]))
+ARC = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]), arc=True)
+SHORT = move_between(np.array([0.0, 0.0, 0.5]), np.array([0.03, 0.002, 0.7]))
+
+
+def of(rot1, trans, rot2):
+    return Variances(*(np.array([v**2]) for v in (rot1, trans, 0.0, rot2)))
+
+
+NOISES = [
+    (FORWARD, of(0.15, 0.08, 0.1)),
+    (FORWARD, of(0.9, 0.05, 0.7)),  # wraps
+    (FORWARD, of(0.3, 0.6, 0.3)),  # often drives backwards
+    (REVERSE, of(0.2, 0.1, 0.2)),
+    (SHORT, of(0.3, 0.01, 0.2)),  # across its axis a little
+    (ARC, of(0.4, 0.1, 0.2)),
+]
+
+
+@pytest.mark.parametrize(("move", "variances"), NOISES)
+def test_pose_density_is_what_samples_follow(move, variances):
+    """The probability of boxes, by sampling and by integrating: every box within five standard errors."""
+    n = 400_000
+    drawn = move_sampled(move, variances, n, np.random.default_rng(5))
+    drawn[:, 2] = np.mod(drawn[:, 2], 2 * math.pi)
+    rng = np.random.default_rng(6)
+    size = np.array([*(0.3 * drawn[:, :2].std(axis=0)), 0.3])
+    nodes = (np.arange(12) + 0.5) / 12
+    unit = np.stack(np.meshgrid(nodes, nodes, nodes), axis=-1).reshape(-1, 3)
+    centres = drawn[rng.integers(0, n, 25)]
+    for centre in centres:
+        points = centre + (unit - 0.5) * size
+        expected = pose_density(points, move, variances).mean() * size.prod()
+        error = drawn - centre
+        error[:, 2] -= 2 * math.pi * np.round(error[:, 2] / (2 * math.pi))
+        measured = (np.abs(error) <= size / 2).all(axis=1).mean()
+        assert abs(measured - expected) < 5 * math.sqrt(expected / n) + 0.02 * expected
+
+
+@pytest.mark.parametrize(("move", "variances"), [NOISES[0], NOISES[1], NOISES[3], NOISES[5]])
+def test_pose_density_integrates_to_one_and_the_product_does_not(move, variances):
+    assert density_on_grid(move, variances).integral == pytest.approx(1.0, abs=2e-3)
+    length = float(np.hypot(*move.shift_xy))
+    assert density_on_grid(move, variances, reading="product").integral == pytest.approx(move.swing * length, rel=0.02)
+
+
+def test_product_is_three_densities_written_by_hand():
+    def prob(error, variance):
+        return math.exp(-error * error / (2 * variance)) / math.sqrt(2 * math.pi * variance)
+
+    variances = of(0.1, 0.05, 0.12)
+    x0, y0, theta0 = FORWARD.start_xyt
+    rot1, trans, rot2 = (float(v[0]) for v in (FORWARD.parts.rot1_rad, FORWARD.parts.trans_m, FORWARD.parts.rot2_rad))
+    for x, y, theta in ((1.0, 0.45, 1.1), (1.15, 0.3, 1.3)):
+        hat1 = math.atan2(y - y0, x - x0) - theta0
+        hat = math.hypot(x - x0, y - y0)
+        hat2 = theta - theta0 - hat1
+        expected = prob(rot1 - hat1, 0.01) * prob(trans - hat, 0.0025) * prob(rot2 - hat2, 0.0144)
+        ours = product(np.array([[x, y, theta]]), FORWARD, variances)[0]
+        assert ours == pytest.approx(expected, rel=1e-9)
+        assert pose_density(np.array([[x, y, theta]]), FORWARD, variances)[0] == pytest.approx(expected / hat, rel=1e-9)
+
+
+def test_table_5_5_asks_the_law_at_the_hypothesis():
+    noise = Noise("quadratic", Coefficients(0.02, 0.01, 0.02, 0.01))
+    end = FORWARD.end_xyt[None]
+    assert table_5_5(end, FORWARD, noise)[0] == pytest.approx(product(end, FORWARD, move_variances(noise, FORWARD))[0])
+    other = end + np.array([0.3, 0.2, 0.1])
+    hypothesis = move_variances(noise, move_between(FORWARD.start_xyt, other[0]))
+    assert table_5_5(other, FORWARD, noise)[0] == pytest.approx(product(other, FORWARD, hypothesis)[0])
+
+
+def test_odometry_is_the_likeliest_end_of_a_long_drive_by_the_product():
+    example = EXAMPLES["balanced"]
+    move = move_between(np.array(example.start_xyt), np.array(example.end_xyt))
+    variances = move_variances(example.noise, move)
+    best = product(move.end_xyt[None], move, variances)[0]
+    near = move.end_xyt + np.random.default_rng(0).normal(scale=0.02, size=(200, 3))
+    assert (product(near, move, variances) < best).all()
+
+
+@pytest.mark.parametrize(
+    ("variances", "word"),
+    [(of(0.0, 0.1, 0.1), "rot1"), (of(0.1, 0.0, 0.1), "trans"), (Variances(*np.full((4, 1), 0.1)), "across")],
+)
+def test_what_has_no_closed_form_is_refused(variances, word):
+    with pytest.raises(ModelError, match=word):
+        pose_density(FORWARD.end_xyt[None], FORWARD, variances)
