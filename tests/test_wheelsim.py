@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from wheelsim import CAUSES, TRACKERS, Rig, Segment, Tracker, simulate, simulate_without, write_mcap
-from wheelsim.bag import STORE
+from odomcorrupt.simulate import CAUSES, TRACKERS, Rig, Segment, Tracker, simulate, simulate_without, write_mcap
+from odomcorrupt.simulate.bag import STORE
 
 FLAWLESS_RIG = Rig(
     sampling_jitter_s=0.0,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from odomcorrupt.study.clock import Clock, aligned
@@ -9,7 +11,9 @@ from odomcorrupt.study.nodes import join
 from odomcorrupt.study.problem import undo
 from odomcorrupt.study.trajectory import Recording, Trajectory
 from odomcorrupt.study.windows import rmse, time_windows
-from wheelsim import SimulatedRun
+
+if TYPE_CHECKING:
+    from odomcorrupt.simulate import SimulatedRun
 
 
 def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) -> Recording:

@@ -9,12 +9,12 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.laws import Coefficients
+from odomcorrupt.simulate import simulate
 from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import fit
 from odomcorrupt.study.learn import learn
 from odomcorrupt.study.score import score_tests
 from odomcorrupt.study.search import library
-from wheelsim import simulate
 
 SEEDS = range(12)
 

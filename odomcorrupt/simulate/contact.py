@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from wheelsim.planar import add_up_steps
-from wheelsim.robot import Robot
+from odomcorrupt.simulate.planar import add_up_steps
+from odomcorrupt.simulate.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wheelsim.robot import Robot
+from odomcorrupt.simulate.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from wheelsim.run import SimulatedRun
+from odomcorrupt.simulate.run import SimulatedRun
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = {

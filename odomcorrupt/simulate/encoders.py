@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsim.contact import Drive
-from wheelsim.planar import add_up_steps, sample
-from wheelsim.robot import Robot
+from odomcorrupt.simulate.contact import Drive
+from odomcorrupt.simulate.planar import add_up_steps, sample
+from odomcorrupt.simulate.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

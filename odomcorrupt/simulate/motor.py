@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from wheelsim.robot import Robot
+from odomcorrupt.simulate.robot import Robot
 
 HUNTING_MPS_PER_RIPPLE = 0.4
 HUNTING_TAU_S = 0.25

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsim.contact import Drive
-from wheelsim.encoders import jittered_times
-from wheelsim.planar import attach, sample
-from wheelsim.robot import Robot
+from odomcorrupt.simulate.contact import Drive
+from odomcorrupt.simulate.encoders import jittered_times
+from odomcorrupt.simulate.planar import attach, sample
+from odomcorrupt.simulate.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,12 @@ A cause is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock
 such a change looks as an error of the odometry. That is what makes it a judge of those who claim to know.
 """
 
-from wheelsim.bag import write_mcap
-from wheelsim.causes import CAUSES
-from wheelsim.encoders import Rig
-from wheelsim.route import Segment
-from wheelsim.run import SimulatedRun, simulate, simulate_without
-from wheelsim.tracker import TRACKERS, Tracker
+from odomcorrupt.simulate.bag import write_mcap
+from odomcorrupt.simulate.causes import CAUSES
+from odomcorrupt.simulate.encoders import Rig
+from odomcorrupt.simulate.route import Segment
+from odomcorrupt.simulate.run import SimulatedRun, simulate, simulate_without
+from odomcorrupt.simulate.tracker import TRACKERS, Tracker
 
 __all__ = [
     "CAUSES",

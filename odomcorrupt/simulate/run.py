@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wheelsim.causes import CAUSES, draw_parameters
-from wheelsim.contact import drive
-from wheelsim.encoders import Rig, reckon
-from wheelsim.motor import wheel_angles
-from wheelsim.planar import wrap
-from wheelsim.robot import build_robot
-from wheelsim.route import Segment, draw_route, follow
-from wheelsim.streams import stream
-from wheelsim.tracker import TRACKERS, Tracker, watch
+from odomcorrupt.simulate.causes import CAUSES, draw_parameters
+from odomcorrupt.simulate.contact import drive
+from odomcorrupt.simulate.encoders import Rig, reckon
+from odomcorrupt.simulate.motor import wheel_angles
+from odomcorrupt.simulate.planar import wrap
+from odomcorrupt.simulate.robot import build_robot
+from odomcorrupt.simulate.route import Segment, draw_route, follow
+from odomcorrupt.simulate.streams import stream
+from odomcorrupt.simulate.tracker import TRACKERS, Tracker, watch
 
 STEP_S = 0.002
 EPOCH_NS = 1_750_000_000_000_000_000
