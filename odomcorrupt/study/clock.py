@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from odomcorrupt.motion import slopes
+from odomcorrupt.study.headings import with_headings
 from odomcorrupt.study.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ _GRID_S = 0.05
 _SMOOTHING_S = 0.4
 _REACH_S = 3.0
 _STRETCH_S = 40.0
+_MOVING = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +37,14 @@ class Clock:
 
 
 def aligned(recording: Recording, clock: Clock) -> Recording:
-    """Return the recording with the odometry's stamps put on the truth's clock, in whole nanoseconds."""
+    """Return the recording with the odometry's stamps put on the truth's clock, in whole nanoseconds.
+
+    A truth of positions alone gets its headings here, because they need the clock.
+    """
     t_ns = recording.odometry.stamps_ns - recording.origin_ns
     shift = (clock.offset_s * 1e9 + clock.rate * t_ns) / (1.0 + clock.rate)
     stamps = recording.odometry.stamps_ns - np.round(shift).astype(np.int64)
-    return replace(recording, odometry=Trajectory(stamps, recording.odometry.xyt))
+    return with_headings(replace(recording, odometry=Trajectory(stamps, recording.odometry.xyt)))
 
 
 def coarse_clock(recording: Recording) -> Clock:
@@ -75,9 +80,17 @@ def _speeds(t_s: Array, xyt: Array, at_s: Array) -> Array:
     """Return speed and yaw rate (m, 2), each over its own root mean square."""
     world = slopes(t_s, xyt, at_s, _SMOOTHING_S)
     speed = np.linalg.norm(world[:, :2], axis=1)
-    both = np.stack((speed, world[:, 2]), axis=1)
+    turn = world[:, 2] if np.isfinite(xyt[:, 2]).all() else _course_rate(world[:, :2], at_s)
+    both = np.stack((speed, turn), axis=1)
     scaled: Array = both / np.maximum(np.sqrt(np.mean(both**2, axis=0)), 1e-6)
     return scaled
+
+
+def _course_rate(velocity: Array, at_s: Array) -> Array:
+    """Return how fast the direction of travel turns (m,), rad/s; zero where the robot hardly moves."""
+    course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]), period=np.pi)
+    rate: Array = slopes(at_s, course[:, None], at_s, _SMOOTHING_S)[:, 0]
+    return np.where(np.linalg.norm(velocity, axis=1) > _MOVING, rate, 0.0)
 
 
 def _likeness(a: Array, b: Array) -> float:

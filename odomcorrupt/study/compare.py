@@ -18,6 +18,7 @@ from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.clock import aligned
 from odomcorrupt.study.failures import Failure, failures
 from odomcorrupt.study.fit import fit
+from odomcorrupt.study.headings import UNKNOWN_RAD
 from odomcorrupt.study.likelihood import whitener
 from odomcorrupt.study.nodes import join
 from odomcorrupt.study.problem import pose_problem, undo
@@ -135,11 +136,15 @@ class _Judged:
     def __init__(self, recording: Recording, model: MotionModel, approach: Approach) -> None:
         effects = (*model.effects, *model.setup.effects)
         self.model, self.truth = model, model.setup.truth or TruthNoise()
+        flat = self.truth
+        if recording.heading_error_rad is not None:
+            flat = replace(self.truth, yaw_rad=UNKNOWN_RAD)
+            self.truth = replace(self.truth, yaw_rad=recording.heading_error_rad)
         self.problem = pose_problem([recording], effects, approach=approach)
         self.left = undo(recording, effects)
         nodes = self.problem.nodes
         q = nodes.covariance(model.noise.law, model.noise.coefficients, self.problem.steps)
-        self.whitener = whitener(nodes, q, self.truth)
+        self.whitener = whitener(nodes, q, flat)
         self.log_likelihood = self.whitener.log_likelihood(self.whitener.whiten(nodes.residual))
         self.metres = float(nodes.distance_m.sum())
 

@@ -62,7 +62,7 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
 
 def truth_noise(truth: Trajectory) -> Array:
     """Return the deviation (3,) of the truth's white noise, m and rad: second differences cancel smooth driving."""
-    rough = np.diff(truth.xyt, n=2, axis=0)
+    rough = np.diff(np.nan_to_num(truth.xyt), n=2, axis=0)
     noise: Array = np.sqrt(np.median(rough**2, axis=0) / 0.4549 / 6.0)  # 0.4549 is the median of chi-square with 1
     return noise
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.noise_fit import LawPieces, NoiseFit, fit_noise
 from odomcorrupt.study.problem import pose_problem
@@ -82,13 +82,13 @@ def fit(
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         columns = believed_columns(problem, free)
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights)
+        noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights, headings=problem.headings)
         start = noise.free
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         effects, clocks = _moved(effects, clocks, free, noise.theta)
         if not np.any(np.abs(noise.theta) > _SMALL * errors):
             break
-    own = sum(len(parameters(e)) for e in effects)
+    own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[free] = errors[own:]
     return Fit(problem, pieces, noise, errors[:own], clock_errors)
@@ -111,7 +111,7 @@ def _moved(
     new_effects = []
     for effect in effects:
         values = {
-            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in parameters(effect)
+            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
         }
         new_effects.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
     new_clocks = []

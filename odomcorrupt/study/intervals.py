@@ -41,7 +41,13 @@ class Interval:
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     """Return the interval of every coefficient that the law and the drive know; columns are those of the fit."""
-    task = NoiseTask(fitted.problem.nodes, fitted.pieces, columns, fitted.noise.weights)
+    task = NoiseTask(
+        fitted.problem.nodes,
+        fitted.pieces,
+        columns,
+        fitted.noise.weights,
+        headings=fitted.problem.headings,
+    )
     top = fitted.log_likelihood
     free = fitted.noise.free
     found = []

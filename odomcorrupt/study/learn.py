@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import Fit, fit
 from odomcorrupt.study.search import Candidate, Clocks, find_clocks, next_effect, ten_second_error
@@ -111,7 +111,7 @@ def _wald(fitted: Fit) -> dict[str, float]:
     worth = {}
     position = 0
     for effect in fitted.effects:
-        own = parameters(effect)
+        own = amplitudes(effect)
         rows = slice(position, position + len(own))
         position += len(own)
         away = np.array([getattr(effect, p.name) - p.identity for p in own])

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from odomcorrupt.errors import FitError
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.headings import UNKNOWN_RAD
 from odomcorrupt.study.likelihood import Whitener, band_of, factored, floor_band, truth_pieces, truth_weights
 
 if TYPE_CHECKING:
@@ -91,17 +92,23 @@ class NoiseFit:
 
 
 def fit_noise(
-    nodes: Nodes, pieces: LawPieces, columns: Array, *, start: Array | None = None, weights: Array | None = None
+    nodes: Nodes,
+    pieces: LawPieces,
+    columns: Array,
+    *,
+    start: Array | None = None,
+    weights: Array | None = None,
+    headings: bool = True,
 ) -> NoiseFit:
     """Fit coefficients and truth noise by maximum likelihood; columns (K, 3, m) are free linear terms throughout.
 
     Nodes whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the fit
     is repeated; slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more than
     a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
-    that likelihoods can be compared.
+    that likelihoods can be compared. Without headings, the truth's are unknown: their noise is held flat.
     """
     ones = np.ones(len(nodes))
-    task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights)
+    task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights, headings=headings)
     free = task.climb(task.first_guess() if start is None else start)
     plain = done = task.evaluate(free)
     if weights is not None:
@@ -111,7 +118,8 @@ def fit_noise(
         worse = square > _OUTLIER
         if worse.mean() < _CHANCE:
             break
-        task = NoiseTask(nodes, pieces, columns, np.where(worse, done.weights * square / 3.0, done.weights))
+        heavier = np.where(worse, done.weights * square / 3.0, done.weights)
+        task = NoiseTask(nodes, pieces, columns, heavier, headings=headings)
         done = task.evaluate(task.climb(done.free))
     return plain if np.mean(done.weights > 1.0) > _SIGNAL else done
 
@@ -119,10 +127,10 @@ def fit_noise(
 class NoiseTask:
     """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
 
-    def __init__(self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array) -> None:
+    def __init__(self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True) -> None:
         if not pieces.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
-        self._nodes, self._pieces, self._weights = nodes, pieces, weights
+        self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
         self._stacked = np.concatenate((nodes.residual[:, :, None], columns), axis=2)
         bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
@@ -133,6 +141,8 @@ class NoiseTask:
         """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
         scale = np.median(np.abs(self._nodes.residual), axis=0)
         truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
+        if not self._headings:
+            truth[1] = UNKNOWN_RAD
         return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
 
     def evaluate(self, free: Array) -> NoiseFit:
@@ -156,6 +166,8 @@ class NoiseTask:
         active = len(self._pieces.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        if not self._headings:
+            low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
         found = minimize(

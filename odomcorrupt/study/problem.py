@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.motion import corrected_increments, motion_of
+from odomcorrupt.motion import corrected_increments, error_of, motion_of
 from odomcorrupt.study.clock import Clock, aligned
 from odomcorrupt.study.drivers import driving_motion
 from odomcorrupt.study.nodes import Nodes, join, lay_nodes
@@ -58,6 +58,11 @@ class Problem:
     motions: tuple[Motion, ...]
 
     @property
+    def headings(self) -> bool:
+        """Whether the truth of every recording has headings of its own."""
+        return all(np.isfinite(r.truth.xyt[:, 2]).all() for r in self.recordings)
+
+    @property
     def steps(self) -> Increments:
         """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
         parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
@@ -67,12 +72,10 @@ class Problem:
         return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
 
     def columns(self, effect: Effect) -> Array:
-        """Return (K, 3, p): what a small change of each of the effect's p parameters does to the residuals."""
-        own = [p for p in parameters(effect) if p.amplitude]
+        """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
         blocks = []
-        for p in own:
-            step = 1e-3 * p.typical
-            error = [-_slope(effect, p.name, step, m) * m.dt_s[:, None] for m in self.motions]
+        for p in amplitudes(effect):
+            error = [-_slope(effect, p.name, p.step, m) * m.dt_s[:, None] for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error)))
         return np.stack(blocks, axis=2)
 
@@ -111,4 +114,5 @@ def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
     """Return the derivative (n, 3) of f with respect to one parameter."""
     more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
     less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
-    return (more.twist_error(motion, None).f - less.twist_error(motion, None).f) / (2.0 * step)
+    slope: Array = (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
+    return slope

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model import MotionModel, Noise, Setup
 from odomcorrupt.study.approach import choose_approach
@@ -68,7 +68,7 @@ def fit_robot(
     fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
     intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
-    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in parameters(effect)]
+    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
     errors |= dict(zip(names, map(float, fitted.standard_errors), strict=True))
     error = ten_second_error(fitted)
     model = MotionModel(

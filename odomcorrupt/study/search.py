@@ -7,6 +7,7 @@ is physically possible and well enough known, and the drift over 10 s of the dat
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.clock import Clock, aligned, coarse_clock
 from odomcorrupt.study.fit import Fit, believed_columns, fit
 from odomcorrupt.study.problem import undo
@@ -90,9 +91,23 @@ class Candidate:
 
 
 def library(fitted: Fit) -> list[Effect]:
-    """Return every registered systematic effect that the model does not have, at its identity; clocks are apart."""
+    """Return every registered systematic effect that the model does not have, at its identity; clocks are apart.
+
+    Left out are exact twins of others, effects on single wheels where no track is known, and those with shapes, which
+    need a scan (`Effect.scan`).
+    """
     have = {effect.name for effect in fitted.effects}
-    return [kind() for name, kind in registry().items() if name not in have and kind.kind != "noise" and not kind.clock]
+    tracks = all(recording.track_m is not None for recording in fitted.problem.recordings)
+    return [
+        kind()
+        for name, kind in registry().items()
+        if name not in have
+        and kind.kind != "noise"
+        and not kind.clock
+        and kind.twin_of is None
+        and (tracks or not kind.needs_track)
+        and amplitudes(kind) == parameters(kind)
+    ]
 
 
 def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
@@ -119,9 +134,9 @@ def _objection(score: Score) -> str:
     """Return why an effect is out of question, or nothing."""
     if not score.separable:
         return "cannot be told from what is in the model"
-    for p, value, error in zip(parameters(score.effect), score.estimate, score.standard_error, strict=True):
+    for p, value, error in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True):
         room = p.high if value > 0.0 else -p.low
-        if error * _KNOWN > 0.5 * room:
+        if error * _KNOWN > 0.5 * max(p.high, -p.low):
             return "not testable on this drive"
         if abs(value) > room:
             return f"{p.name} would be {value:.3g}, beyond what is physically possible"
@@ -134,9 +149,8 @@ def _objection(score: Score) -> str:
 
 def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
     problem = fitted.problem
-    moved = type(score.effect)(
-        **{p.name: float(v) for p, v in zip(parameters(score.effect), score.estimate, strict=True)}
-    )
+    values = {p.name: float(v) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)}
+    moved = dataclasses.replace(score.effect, **values)  # type: ignore[type-var]
     again = fit(
         problem.recordings,
         (*problem.effects, moved),
@@ -146,7 +160,7 @@ def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]
         start=fitted.noise.free,
         weights=fitted.noise.weights,
     )
-    count = len(parameters(score.effect))
+    count = len(amplitudes(score.effect))
     gain = again.log_likelihood - fitted.log_likelihood - 0.5 * count * float(np.log(len(problem.nodes)))
     before, after = ten_second_error(fitted), ten_second_error(again)
     refused = ""

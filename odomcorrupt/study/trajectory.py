@@ -23,7 +23,7 @@ class Trajectory:
     """n poses with strictly growing stamps.
 
     stamps_ns : (n,) int64, nanoseconds since 1970
-    xyt : (n, 3) metres and radians, headings unwrapped
+    xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
     """
 
     stamps_ns: NDArray[np.int64]
@@ -57,6 +57,7 @@ class Recording:
     origin_ns : what float times count from: the odometry's first stamp as it was recorded
     track_m : the robot's nominal track where it is known
     notes : what reading it left out or noticed, in words
+    heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     """
 
     name: str
@@ -65,6 +66,7 @@ class Recording:
     origin_ns: int
     track_m: float | None = None
     notes: tuple[str, ...] = ()
+    heading_error_rad: float | None = None
 
     @property
     def odometry_s(self) -> Array:
