@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader
 
-__all__ = ["Definition", "RosType", "md5sum_of", "retyped", "ros_type"]
+__all__ = ["Definition", "RosType", "md5sum_of", "retyped", "ros_type", "with_common_text"]
 
 _TYPED = ("md5sum", "topic_type_hash", "type")
 """Metadata that belong to the type, not to the topic."""
@@ -72,6 +72,15 @@ def retyped(reader: BagReader, msgtype: str, encoding: str, like: Definition) ->
     values = {"md5sum": kind.digest, "topic_type_hash": kind.digest, "type": kind.name}
     metadata = {**like.metadata, **{key: value for key, value in values.items() if key in like.metadata}}
     return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
+
+
+def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Definition:
+    """Fill in the definition of a common type that the bag does not bring along; leave it empty for others."""
+    try:
+        kind = ros_type(msgtype, encoding)
+    except BagError:
+        return definition
+    return definition._replace(encoding="ros1msg" if encoding == "ros1" else "ros2msg", text=kind.text.encode())
 
 
 def _without(metadata: Mapping[str, str], keys: tuple[str, ...]) -> dict[str, str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt import __version__
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import retyped
+from odomcorrupt.bags.definition import retyped, with_common_text
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord, string
 from odomcorrupt.errors import BagError
@@ -104,6 +104,9 @@ class Directory:
         if identifier > _LAST_ID:
             raise BagError(f"{channel.topic}: is topic number {identifier}; an MCAP holds {_LAST_ID + 1}")
         self._ids[channel.id] = identifier
+        if not definition.text and channel.encoding in ("ros1", "cdr"):
+            # Old ROS 2 bags keep no definitions, but without one nothing reads an MCAP's messages.
+            definition = with_common_text(definition, channel.msgtype, channel.encoding)
         schema = self._schema_id(definition)
         self._channels[identifier] = ChannelRecord(
             identifier, schema, channel.topic, channel.encoding, definition.metadata

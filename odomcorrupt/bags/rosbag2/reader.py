@@ -47,12 +47,13 @@ class Rosbag2Reader:
             raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
         self.channels: Mapping[int, Channel] = self.parts[0].channels
         self.numbers: list[dict[int, int]] = []
-        self._definitions: dict[int, Definition] = {}
+        self._origins: dict[int, tuple[SqliteReader | McapReader, Channel]] = {}
         self._number()
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the first file that has a channel says of its type."""
-        return self._definitions[channel.id]
+        part, own = self._origins[channel.id]
+        return part.definition(own)
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks, file after file."""
@@ -80,7 +81,7 @@ class Rosbag2Reader:
                     number = max(channels, default=0) + 1
                 if number not in channels:
                     channels[number] = Channel(number, *key, raw=channel.raw)
-                    self._definitions[number] = part.definition(channel)
+                    self._origins[number] = (part, channel)
                 same.setdefault(key, number)
                 numbers[channel.id] = number
             self.numbers.append(numbers)

@@ -1,0 +1,382 @@
+"""ROS 2 bags in and out: sqlite3 and MCAP, whole and split, judged by sqlite and the rosbags library."""
+
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles import FIXTURES, OFFICE_MCAP, SHARED, copy, damaged_copies_fail, mcap_extras, mcap_messages
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2LibraryWriter
+from rosbags.typesys import Stores, get_typestore
+from ruamel.yaml import YAML
+
+from odomcorrupt.bags.block import Message
+from odomcorrupt.bags.messages import READABLE, gather, locate, scatter
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.errors import BagError
+
+OFFICE = FIXTURES / "office_ros2"
+OFFICE_DB = OFFICE / "office_ros2.db3"
+SHIFT = np.array([10.0, 20.0, 30.0])
+DIRECTORIES = [path.parent for path in sorted(SHARED.rglob("metadata.yaml"))]
+
+
+def dump(path):
+    """Return everything in a sqlite3 file."""
+    with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
+        return list(connection.iterdump())
+
+
+def ros2_messages(path):
+    """Return the messages of a ROS 2 bag as the rosbags library reads them."""
+    with Reader(path) as reader:
+        return [
+            (one.topic, one.msgtype, str(one.ext.offered_qos_profiles), time_ns, bytes(data))
+            for one, time_ns, data in reader.messages()
+        ]
+
+
+def info_of(path):
+    return YAML(typ="safe").load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+def split(target, storage, parts):
+    """Write the office drive as a bag of several files whose topics are numbered differently."""
+    names = []
+    for index in range(parts):
+        one = target.parent / f"{target.name}_{index}"
+        with Reader(OFFICE) as reader, Ros2LibraryWriter(one, version=8, storage_plugin=storage) as writer:
+            known = sorted(reader.connections, key=lambda one: one.topic, reverse=index % 2 == 1)
+            if index:
+                known = [connection for connection in known if connection.topic != "/tf_static"]
+            made = {
+                connection.topic: writer.add_connection(
+                    connection.topic,
+                    connection.msgtype,
+                    msgdef=connection.msgdef.data,
+                    rihs01=connection.digest,
+                    offered_qos_profiles=connection.ext.offered_qos_profiles,
+                )
+                for connection in known
+            }
+            for number, (connection, time_ns, data) in enumerate(reader.messages()):
+                if number * parts // 2487 == index:
+                    writer.write(made[connection.topic], time_ns, data)
+        names.append(next(path for path in one.iterdir() if path.suffix != ".yaml"))
+    target.mkdir()
+    for name in names:
+        shutil.move(name, target / name.name)
+        shutil.rmtree(name.parent)
+    return target
+
+
+@pytest.fixture(params=["whole sqlite3", "split sqlite3", "whole mcap", "split mcap", "without metadata", "file"])
+def bag(request, tmp_path):
+    kind = request.param
+    if kind == "whole sqlite3":
+        return OFFICE
+    if kind == "file":
+        return OFFICE_DB
+    if kind.startswith("split"):
+        made = split(tmp_path / "in", getattr(StoragePlugin, kind.split()[1].upper()), 3)
+        copy(made, tmp_path / "with metadata")
+        shutil.rmtree(made)
+        return tmp_path / "with metadata"
+    if kind == "whole mcap":
+        return split(tmp_path / "in", StoragePlugin.MCAP, 1)
+    (tmp_path / "in").mkdir()
+    shutil.copy(OFFICE_DB, tmp_path / "in")
+    return tmp_path / "in"
+
+
+def test_nothing_patched_keeps_every_message_topic_and_qos(bag, tmp_path):
+    out = copy(bag, tmp_path / "out")
+    assert ros2_messages(out) == ros2_messages(OFFICE)
+    before = OFFICE if bag.is_file() else bag
+    for path in before.iterdir():
+        if path.suffix == ".db3":
+            assert dump(out / path.name) == dump(path)
+        elif path.suffix == ".yaml" and bag.is_dir():
+            assert (out / path.name).read_text() == path.read_text()
+        elif path.suffix == ".mcap":
+            assert mcap_messages(out / path.name) == mcap_messages(path)
+            assert mcap_extras(out / path.name)[1:] == mcap_extras(path)[1:]
+
+
+def test_metadata_made_for_a_bag_without_says_what_the_library_counts(tmp_path):
+    for storage in StoragePlugin:
+        made = split(tmp_path / f"in {storage.name}", storage, 3)
+        info = info_of(copy(made, tmp_path / f"out {storage.name}"))
+        known = info_of(OFFICE)
+        assert info["storage_identifier"] == storage.name.lower()
+        for key in ("message_count", "starting_time", "duration"):
+            assert info[key] == known[key]
+        counts = {one["topic_metadata"]["name"]: one["message_count"] for one in info["topics_with_message_count"]}
+        assert counts == {
+            one["topic_metadata"]["name"]: one["message_count"] for one in known["topics_with_message_count"]
+        }
+        assert sum(file["message_count"] for file in info["files"]) == info["message_count"]
+        assert [file["path"] for file in info["files"]] == info["relative_file_paths"]
+
+
+def shift(reader, _writer, block):
+    for channel in reader.channels.values():
+        if channel.msgtype == "nav_msgs/msg/Odometry":
+            for layout in locate(block, channel):
+                values = gather(block, layout, layout.items[0], "position")
+                scatter(block, layout, layout.items[0], "position", values + SHIFT)
+
+
+def positions(path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(path) as reader:
+        odom = [one for one in reader.connections if one.topic == "/odom"]
+        points = [
+            store.deserialize_cdr(data, "nav_msgs/msg/Odometry").pose.pose.position
+            for _, _, data in reader.messages(odom)
+        ]
+    return np.array([[point.x, point.y, point.z] for point in points])
+
+
+@pytest.mark.parametrize("only_wanted", [False, True])
+def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_wanted):
+    out = tmp_path / "out"
+    with open_reader(bag) as reader, open_writer(out, reader) as writer:
+        wanted = {channel.id for channel in reader.channels.values() if channel.msgtype in READABLE}
+        for block in reader.blocks(wanted if only_wanted and writer.keeps_rest else None):
+            shift(reader, writer, block)
+            writer.write(block)
+    np.testing.assert_array_equal(positions(out), positions(OFFICE) + SHIFT)
+    assert [one for one in ros2_messages(out) if one[0] != "/odom"] == [
+        one for one in ros2_messages(OFFICE) if one[0] != "/odom"
+    ]
+
+
+def test_added_messages_and_topics_are_there_and_counted(bag, tmp_path):
+    made = {}
+
+    def add(reader, writer, block):
+        if not len(block.table):
+            return
+        if not made:
+            odom = next(one for one in reader.channels.values() if one.topic == "/odom")
+            made["truth"] = writer.add_channel("/odom_truth", odom.msgtype, odom)
+            made["pose"] = writer.add_channel("/pose", "geometry_msgs/msg/PoseStamped", odom)
+            made["odom"] = odom
+        for channel in made.values():
+            block.added.append(Message(channel.id, int(block.table["log_ns"][0]) + 1, b"\0\1\0\0added"))
+
+    out = copy(bag, tmp_path / "out", add)
+    seen = ros2_messages(out)
+    extra = [one for one in seen if one[4] == b"\0\1\0\0added"]
+    assert {one[0] for one in extra} == {"/odom_truth", "/pose", "/odom"}
+    odom = next(one for one in seen if one[0] == "/odom")
+    truth = next(one for one in extra if one[0] == "/odom_truth")
+    assert truth[1:3] == odom[1:3]
+    assert [one for one in seen if one not in extra] == ros2_messages(OFFICE)
+    info = info_of(out)
+    assert info["message_count"] == len(seen) == sum(file["message_count"] for file in info["files"])
+    counts = {one["topic_metadata"]["name"]: one["message_count"] for one in info["topics_with_message_count"]}
+    assert counts["/odom_truth"] == counts["/pose"] == counts["/odom"] - 800 > 0
+
+
+def test_provenance_is_custom_data_and_stays_readable(bag, tmp_path):
+    with open_reader(bag) as reader, open_writer(tmp_path / "out", reader) as writer:
+        writer.provenance("odomcorrupt", {"seed": "7", "model": "[noise]\nlaw = 'diffusion'\n"})
+        for block in reader.blocks():
+            writer.write(block)
+    assert info_of(tmp_path / "out")["custom_data"] == {
+        "odomcorrupt.seed": "7",
+        "odomcorrupt.model": "[noise]\nlaw = 'diffusion'\n",
+    }
+    assert ros2_messages(tmp_path / "out") == ros2_messages(OFFICE)
+    for path in (tmp_path / "out").glob("*.mcap"):
+        extras = dict(mcap_extras(path)[2])
+        assert "odomcorrupt" not in extras or extras["odomcorrupt"]["seed"] == "7"
+
+
+def test_any_ros2_bag_becomes_one_mcap(bag, tmp_path):
+    out = copy(bag, tmp_path / "out.mcap")
+    seen = [(one.topic, one.type[0], one.times[0], one.data) for one in mcap_messages(out)]
+    assert seen == [(one[0], one[1], one[3], one[4]) for one in ros2_messages(OFFICE)]
+    with open_reader(OFFICE_MCAP) as reader:
+        texts = {channel.msgtype: reader.definition(channel).text for channel in reader.channels.values()}
+    assert {(one.type[0], one.type[2]) for one in mcap_messages(out)} == set(texts.items())
+
+
+def test_a_split_mcap_that_becomes_one_keeps_publish_times_and_sequences(tmp_path):
+    (tmp_path / "in").mkdir()
+    for name in ("a_0.mcap", "a_1.mcap"):
+        shutil.copy(OFFICE_MCAP, tmp_path / "in" / name)
+    out = copy(tmp_path / "in", tmp_path / "out.mcap")
+    assert mcap_messages(out) == mcap_messages(OFFICE_MCAP) * 2
+    assert len(mcap_extras(out)[1]) == 2
+
+
+def test_a_file_becomes_a_file_when_its_name_says_so(tmp_path):
+    for source in (OFFICE, OFFICE_DB):
+        out = copy(source, tmp_path / f"{source.name}.out.db3", shift)
+        assert out.is_file()
+        np.testing.assert_array_equal(positions(copy(out, tmp_path / f"{source.name} out")), positions(OFFICE) + SHIFT)
+
+
+def test_a_recording_with_a_live_log_is_read_whole(tmp_path):
+    live = tmp_path / "in" / "live.db3"
+    live.parent.mkdir()
+    shutil.copy(OFFICE_DB, live)
+    with closing(sqlite3.connect(live, isolation_level=None)) as recorder:
+        recorder.execute("PRAGMA journal_mode = WAL")
+        recorder.execute("PRAGMA wal_autocheckpoint = 0")
+        recorder.execute(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 1700000099000000000, x'00010000')"
+        )
+        assert live.with_name("live.db3-wal").stat().st_size
+        out = copy(live.parent, tmp_path / "out")
+        assert sorted(path.name for path in out.iterdir()) == ["live.db3", "metadata.yaml"]
+        assert len(ros2_messages(out)) == 2488
+        assert info_of(out)["message_count"] == 2488
+
+
+def test_all_versions_of_the_tables_are_read(tmp_path):
+    old = tmp_path / "old.db3"
+    shutil.copy(OFFICE_DB, old)
+    with closing(sqlite3.connect(old, isolation_level=None)) as connection:
+        for statement in (
+            "DROP TABLE schema",
+            "DROP TABLE metadata",
+            "DROP TABLE message_definitions",
+            "ALTER TABLE topics DROP COLUMN type_description_hash",
+            "ALTER TABLE topics DROP COLUMN offered_qos_profiles",
+        ):
+            connection.execute(statement)
+    out = copy(old, tmp_path / "out.db3", shift)
+    assert len(dump(out)) == len(dump(old))
+    # Common types get their definitions in an MCAP, without which nobody reads it.
+    texts = {one.type[0]: one.type[2] for one in mcap_messages(copy(old, tmp_path / "out.mcap"))}
+    assert b"geometry_msgs/TwistWithCovariance twist" in texts["nav_msgs/msg/Odometry"]
+    assert texts["office_msgs/msg/Door"] == b""
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("with_metadata", [True, False])
+def test_compressed_files_and_messages_are_refused_in_a_line(tmp_path, mode, with_metadata):
+    with Reader(OFFICE) as reader:
+        writer = Ros2LibraryWriter(tmp_path / "in", version=8, storage_plugin=StoragePlugin.SQLITE3)
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+        with writer:
+            one = reader.connections[0]
+            made = writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
+            writer.write(made, 1, b"\0\1\0\0")
+    if not with_metadata:
+        (tmp_path / "in" / "metadata.yaml").unlink()
+    with pytest.raises(BagError, match="compressed") as caught:
+        open_reader(tmp_path / "in")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "not a rosbag2 metadata.yaml"),
+        ("a: [", "cannot be read"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: [gone.db3]\n", "gone.db3"),
+        ("rosbag2_bagfile_information:\n  relative_file_paths: []\n", "no file"),
+    ],
+)
+def test_a_bad_metadata_file_is_an_error_that_names_it(tmp_path, text, words):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match=words):
+        open_reader(tmp_path / "in")
+
+
+def test_a_directory_without_a_bag_is_an_error(tmp_path):
+    with pytest.raises(BagError, match="without a bag"):
+        open_reader(tmp_path)
+
+
+def test_a_file_cut_anywhere_is_an_error_and_leaves_nothing(tmp_path):
+    size = OFFICE_DB.stat().st_size
+    offsets = [1, 15, 16, 99, 100, *np.linspace(101, size - 1, 40).astype(int).tolist(), 4096, 8192, size - 4096]
+    assert damaged_copies_fail(OFFICE_DB, tmp_path, offsets, ".db3") == []
+
+
+def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
+    rng = np.random.default_rng(8)
+    data = OFFICE_DB.read_bytes()
+    places = [*range(16, 100), *range(100, 4096, 37), *rng.integers(0, len(data), 100).tolist()]
+    for offset in places:
+        damaged = bytearray(data)
+        damaged[offset] ^= int(rng.integers(1, 256))
+        (tmp_path / "in.db3").write_bytes(damaged)
+        try:
+            copy(tmp_path / "in.db3", tmp_path / "out.db3", shift, overwrite=True)
+        except BagError:
+            assert not list(tmp_path.glob(".*"))
+
+
+@pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError])
+def test_a_failure_leaves_nothing_and_what_was_there_before(bag, tmp_path, failure):
+    out = tmp_path / "out"
+    for before in (False, True):
+        if before:
+            shutil.copytree(OFFICE, out)
+        known = {path.name for path in tmp_path.iterdir()}
+
+        def fail(_reader, _writer, _block):
+            raise failure
+
+        with pytest.raises(failure):
+            copy(bag, out, fail, overwrite=True)
+        assert {path.name for path in tmp_path.iterdir()} == known
+        assert not before or ros2_messages(out) == ros2_messages(OFFICE)
+
+
+def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
+    out = tmp_path / "out"
+    copy(OFFICE, out, shift)
+    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="--overwrite"):
+        open_writer(out, reader)
+    copy(OFFICE, out, overwrite=True)
+    assert ros2_messages(out) == ros2_messages(OFFICE)
+    (out / "thesis.tex").write_text("years of work")
+    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="holds more"):
+        open_writer(out, reader, overwrite=True)
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="is a directory"):
+        open_writer(out, reader, overwrite=True)
+    (tmp_path / "file").touch()
+    with open_reader(OFFICE) as reader, pytest.raises(BagError, match="is a file"):
+        open_writer(tmp_path / "file", reader, overwrite=True)
+
+
+@pytest.mark.parametrize("name", [OFFICE.name, OFFICE_DB.name])
+def test_the_input_is_never_the_output(tmp_path, name):
+    bag = shutil.copytree(OFFICE, tmp_path / OFFICE.name)
+    source = bag if name == OFFICE.name else bag / name
+    with open_reader(source) as reader, pytest.raises(BagError, match="is the input"):
+        open_writer(source, reader, overwrite=True)
+
+
+def test_what_cannot_become_sqlite3_says_so(tmp_path):
+    for source in (OFFICE_MCAP, split(tmp_path / "in", StoragePlugin.SQLITE3, 2)):
+        with open_reader(source) as reader, pytest.raises(BagError, match=r"\.mcap"):
+            open_writer(tmp_path / "out.db3", reader)
+
+
+@pytest.mark.parametrize("path", DIRECTORIES, ids=lambda path: path.name)
+def test_recordings_of_others_go_through(path, tmp_path):
+    out = copy(path, tmp_path / "out")
+    assert (out / "metadata.yaml").read_bytes() == (path / "metadata.yaml").read_bytes()
+    for file in path.glob("*.db3"):
+        assert dump(out / file.name) == dump(file)
+    mcap = copy(path, tmp_path / "out.mcap")
+    assert len(mcap_messages(mcap)) == info_of(path)["message_count"]
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
+def test_recordings_of_others_were_looked_at():
+    assert all(isinstance(path, Path) for path in DIRECTORIES)
+    assert DIRECTORIES
