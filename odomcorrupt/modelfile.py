@@ -32,7 +32,12 @@ _COEFFICIENTS = {
     "trans_trans": "m per sqrt(m)",
     "trans_rot": "m per sqrt(rad)",
     "across_trans": "m per sqrt(m)",
+    "end_trans": "of the law velocity",
+    "end_rot": "of the law velocity",
+    "white_v": "m/s",
+    "white_omega": "rad/s",
 }
+_REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
 _TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
@@ -80,7 +85,7 @@ def _noise(table: Mapping[str, Any], errors: dict[str, float]) -> Noise:
     _only(table, ("law", "step", *_COEFFICIENTS), "[noise]")
     values = {}
     for name in _COEFFICIENTS:
-        if name not in table and name != "across_trans":
+        if name not in table and name in _REQUIRED:
             raise ModelError(f"[noise]: {name} is missing; write 0 where there is none")
         values[name] = _measured(table.get(name, 0.0), name, errors)
     step = table.get("step", "message")
@@ -192,7 +197,7 @@ def format_model(model: MotionModel) -> str:
     diffusion = model.noise.law_name == "diffusion"
     for name, unit in _COEFFICIENTS.items():
         value = getattr(model.noise.coefficients, name)
-        if name != "across_trans" or value:
+        if name in _REQUIRED or value:
             lines.append(f"{name} = {_value(value, errors.get(name))}" + (f"  # {unit}" if diffusion else ""))
     for effect in model.effects:
         lines += ["", "[[effect]]", *_effect_lines(effect, errors)]

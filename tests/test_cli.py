@@ -127,13 +127,42 @@ def test_degrees_effects_laws_and_steps_are_said_back(corrupt):
 
 def test_a_law_that_depends_on_the_rate_says_so_with_the_drift_it_means_here(corrupt):
     _, said, _ = corrupt("--preset", "article", "--seed", "1")
-    assert "The law linear is applied once per message: these numbers mean a drift of 0." in said
+    assert "Once per message acts the law linear: these numbers mean a drift of 0." in said
     assert "per 10 m at this bag's 50 Hz" in said
 
 
 def test_effects_alone_draw_no_noise_and_say_so(corrupt):
     _, said, _ = corrupt("--effect", "wheel_scale:e=0.01", "--seed", "1")
-    assert "No noise (no noise beside the effects); effects wheel_scale (e 0.01)" in said
+    assert "No noise; effects wheel_scale (e 0.01)" in said
+
+
+@pytest.mark.parametrize(
+    ("alphas", "law", "said_back"),
+    [
+        (
+            "0.01 0.02 0.03 0.04 0.05",
+            "omni",
+            "rot_rot 0.01 rot_trans 0.02 trans_trans 0.03 trans_rot 0.04 across_trans 0.05",
+        ),
+        (
+            "1e-3 2e-3 3e-3 4e-3 5e-3 6e-3",
+            "velocity",
+            "rot_rot 0.004 rot_trans 0.003 trans_trans 0.001 trans_rot 0.002",
+        ),
+        ("1e-3 2e-3 3e-3 4e-3", "velocity", "end_trans 0 end_rot 0"),
+    ],
+)
+def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, capsys, alphas, law, said_back):
+    target = tmp_path / "out.mcap"
+    assert run(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "--seed", "1"]) == 0
+    assert said_back in capsys.readouterr().err
+    assert run([OFFICE, str(target), "--overwrite", "--law", law, "--seed", "1", "--alpha", *alphas.split()]) == 0
+
+
+def test_white_noise_on_twists_is_said_with_the_rate_it_depends_on(corrupt):
+    _, said, _ = corrupt("--twist-noise", "0.2", "0.04", "--seed", "1")
+    assert "white_v 0.2 white_omega 0.04" in said
+    assert "Once per message acts white noise on twists: these numbers mean a drift of" in said
 
 
 def test_what_still_tells_the_truth_is_named(corrupt):
@@ -161,7 +190,11 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
     [
         (["--alpha", "1", "2", "3", "x"], "coefficient: 'x'; write a number"),
         (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a finite number, zero or more"),
-        (["--alpha", "1", "2", "3"], "'--alpha' requires 4 arguments"),
+        (["--alpha", "1", "2", "3"], "alpha: 3 numbers; the law diffusion takes 4"),
+        (["--alpha", "1", "2", "3", "4", "5"], "alpha: 5 numbers; the law diffusion takes 4"),
+        (["--alpha", "1", "2", "3", "4", "5", "6", "--law", "omni"], "alpha: 6 numbers; the law omni takes 4 to 5"),
+        (["--alpha"], "alpha: 0 numbers; the law diffusion takes 4"),
+        (["--twist-noise", "-1", "0"], "coefficient white_v: -1.0"),
         (["--law", "linear"], "--law linear: what coefficients mean depends on the law"),
         (["--alpha", "0", "0", "0", "0", "--law", "cubic"], "no law is called 'cubic'; there are diffusion"),
         (["--preset", "ideal"], "no preset is called 'ideal'; there are typical, article"),
@@ -218,7 +251,7 @@ def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_noth
         (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
         (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
         (["--effect", "wheel_scale:e=1"], "too strong to be put into this drive"),
-        (["--compression", "rar"], "compression rar: is not one of"),
+        (["--compression", "rar"], "compression rar: is not one"),
         (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,9 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model import MotionModel, Noise
 
-__all__ = ["Chosen", "choose_model", "model_options"]
+__all__ = ["AlphaCommand", "Chosen", "choose_model", "model_options"]
+
+MOST = 6
+"""The most coefficients that any law has."""
+
+NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,20 +47,48 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="Apply a book law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
         ),
         click.option(
-            "--law", metavar="NAME", help="What the four mean: diffusion, linear, quadratic. [default: diffusion]"
+            "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
         ),
         click.option(
-            "--alpha", nargs=4, metavar="A1 A2 A3 A4", help="Noise: 0.05, 5deg (after 1 rad), 10deg/m (after 1 m)."
+            "--law",
+            metavar="NAME",
+            help="What A1... mean: diffusion, linear, quadratic, velocity, omni. [default: diffusion]",
+        ),
+        click.option(
+            "--alpha",
+            metavar="A1 A2 A3 A4",
+            help="Noise: as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
         ),
     ):
         command = option(command)
     return command
 
 
+class AlphaCommand(click.Command):
+    """A command whose --alpha takes as many numbers as follow it: laws differ in how many they have."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Join the numbers behind --alpha into one value."""
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            joined.append(rest.pop(0))
+            if joined[-1] == "--":
+                break
+            if joined[-1] == "--alpha":
+                count = next((i for i, word in enumerate(rest[:MOST]) if not NUMBER.match(word)), min(len(rest), MOST))
+                # fewer than four are taken as four, so that what is not a number can be named
+                count = max(count, min(4, len(rest)))
+                joined.append(" ".join(rest[:count]))
+                del rest[:count]
+        return super().parse_args(ctx, joined + rest)
+
+
 def choose_model(
     *,
-    alpha: tuple[str, ...] | None,
+    alpha: str | None,
     law: str | None,
+    twist_noise: tuple[float, float] | None,
     step: str | None,
     preset: str | None,
     effects: tuple[str, ...],
@@ -80,40 +114,50 @@ def choose_model(
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
     base = None if model is None else read_model(model)
     try:
-        return _compose(alpha, law, step, preset, effects, base, model)
+        added = tuple(_effect(text) for text in effects)
+        noise, origin = _noise(alpha, law, preset, base, others=bool(added or twist_noise))
+        if base is not None and alpha is None:
+            origin = f"of {model}"
+        noise = _refined(noise, step, twist_noise)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
+    start = _model_of(noise) if base is None else replace(base, noise=noise)
+    return Chosen(replace(start, effects=start.effects + added), origin)
 
 
-def _compose(
-    alpha: tuple[str, ...] | None,
-    law: str | None,
-    step: str | None,
-    preset: str | None,
-    effects: tuple[str, ...],
-    base: MotionModel | None,
-    file: Path | None,
-) -> Chosen:
+def _noise(
+    alpha: str | None, law: str | None, preset: str | None, base: MotionModel | None, *, others: bool
+) -> tuple[Noise, str]:
+    """Return the noise, and where it comes from; none where only other errors are asked for."""
     from odomcorrupt.laws import Coefficients, law_named
-    from odomcorrupt.model import MotionModel, Noise, Step, parse_alpha
+    from odomcorrupt.model import Noise, parse_alpha
     from odomcorrupt.presets import DEFAULT, preset_named
 
-    added = tuple(_effect(text) for text in effects)
-    origin = ""
     if alpha is not None:
         chosen_law = law_named(law or (base.noise.law_name if base is not None else "diffusion"))
-        noise = Noise(chosen_law.name, Coefficients(*(parse_alpha(text) for text in alpha)))
-    elif base is not None:
-        noise, origin = base.noise, f"of {file}"
-    elif preset is None and added:
-        noise, origin = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), "no noise beside the effects"
-    else:
-        chosen = preset_named(preset or DEFAULT)
-        noise, origin = chosen.noise, f"preset {chosen.name}: {chosen.source}"
-    if step is not None:
-        noise = replace(noise, step=Step.parse(step))
-    model = MotionModel(noise) if base is None else replace(base, noise=noise)
-    return Chosen(replace(model, effects=model.effects + added), origin)
+        return Noise(chosen_law.name, chosen_law.coefficients([parse_alpha(word) for word in alpha.split()])), ""
+    if base is not None:
+        return base.noise, ""
+    if preset is None and others:
+        return Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), ""
+    chosen = preset_named(preset or DEFAULT)
+    return chosen.noise, f"preset {chosen.name}: {chosen.source}"
+
+
+def _refined(noise: Noise, step: str | None, twist_noise: tuple[float, float] | None) -> Noise:
+    from odomcorrupt.model import Step
+
+    if twist_noise is not None:
+        white_v, white_omega = twist_noise
+        coefficients = replace(noise.coefficients, white_v=white_v, white_omega=white_omega)
+        noise = replace(noise, coefficients=coefficients)
+    return noise if step is None else replace(noise, step=Step.parse(step))
+
+
+def _model_of(noise: Noise) -> MotionModel:
+    from odomcorrupt.model import MotionModel
+
+    return MotionModel(noise)
 
 
 def _effect(text: str) -> Effect:

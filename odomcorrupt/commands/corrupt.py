@@ -8,12 +8,12 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._model import choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 
 __all__ = ["command"]
 
 
-@click.command("corrupt", short_help="Corrupt the odometry of a bag (the default: needs no name).")
+@click.command("corrupt", cls=AlphaCommand, short_help="Corrupt the odometry of a bag (the default: needs no name).")
 @click.argument("input_", metavar="INPUT")
 @click.argument("output", metavar="OUTPUT")
 @model_options
@@ -53,7 +53,9 @@ def command(input_: str, output: str, **given: Any) -> None:
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.rng import draw_seed
 
-    chosen = choose_model(**{name: given[name] for name in ("alpha", "law", "step", "preset", "effects", "model")})
+    chosen = choose_model(
+        **{name: given[name] for name in ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")}
+    )
     if output == "-" and sys.stdout.isatty():
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     if input_ == "-" and sys.stdin.isatty():

@@ -32,25 +32,31 @@ class NoiseSteps:
     variances : of the four draws
     start_xy, end_xy : (2, n) noisy positions, metres from the path's start
     travel_rad : (n,) where the body's x axis points while it translates
+    bearing_rad : (n,) where trans acts, against the body's x axis
     along_m, across_m : (n,) the noisy travel
+    arc : whether rot1 is spread evenly over the translation
     """
 
     variances: Variances
     start_xy: Array
     end_xy: Array
     travel_rad: Array
+    bearing_rad: Array
     along_m: Array
     across_m: Array
+    arc: bool
 
 
 def sum_terms(steps: NoiseSteps) -> Array:
     """Return what each increment adds to the running sums, (SUMS, n)."""
     v = steps.variances
-    (x1, y1), (x2, y2) = steps.start_xy, steps.end_xy
-    c, s = np.cos(steps.travel_rad), np.sin(steps.travel_rad)
+    (x1, y1), (x2, y2) = (steps.start_xy + steps.end_xy) / 2.0 if steps.arc else steps.start_xy, steps.end_xy
+    world, body = steps.travel_rad + steps.bearing_rad, steps.bearing_rad
+    c, s, cb, sb = np.cos(world), np.sin(world), np.cos(body), np.sin(body)
     heading = v.rot1 + v.rot2
-    # in the body at mid heading: rot1 and rot2 shear the step by half their difference and turn it by their sum
-    shear, both = heading / 4.0, (v.rot1 - v.rot2) / 2.0
+    # in the body at mid heading, the step swings by half of rot1 less half of rot2; an arc's rot1 swings nothing
+    first, last = 0.0 if steps.arc else 0.5, -0.5
+    shear, both = first**2 * v.rot1 + last**2 * v.rot2, first * v.rot1 + last * v.rot2
     terms = np.empty((SUMS, len(c)))
     terms[0] = heading
     terms[1] = v.rot1 * x1 + v.rot2 * x2
@@ -61,9 +67,9 @@ def sum_terms(steps: NoiseSteps) -> Array:
     terms[6] = v.trans * c * c + v.across * s * s
     terms[7] = (v.trans - v.across) * c * s
     terms[8] = v.trans * s * s + v.across * c * c
-    terms[9] = shear * steps.across_m * steps.across_m + v.trans
-    terms[10] = -shear * steps.along_m * steps.across_m
-    terms[11] = shear * steps.along_m * steps.along_m + v.across
+    terms[9] = shear * steps.across_m * steps.across_m + v.trans * cb * cb + v.across * sb * sb
+    terms[10] = -shear * steps.along_m * steps.across_m + (v.trans - v.across) * cb * sb
+    terms[11] = shear * steps.along_m * steps.along_m + v.trans * sb * sb + v.across * cb * cb
     terms[12] = -both * steps.across_m
     terms[13] = both * steps.along_m
     terms[14] = heading

@@ -31,6 +31,7 @@ class Drift:
     duration_s: float
     messages: int
     jumps: int
+    sideways_m: float
     end_expected_m: float
     end_expected_rad: float
     end_drawn_m: float
@@ -68,6 +69,7 @@ class DriftMeter:
 
     def __init__(self) -> None:
         self._messages = self._jumps = 0
+        self._sideways_m = 0.0
         self._distance_m = self._duration_s = 0.0
         self._legs: list[tuple[float, float, float, float]] = []
         self._start: _Place | None = None
@@ -87,6 +89,7 @@ class DriftMeter:
             return
         self._messages += len(knots)
         self._jumps += knots.jumps
+        self._sideways_m += knots.sideways_m
         if self._start is None or self._mark is None:
             self._start = self._mark = _place(knots, 0)
         while knots.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
@@ -103,7 +106,7 @@ class DriftMeter:
         expected = _expected(self._end, np.zeros_like(self._end.sums))
         legs = [float(x) for x in np.sqrt(np.mean(np.square(self._legs), axis=0))] if self._legs else [None] * 4
         return Drift(
-            self._distance_m, self._duration_s, self._messages, self._jumps,
+            self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
             *expected, float(np.hypot(*self._end.error_xyt[:2])), abs(float(self._end.error_xyt[2])), *legs,
         )  # fmt: skip
 

@@ -46,6 +46,7 @@ class Knots:
     origin_xy : (2,) where these sums began, metres
     travelled_m : (n,) clean distance since the path began, metres; jumps do not count
     jumps : how many of the increments that end here were jumps
+    sideways_m : how far these increments went to the left or right, metres
     """
 
     stamps_ns: NDArray[np.int64]
@@ -55,6 +56,7 @@ class Knots:
     origin_xy: Array
     travelled_m: Array
     jumps: int
+    sideways_m: float
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -73,7 +75,7 @@ class NoisyPath:
     """Draws the noisy path of one run; a restart of time begins a new one with the same streams of numbers."""
 
     def __init__(self, model: MotionModel, seed: int, run: int = 0) -> None:
-        self._noise = model.noise
+        self._noise, self._law = model.noise, model.noise.law
         self._rng = stream(seed, run, "noise")
         self._effects = EffectInverse(model, seed, run)
         self.restart()
@@ -105,7 +107,10 @@ class NoisyPath:
             self._first_ns, self._origin = int(stamps_ns[0]), clean_xyt[0, :2].copy()
             self._last = (int(stamps_ns[0]), clean_xyt[0])
         if n == 0 or self._last is None:
-            return Knots(stamps_ns, clean_xyt, np.zeros((0, 3)), np.zeros((SUMS, 0)), self._origin, np.zeros(0), 0)
+            nothing, none = np.zeros((0, 3)), np.zeros(0)
+            return Knots(
+                stamps_ns, clean_xyt, nothing, np.zeros((SUMS, 0)), self._origin, none, jumps=0, sideways_m=0.0
+            )
         before_ns, before_xyt = self._last
         poses: Array = np.concatenate((before_xyt[None], clean_xyt))
         dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
@@ -119,17 +124,22 @@ class NoisyPath:
         body = rotate(np.where(jump[:, None], 0.0, world), -middle)
         steps = Increments(np.ascontiguousarray(body[:, 0]), np.ascontiguousarray(body[:, 1]), turn)
         t_s = (stamps_ns - self._first_ns) * np.float64(1e-9)
-        added = self._effects.error(Drive(steps, np.where(jump, 0.0, dt_s), t_s, poses[:-1]))
+        driven_s = np.where(jump, 0.0, dt_s)
+        added = self._effects.error(Drive(steps, driven_s, t_s, poses[:-1]))
         driven = Increments(steps.ds_m + added[:, 0], steps.dl_m + added[:, 1], turn + added[:, 2])
-        grown = noise_variances(self._noise, driven, self._growth)
+        grown = noise_variances(self._noise, driven, driven_s, self._growth)
         v = grown.variances
         draws = self._rng.standard_normal((n, 4)) * np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
 
         rot1, rot2 = draws[:, 0], draws[:, 3]
         heading = np.cumsum(np.concatenate((self._error[2:], rot1 + added[:, 2] + rot2)))
         # the translation happens after rot1, at the middle of what the effects turn
-        swing = heading[:-1] + rot1 + added[:, 2] / 2.0
-        along, across = added[:, 0] + draws[:, 1], added[:, 1] + draws[:, 2]
+        swing = heading[:-1] + (rot1 / 2.0 if self._law.arc else rot1) + added[:, 2] / 2.0
+        bearing, shift = np.zeros(n), draws[:, 1:3]
+        if self._law.along_travel:
+            bearing = np.arctan2(driven.dl_m, driven.ds_m)
+            shift = rotate(shift, bearing)
+        along, across = added[:, 0] + shift[:, 0], added[:, 1] + shift[:, 1]
         less, s = _cos_less_one(swing), np.sin(swing)
         travel = middle + swing
         ct, st = np.cos(travel), np.sin(travel)
@@ -138,7 +148,8 @@ class NoisyPath:
         error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading), axis=1)
 
         noisy = (poses[:, :2] + error[:, :2] - self._origin).T
-        terms = sum_terms(NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, steps.ds_m + along, steps.dl_m + across))
+        moved = (steps.ds_m + along, steps.dl_m + across)
+        terms = sum_terms(NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc))
         sums = np.cumsum(np.concatenate((self._sums, terms), axis=1), axis=1)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
 
@@ -146,8 +157,9 @@ class NoisyPath:
         self._error, self._sums, self._growth = error[-1], sums[:, -1:], grown.growth
         self._travelled_m = float(travelled[-1])
         return Knots(
-            stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:], int(np.count_nonzero(jump))
-        )
+            stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:],
+            int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()),
+        )  # fmt: skip
 
 
 def _cos_less_one(angle_rad: Array) -> Array:

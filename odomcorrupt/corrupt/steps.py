@@ -37,19 +37,29 @@ class GrownVariances:
     growth: StepGrowth
 
 
-def noise_variances(noise: Noise, steps: Increments, growth: StepGrowth) -> GrownVariances:
-    """Return the variances of noise on n increments that follow a path.
+def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGrowth) -> GrownVariances:
+    """Return the variances of noise on n increments of lengths dt_s (n,) seconds that follow a path.
 
     With a step, every increment adds what the law's variance has grown by since the step began. The law sees the
     metres and radians gone since then, the turn halved between rot1 and rot2, so growth is never negative; a step
     ends exactly at its distance or angle, inside an increment if need be. The same increments give the same bits
     however they are cut into calls.
     """
-    if noise.step is None:
-        return GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
+    grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
+    if noise.step is not None and len(steps):
+        grown = _within_steps(noise, noise.step, steps, growth)
+    k = noise.coefficients
+    if k.white_v or k.white_omega:
+        v, turn = grown.variances, (k.white_omega * dt_s) ** 2 / 2.0
+        v = Variances(v.rot1 + turn, v.trans + (k.white_v * dt_s) ** 2, v.across, v.rot2 + turn)
+        grown = GrownVariances(v, grown.growth)
+    return grown
+
+
+def _within_steps(noise: Noise, step: Step, steps: Increments, growth: StepGrowth) -> GrownVariances:
     gone_m = np.cumsum(np.concatenate(([growth.gone_m], np.hypot(steps.ds_m, steps.dl_m))))
     gone_rad = np.cumsum(np.concatenate(([growth.gone_rad], np.abs(steps.dtheta_rad))))
-    ends = _ends(noise.step, growth, gone_m, gone_rad)
+    ends = _ends(step, growth, gone_m, gone_rad)
 
     # every increment falls into pieces: one up to each end of a step inside it, one up to its own end
     n = len(steps)
@@ -69,7 +79,8 @@ def noise_variances(noise: Noise, steps: Increments, growth: StepGrowth) -> Grow
     first_piece = np.flatnonzero(np.diff(owner[order], prepend=-1))
 
     def grown(late: Array, early: Array) -> Array:
-        return np.add.reduceat(np.maximum(late - early, 0.0), first_piece) if n else np.zeros(0)
+        summed: Array = np.add.reduceat(np.maximum(late - early, 0.0), first_piece)
+        return summed
 
     total = Variances(
         grown(after.rot1, before.rot1),

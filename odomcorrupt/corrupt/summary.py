@@ -36,6 +36,10 @@ TRUTH_TYPES = frozenset({
 """Messages that carry motion or poses, and that nobody moves."""
 
 
+SIDEWAYS = 0.1
+"""A robot that goes this part of its way to the left or right is holonomic."""
+
+
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: what was changed, by which model, how far it drifted, and what it left true."""
     silent = _is_silent(outcome.model)
@@ -79,7 +83,7 @@ def _moved(outcome: Outcome) -> str:
 def _model(model: MotionModel, origin: str) -> str:
     noise = model.noise
     values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
-    numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name != "across_trans")
+    numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)
     words = "No noise" if noise.coefficients.silent else f"Law {noise.law_name}, {numbers}"
     if noise.step is not None:
         words += f", once per {noise.step}"
@@ -111,13 +115,17 @@ def _size(metres: float, radians: float) -> str:
 
 
 def _rate(outcome: Outcome) -> list[str]:
+    """Say it where the drift depends on the message rate."""
     noise, drift = outcome.model.noise, outcome.drift
-    if not noise.law.per_step or noise.step is not None or noise.coefficients.silent or drift.rate_hz is None:
+    k = noise.coefficients
+    stepwise = noise.law.per_step and noise.step is None and any(getattr(k, name) for name in noise.law.alphas)
+    what = [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
+    if not what or drift.rate_hz is None:
         return []
     means = f"a drift of {_leg(drift)} per {LEG_M:.0f} m" if drift.leg_expected_m is not None else "the drift above"
     here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and something else at another rate"
-    way_out = "--step 0.25m,0.2rad or --law diffusion do not depend on it"
-    return [f"The law {noise.law_name} is applied once per message: {here}; {way_out}."]
+    way_out = "; --step 0.25m,0.2rad or --law diffusion do not depend on it" * stepwise
+    return [f"Once per message acts {' and '.join(what)}: {here}{way_out}."]
 
 
 def _oddities(outcome: Outcome) -> list[str]:
@@ -125,6 +133,12 @@ def _oddities(outcome: Outcome) -> list[str]:
         f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
         for edge in sorted(outcome.changes.static)
     ]
+    drift = outcome.drift
+    if drift.sideways_m > SIDEWAYS * drift.distance_m and not outcome.model.noise.law.along_travel:
+        said.append(
+            f"The robot moves sideways ({drift.sideways_m:.3g} m of {drift.distance_m:.3g} m), which the law "
+            f"{outcome.model.noise.law_name} does not know; --law omni does."
+        )
     if outcome.changes.held:
         said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
     if outcome.restarts:

@@ -14,6 +14,8 @@ LAW_COEFFICIENTS = {
     "diffusion": Coefficients(0.05, 0.03, 0.05, 0.02),
     "linear": Coefficients(0.05, 0.17, 0.05, 0.01),
     "quadratic": Coefficients(0.01, 0.02, 0.01, 0.005),
+    "velocity": Coefficients(0.02, 0.03, 0.01, 0.01, end_trans=0.01, end_rot=0.02),
+    "omni": Coefficients(0.02, 0.03, 0.03, 0.005, across_trans=0.01),
 }
 
 
@@ -62,6 +64,19 @@ def textbook_sigmas(law, k, rot1, trans, rot2):
             math.sqrt(k.trans_trans * d**2 + k.trans_rot * (r1**2 + r2**2)),
             math.sqrt(k.rot_rot * r2**2 + k.rot_trans * d**2),
         )
+    turn = r1 + r2
+    if law == "velocity":
+        return (
+            math.sqrt(k.rot_trans * d**2 + k.rot_rot * turn**2),
+            math.sqrt(k.trans_trans * d**2 + k.trans_rot * turn**2),
+            math.sqrt(k.end_trans * d**2 + k.end_rot * turn**2),
+        )
+    if law == "omni":
+        return (
+            0.0,
+            math.sqrt(k.trans_trans * d**2 + k.trans_rot * turn**2),
+            math.sqrt(k.rot_rot * turn**2 + k.rot_trans * d**2),
+        )
     heading = math.sqrt((k.rot_rot**2 * (r1 + r2) + k.rot_trans**2 * d) / 2)
     return heading, math.sqrt(k.trans_trans**2 * d + k.trans_rot**2 * (r1 + r2)), heading
 
@@ -77,12 +92,49 @@ def textbook_split(ds, dl, dtheta):
     return rot1, trans, fold(dtheta - rot1)
 
 
+def velocity_step(k, pose, moved, rng):
+    """Table 5.3 of Probabilistic Robotics over half a second, with the arcs written out."""
+    (x, y, theta), (dx, dy, t0, dtheta), dt = pose, moved, 0.5
+    chord = math.cos(t0 + dtheta / 2) * dx + math.sin(t0 + dtheta / 2) * dy
+    omega = dtheta / dt
+    v = chord / dt if abs(dtheta) < 1e-9 else chord / dt * (dtheta / 2) / math.sin(dtheta / 2)
+    n1, n2, n3 = rng.standard_normal(3)
+    v_hat = v + n1 * math.sqrt(k.trans_trans * v**2 + k.trans_rot * omega**2)
+    w_hat = omega + n2 * math.sqrt(k.rot_trans * v**2 + k.rot_rot * omega**2)
+    gamma = n3 * math.sqrt(k.end_trans * v**2 + k.end_rot * omega**2)
+    if abs(w_hat) < 1e-9:
+        x, y = x + v_hat * dt * math.cos(theta), y + v_hat * dt * math.sin(theta)
+    else:
+        r = v_hat / w_hat
+        x += -r * math.sin(theta) + r * math.sin(theta + w_hat * dt)
+        y += r * math.cos(theta) - r * math.cos(theta + w_hat * dt)
+    return x, y, theta + (w_hat + gamma) * dt
+
+
+def omni_step(k, pose, moved, rng):
+    """One update of amcl's omni-corrected model."""
+    (x, y, theta), (dx, dy, t0, dtheta) = pose, moved
+    trans, bearing = math.hypot(dx, dy), fold(math.atan2(dy, dx) - t0) + theta
+    n1, n2, n3 = rng.standard_normal(3)
+    trans_hat = trans + n1 * math.sqrt(k.trans_trans * trans**2 + k.trans_rot * dtheta**2)
+    rot_hat = dtheta + n2 * math.sqrt(k.rot_rot * dtheta**2 + k.rot_trans * trans**2)
+    strafe_hat = n3 * math.sqrt(k.trans_rot * dtheta**2 + k.across_trans * trans**2)
+    x += trans_hat * math.cos(bearing) + strafe_hat * math.sin(bearing)
+    y += trans_hat * math.sin(bearing) - strafe_hat * math.cos(bearing)
+    return x, y, theta + rot_hat
+
+
 def textbook_run(law, k, poses, rng):
     """One noisy path, a Python loop over poses: turn, drive, turn, each with its own normal draw."""
     x, y, theta = poses[0]
     path = [(x, y, theta)]
     for (x0, y0, t0), (x1, y1, t1) in pairwise(poses):
         dtheta = fold(t1 - t0)
+        if law in {"velocity", "omni"}:
+            step = velocity_step if law == "velocity" else omni_step
+            x, y, theta = step(k, (x, y, theta), (x1 - x0, y1 - y0, t0, dtheta), rng)
+            path.append((x, y, theta))
+            continue
         c, s = math.cos(t0 + dtheta / 2), math.sin(t0 + dtheta / 2)
         ds, dl = c * (x1 - x0) + s * (y1 - y0), -s * (x1 - x0) + c * (y1 - y0)
         if law == "diffusion":

@@ -208,3 +208,52 @@ def test_sideways_noise_is_calibrated_too():
         noisy = knots.clean_xyt[-1:, :2] + e[:2] - knots.origin_xy
         nees.append(e @ np.linalg.solve(pose_covariance(knots.sums[:, -1:], noisy.T)[0], e))
     assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.1)
+
+
+def strafing(rate_hz=2.0, seconds=40.0):
+    """A holonomic robot that drives ahead, to its left, and across, turning a little."""
+    t = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    phase = t % 15.0
+    v = np.select([phase < 5, phase < 10], [0.5, 0.0], 0.3)
+    vy = np.select([phase < 5, phase < 10], [0.0, 0.5], -0.4)
+    theta = np.cumsum(np.full(len(t), 0.02))
+    dt = 1.0 / rate_hz
+    c, s = np.cos(theta + 0.01), np.sin(theta + 0.01)
+    x = np.concatenate(([0.0], np.cumsum(((c * v - s * vy) * dt)[:-1])))
+    y = np.concatenate(([0.0], np.cumsum(((s * v + c * vy) * dt)[:-1])))
+    return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
+
+
+def test_the_omni_law_strafes_like_amcl_on_a_holonomic_drive():
+    t, poses = strafing()
+    rng = np.random.default_rng(4)
+    ours = last_errors(model("omni"), (t, poses), 2000)
+    theirs = np.array([textbook_run("omni", LAW_COEFFICIENTS["omni"], poses, rng)[-1] - poses[-1] for _ in range(2000)])
+    assert np.cov(ours.T) == pytest.approx(np.cov(theirs.T), rel=0.12, abs=0.05 * np.cov(theirs.T).max())
+
+
+@pytest.mark.parametrize("law", ["velocity", "omni"])
+def test_covariance_of_arcs_and_strafing_is_calibrated(law):
+    k = Coefficients(0.005, 0.005, 0.01, 0.005, *((0.02,) if law == "omni" else (0.0, 0.004, 0.01)))
+    t, poses = strafing() if law == "omni" else office(4.0, 40.0)
+    nees = []
+    for run in range(500):
+        knots = NoisyPath(model(law, k), 13, run).feed(t, poses)
+        e = knots.error_xyt[-1]
+        P = pose_covariance(knots.sums[:, -1:], (knots.clean_xyt[-1:, :2] + e[:2] - knots.origin_xy).T)[0]
+        assert np.sqrt(P[2, 2]) < 0.2
+        nees.append(e @ np.linalg.solve(P, e))
+    assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.12)
+
+
+def test_white_noise_on_twists_is_the_rob521_projects():
+    """A robot that drives straight at 10 Hz for 10 s: noise of 0.2 m/s and 0.04 rad/s on every twist, at rest too."""
+    n = 101
+    poses = np.column_stack((np.linspace(0.0, 5.0, n), np.zeros(n), np.zeros(n)))
+    k = Coefficients(0, 0, 0, 0, white_v=0.2, white_omega=0.04)
+    assert not k.silent
+    for drive in (poses, poses * 0.0):
+        errors = last_errors(model(coefficients=k), (stamps(n, 10.0), drive), 1500)
+        assert errors[:, 2].std() == pytest.approx(0.04 * 0.1 * math.sqrt(100), rel=0.06)
+        assert errors[:, 0].std() == pytest.approx(0.2 * 0.1 * math.sqrt(100), rel=0.06)
+    assert errors[:, 1].std() < 0.01

@@ -30,7 +30,7 @@ def crawl(law, k, step, moves):
     return np.array(out)
 
 
-@pytest.mark.parametrize("law", ["linear", "quadratic"])
+@pytest.mark.parametrize("law", ["linear", "quadratic", "velocity", "omni"])
 def test_growth_within_steps_agrees_with_crawling_along_the_path(law):
     rng = np.random.default_rng(3)
     moves = np.column_stack((rng.uniform(-0.3, 0.7, 60), rng.uniform(-0.5, 0.5, 60)))
@@ -38,7 +38,10 @@ def test_growth_within_steps_agrees_with_crawling_along_the_path(law):
     moves[20] = 2.4, 0.0
     step = Step(0.25, 0.2)
     got = noise_variances(
-        Noise(law, LAW_COEFFICIENTS[law], step), Increments(moves[:, 0], np.zeros(60), moves[:, 1]), StepGrowth()
+        Noise(law, LAW_COEFFICIENTS[law], step),
+        Increments(moves[:, 0], np.zeros(60), moves[:, 1]),
+        np.ones(60),
+        StepGrowth(),
     ).variances
     expected = crawl(law, LAW_COEFFICIENTS[law], step, moves)
     for ours, theirs in zip((got.rot1, got.trans, got.rot2), expected.T, strict=True):
@@ -49,7 +52,10 @@ def test_growth_within_steps_agrees_with_crawling_along_the_path(law):
 def test_an_increment_of_many_whole_steps_counts_each():
     k = LAW_COEFFICIENTS["linear"]
     got = noise_variances(
-        Noise("linear", k, Step(0.25, 0.2)), Increments(np.array([1.0]), np.zeros(1), np.zeros(1)), StepGrowth()
+        Noise("linear", k, Step(0.25, 0.2)),
+        Increments(np.array([1.0]), np.zeros(1), np.zeros(1)),
+        np.ones(1),
+        StepGrowth(),
     )
     assert got.variances.rot1[0] == pytest.approx(4 * (k.rot_trans * 0.25) ** 2)
     assert got.variances.trans[0] == pytest.approx(4 * (k.trans_trans * 0.25) ** 2)
@@ -58,7 +64,10 @@ def test_an_increment_of_many_whole_steps_counts_each():
 
 def test_no_increments_are_no_variance():
     got = noise_variances(
-        Noise("linear", LAW_COEFFICIENTS["linear"], Step(1, 1)), Increments(*np.zeros((3, 0))), StepGrowth(0.3, 0.1)
+        Noise("linear", LAW_COEFFICIENTS["linear"], Step(1, 1)),
+        Increments(*np.zeros((3, 0))),
+        np.zeros(0),
+        StepGrowth(0.3, 0.1),
     )
     assert len(got.variances.rot1) == 0
     assert got.growth == StepGrowth(0.3, 0.1)
