@@ -96,12 +96,14 @@ class Nodes:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
         v = variances(law, k, steps)
         total = np.zeros((len(self), 3, 3))
-        for weight, lever in ((v.rot1, self.lever0), (v.rot2, self.lever1)):
+        # a turn spread over the step swings its end as one made half-way
+        for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
             direction = np.concatenate((_quarter(lever), np.ones((len(lever), 1))), axis=1)
             total += self._sum_outer(weight, direction)
-        c, s, zero = np.cos(self.turn), np.sin(self.turn), np.zeros_like(self.turn)
+        turn = self.turn + np.arctan2(steps.dl_m, steps.ds_m)[self.source] if law.along_travel else self.turn
+        c, s, zero = np.cos(turn), np.sin(turn), np.zeros_like(turn)
         total += self._sum_outer(v.trans, np.stack((c, s, zero), axis=1))
-        if k.across_trans > 0.0:
+        if v.across.any():
             total += self._sum_outer(v.across, np.stack((-s, c, zero), axis=1))
         return total
 

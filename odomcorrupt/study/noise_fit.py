@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "fit_noise"]
 
-NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
+"""Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
 LOWEST = 1e-5
 """A coefficient this small is none."""
 _LOW, _HIGH = np.log(LOWEST), np.log(10.0)
@@ -46,15 +47,18 @@ class LawPieces:
     """
 
     def __init__(self, law: Law, nodes: Nodes, steps: Increments) -> None:
-        unit = np.eye(len(NAMES))
+        def piece(*ones: int) -> Array:
+            unit = {name: float(i in ones) for i, name in enumerate(NAMES)}
+            return nodes.covariance(law, Coefficients(**unit), steps)
+
         self._degree = law.degree
-        self._single = [nodes.covariance(law, Coefficients(*row), steps) for row in unit]
-        self.active = [i for i, piece in enumerate(self._single) if piece.any()]
+        self._single = [piece(i) for i in range(len(NAMES))]
+        self.active = [i for i, single in enumerate(self._single) if single.any()]
         """Which coefficients do anything under this law and on this drive."""
         self._pairs: list[tuple[int, int, Array]] = []
         if law.degree == 2:
-            for i, j in combinations(range(len(NAMES)), 2):
-                both = nodes.covariance(law, Coefficients(*(unit[i] + unit[j])), steps)
+            for i, j in combinations(self.active, 2):
+                both = piece(i, j)
                 cross = both - self._single[i] - self._single[j]
                 if np.abs(cross).max() > 1e-12 * np.abs(both).max():
                     self._pairs.append((i, j, cross))
@@ -64,7 +68,7 @@ class LawPieces:
         return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
 
     def shares(self, coefficients: Array) -> Array:
-        """Return the weights of `parts` for the five coefficients, in the order of `NAMES`."""
+        """Return the weights of `parts` for the coefficients (7,) in the order of `NAMES`."""
         single = coefficients[self.active] ** self._degree
         pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
         return np.concatenate((single, pairs))
@@ -127,7 +131,9 @@ def fit_noise(
 class NoiseTask:
     """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
 
-    def __init__(self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True) -> None:
+    def __init__(
+        self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True
+    ) -> None:
         if not pieces.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
         self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
@@ -158,7 +164,7 @@ class NoiseTask:
             theta = covariance @ (b.T @ r)
             r = r - b @ theta
         likelihood = white.log_likelihood(r)
-        k = Coefficients(*map(float, coefficients))
+        k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         return NoiseFit(k, truth, likelihood, theta, covariance, self._weights, r, white, free)
 
     def climb(self, free: Array, *, fixed: int | None = None) -> Array:
@@ -181,7 +187,7 @@ class NoiseTask:
         return climbed
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
-        """Return coefficients (5,) and truth noise; what sits on its lower bound is exactly zero."""
+        """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
         active = self._pieces.active
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]

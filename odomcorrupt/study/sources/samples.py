@@ -65,9 +65,7 @@ class Samples:
     def only(self, rows: NDArray[np.bool_] | NDArray[np.int64], *notes: str) -> Samples:
         """Return some of the samples, by mask or by index, with notes that say why."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        chosen = {
-            name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray) and len(value)
-        }
+        chosen = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray) and len(value)}
         return replace(self, **chosen, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))
 
     def noted(self, *notes: str) -> Samples:
