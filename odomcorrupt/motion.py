@@ -2,24 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.increments import Increments, increments
+from odomcorrupt.errors import EffectError
+from odomcorrupt.increments import Increments, accumulate, increments
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
 
-__all__ = ["SMOOTHING_S", "corrected_increments", "motion_of", "slopes", "twist_error"]
+__all__ = [
+    "SMOOTHING_S",
+    "TRAIL_S",
+    "SpeedMemory",
+    "accelerations",
+    "corrected_increments",
+    "error_of",
+    "motion_of",
+    "slopes",
+]
 
 SMOOTHING_S = 0.2
-"""Width of the window over which speeds are differentiated: long enough to average ticks, short enough for stops."""
+"""Window of the study's smooth speeds and accelerations: long enough to average ticks, short enough for stops."""
+
+TRAIL_S = 0.05
+"""Speeds are averaged over this time before they are differentiated: stamps bunch, and poses come in ticks."""
+
+TOLERANCE = 1e-12
+"""A correction is found when no increment moves by more between two rounds, metres or radians."""
+
+MAX_ROUNDS = 400
 
 
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
@@ -48,17 +67,62 @@ def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     return slope
 
 
+@dataclass(frozen=True, slots=True)
+class SpeedMemory:
+    """The last `TRAIL_S` of a motion, for accelerations of what follows.
+
+    clock_s : (m,) time gone at the ends of intervals, seconds
+    travel : (m, 3) metres along, metres left and radians gone until then
+    """
+
+    clock_s: Array
+    travel: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Accelerations:
+    """Accelerations (n, 3), m/s^2 and rad/s^2, and the memory to go on with; None before time has gone on."""
+
+    rate: Array
+    memory: SpeedMemory | None
+
+
+def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) -> Accelerations:
+    """Return the accelerations over n intervals: the one definition of a and alpha.
+
+    It is the rate at which the mean speed over the last `TRAIL_S` changes from the interval's start to its end, so it
+    looks back only (by half of `TRAIL_S` on average), any cut of a motion gives the same bits, and over a whole run it
+    adds up to the change of speed whatever the rate and the jitter of stamps. Before the first interval the robot is
+    taken to have moved as in it.
+    """
+    n = len(dt_s)
+    rate = np.zeros((n, 3))
+    if memory is None:
+        first = int(np.argmax(dt_s > 0.0)) if n else 0
+        if not n or dt_s[first] <= 0.0:
+            return Accelerations(rate, None)
+        before = 2.0 * TRAIL_S
+        memory = SpeedMemory(np.array([-before, 0.0]), np.stack((-before * twist[first], np.zeros(3))))
+    clock = np.cumsum(np.concatenate((memory.clock_s[-1:], dt_s)))
+    travel = np.cumsum(np.concatenate((memory.travel[-1:], twist * dt_s[:, None])), axis=0)
+    clock_s = np.concatenate((memory.clock_s, clock[1:]))
+    way = np.concatenate((memory.travel, travel[1:]))
+    earlier = np.stack([np.interp(clock - TRAIL_S, clock_s, way[:, i]) for i in range(3)], axis=1)
+    change = np.diff((travel - earlier) / TRAIL_S, axis=0)
+    np.divide(change, dt_s[:, None], out=rate, where=(dt_s > 0.0)[:, None])
+    kept = max(int(np.searchsorted(clock_s, clock[-1] - TRAIL_S, side="right")) - 1, 0)
+    return Accelerations(rate, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
+
+
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
     """Return the motion over the n - 1 intervals between poses (n, 3) at t_s (n,) seconds.
 
-    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact;
-    accelerations are slopes of the speeds over `SMOOTHING_S`.
+    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact.
     """
     steps = increments(xyt)
     dt = np.diff(t_s)
     rate = np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0.0)
     twist = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1) * rate[:, None]
-    middle = t_s[:-1] + dt / 2.0
     travel = np.hypot(steps.ds_m, steps.dl_m)
     return Motion(
         t_s=t_s[1:],
@@ -66,7 +130,7 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
         v=twist[:, 0],
         vy=twist[:, 1],
         omega=twist[:, 2],
-        acceleration=slopes(middle, twist, middle, SMOOTHING_S),
+        acceleration=accelerations(twist, dt).rate,
         x=xyt[:-1, 0],
         y=xyt[:-1, 1],
         theta=xyt[:-1, 2],
@@ -75,20 +139,88 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
     )
 
 
-def twist_error(effects: Iterable[Effect], motion: Motion) -> Array:
-    """Return the sum (n, 3) of the effects' f over a whole motion; stamps are not touched, see `Effect.clock`.
+def error_of(effect: Effect, motion: Motion) -> Array:
+    """Return an effect's f (n, 3) over a whole motion, from its start on."""
+    return effect.twist_error(motion, effect.start(stream(0, 0, effect.name))).f
 
-    Correction knows nothing of the draws of a random effect, so these contribute their expectation: zero.
+
+def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
+    """Return the increments u = u' + f(u') of the truth, from the odometry's motion u'.
+
+    What an encoder did is undone first, for the other effects are functions of the motion it should have reported.
+    Acceleration, pose and distance are the truth's: they are found as the correction is, round by round. Correction
+    knows nothing of the draws of a random effect, so these contribute nothing; clocks are not its business.
+
+    Parameters
+    ----------
+    effects : any order
+    motion : from `motion_of`
+    place_xyt : (n, 3)
+        True poses where the intervals begin, where they are known; otherwise the corrected poses, which start where
+        the odometry starts.
+
+    Raises
+    ------
+    EffectError
+        Where no true motion explains the odometry: an effect of accelerations that acts against them.
+
     """
-    total = np.zeros((len(motion), 3))
-    for effect in effects:
-        if effect.kind != "noise" and not effect.clock:
-            total += effect.twist_error(motion, effect.start(stream(0, 0, effect.name))).f
-    return total
+    systematic = [e for e in effects if e.kind != "noise" and not e.clock]
+    for effect in sorted((e for e in systematic if e.layer == "record"), key=lambda e: e.name):
+        f = error_of(effect, motion)
+        motion = replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
+    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    for effect in systematic:
+        if effect.layer == "motion" and not effect.reads_truth:
+            twist += error_of(effect, motion)
+    seeking = [e for e in systematic if e.layer == "motion" and e.reads_truth]
+    if seeking:
+        twist = _settled(seeking, motion, twist, place_xyt)
+    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
 
 
-def corrected_increments(effects: Iterable[Effect], motion: Motion) -> Increments:
-    """Return the increments u = u' + f(u') of the truth, from the odometry's motion u'."""
-    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1) + twist_error(effects, motion)
-    step = twist * motion.dt_s[:, None]
-    return Increments(*np.ascontiguousarray(step.T))
+def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None) -> Array:
+    """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion itself.
+
+    Whatever they read lies in the past of an interval, but for its own acceleration: dividing by what that does
+    (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength.
+    """
+    dt = motion.dt_s[:, None]
+    start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
+    stiff = _stiffness(effects, motion)
+    truth = known
+    for _ in range(MAX_ROUNDS):
+        steps = truth * dt
+        path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
+        seen = replace(
+            motion,
+            acceleration=accelerations(truth, motion.dt_s).rate,
+            x=np.ascontiguousarray(path[:, 0]),
+            y=np.ascontiguousarray(path[:, 1]),
+            theta=np.ascontiguousarray(path[:, 2]),
+            distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
+        )
+        with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+            change = (sum((error_of(e, seen) for e in effects), start=known) - truth) / stiff
+            truth = truth + change
+            if np.abs(change * dt).max(initial=0.0) <= TOLERANCE:
+                return truth
+    names = ", ".join(effect.name for effect in effects)
+    raise EffectError(
+        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle after {MAX_ROUNDS} "
+        "rounds; make them weaker"
+    )
+
+
+def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
+    """Return by how much (n, 3) a speed moves its own equation: 1 where its acceleration does nothing to f."""
+    gain = np.zeros((len(motion), 3))
+    for i in range(3):
+        nudge = np.zeros(3)
+        nudge[i] = 0.5
+        for effect in effects:
+            more = error_of(effect, replace(motion, acceleration=motion.acceleration + nudge))
+            less = error_of(effect, replace(motion, acceleration=motion.acceleration - nudge))
+            gain[:, i] += more[:, i] - less[:, i]
+    own = 1.0 / np.maximum(motion.dt_s, TRAIL_S)
+    return np.maximum(1.0 - gain * own[:, None], 1.0)

@@ -1,4 +1,4 @@
-"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u')."""
+"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u'), as its driver reports it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Motion, parameters
+from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
+from odomcorrupt.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.effects.effect import Effect, State
     from odomcorrupt.increments import Increments
     from odomcorrupt.model import MotionModel
+    from odomcorrupt.motion import SpeedMemory
     from odomcorrupt.pose import Array
 
 __all__ = ["Drive", "EffectInverse", "acts"]
@@ -29,8 +29,8 @@ MAX_ROUNDS = 200
 
 
 def acts(effect: Effect) -> bool:
-    """Whether an effect does anything: some parameter is off its identity."""
-    return any(getattr(effect, p.name) != p.identity for p in parameters(effect))
+    """Whether an effect does anything: some amplitude is off its identity."""
+    return effect.acts
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,21 +53,36 @@ class EffectInverse:
     """The effects of a model acting on a stream of increments; their states pass from call to call."""
 
     def __init__(self, model: MotionModel, seed: int, run: int) -> None:
-        self._effects = tuple(e for e in model.effects if not e.clock and acts(e))
         ordinals: dict[str, int] = {}
-        self._states = []
-        for effect in self._effects:
-            ordinal = ordinals.get(effect.name, 0)
-            ordinals[effect.name] = ordinal + 1
-            self._states.append(effect.start(stream(seed, run, effect.name, ordinal)))
+        started = []
+        for effect in model.effects:
+            if not effect.clock and acts(effect):
+                ordinal = ordinals.get(effect.name, 0)
+                ordinals[effect.name] = ordinal + 1
+                started.append((effect, effect.start(stream(seed, run, effect.name, ordinal))))
+        # the order in which effects are listed never matters: the f add up, and an encoder's flaws go by name
+        started.sort(key=lambda pair: pair[0].name)
+        motion = [pair for pair in started if pair[0].layer == "motion"]
+        self._effects = tuple(effect for effect, _ in motion)
+        self._states = [state for _, state in motion]
+        self._recording = [pair for pair in started if pair[0].layer == "record"]
+        self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
         self.restart()
 
     def restart(self) -> None:
         """Forget the motion before: a new stretch begins. The effects' own states go on."""
-        self._last_twist: NDArray[np.float64] | None = None
-        self._last_dt_s = 0.0
+        self._speeds: SpeedMemory | None = None
         self._distance_m = 0.0
+
+    def drawn(self, normals: Array) -> Array:
+        """Return what is drawn in place of standard normals (n, 4)."""
+        drawing: list[tuple[Effect, State]] = []
+        for effect, state in self._drawing:
+            normals, after = effect.drawn(normals, state)
+            drawing.append((effect, after))
+        self._drawing = drawing
+        return normals
 
     def error(self, drive: Drive) -> Array:
         """Return what the effects add to n increments: (n, 3) metres along, metres left, radians.
@@ -78,13 +93,25 @@ class EffectInverse:
             Where the effects are so strong that no motion of the odometry explains the clean one.
 
         """
+        added = self._error(drive)
+        steps = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1) + added
+        recording: list[tuple[Effect, State]] = []
+        for effect, state in self._recording:
+            reported, after = effect.recorded(steps, self._track_m, state)
+            added = added + (reported - steps)
+            steps = reported
+            recording.append((effect, after))
+        self._recording = recording
+        return added
+
+    def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
         if not self._effects or n == 0:
             return np.zeros((n, 3))
         dt = drive.dt_s[:, None]
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
         clean = np.divide(clean, dt, out=np.zeros_like(clean), where=dt > 0.0)
-        acceleration = self._acceleration(clean, drive.dt_s)
+        faster = accelerations(clean, drive.dt_s, self._speeds)
         travel = np.hypot(drive.steps.ds_m, drive.steps.dl_m)
         distance = np.cumsum(np.concatenate(([self._distance_m], travel)))
 
@@ -92,7 +119,7 @@ class EffectInverse:
         open_ = np.ones(n, dtype=bool)
         states = self._states
         for _ in range(MAX_ROUNDS):
-            motion = _motion(clean - f, drive, acceleration, distance[1:], self._track_m)
+            motion = _motion(clean - f, drive, faster.rate, distance[1:], self._track_m)
             f_next = np.zeros((n, 3))
             states = []
             for effect, state in zip(self._effects, self._states, strict=True):
@@ -114,19 +141,9 @@ class EffectInverse:
                 f"{MAX_ROUNDS} rounds; make them weaker"
             )
         self._states = states
-        self._last_twist, self._last_dt_s = clean[-1], float(drive.dt_s[-1])
+        self._speeds = faster.memory
         self._distance_m = float(distance[-1])
         return -f * dt
-
-    def _acceleration(self, twist: Array, dt_s: Array) -> Array:
-        """Return the clean twist's rate of change (n, 3) between the middles of an interval and the one before it.
-
-        It looks back only, so that it does not depend on where a stream is cut; it is zero in the first interval.
-        """
-        first = twist[:1] if self._last_twist is None else self._last_twist[None]
-        apart_s = (dt_s + np.concatenate(([self._last_dt_s], dt_s[:-1]))) / 2.0
-        change = np.diff(np.concatenate((first, twist)), axis=0)
-        return np.divide(change, apart_s[:, None], out=np.zeros_like(change), where=(dt_s > 0.0)[:, None])
 
 
 def _motion(twist: Array, drive: Drive, acceleration: Array, distance_m: Array, track_m: float | None) -> Motion:

@@ -129,7 +129,8 @@ class NoisyPath:
         driven = Increments(steps.ds_m + added[:, 0], steps.dl_m + added[:, 1], turn + added[:, 2])
         grown = noise_variances(self._noise, driven, driven_s, self._growth)
         v = grown.variances
-        draws = self._rng.standard_normal((n, 4)) * np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
+        normals = self._effects.drawn(self._rng.standard_normal((n, 4)))
+        draws = normals * np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
 
         rot1, rot2 = draws[:, 0], draws[:, 3]
         heading = np.cumsum(np.concatenate((self._error[2:], rot1 + added[:, 2] + rot2)))

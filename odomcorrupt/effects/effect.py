@@ -10,27 +10,37 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.pose import Array
 
 __all__ = [
+    "About",
+    "Drawn",
     "Effect",
+    "Moments",
     "Motion",
     "Parameter",
+    "Recorded",
     "TwistError",
+    "amplitudes",
     "check_bounds",
+    "choice",
+    "choices",
     "parameter",
     "parameters",
     "stacked",
 ]
 
 Kind = Literal["effect", "setup", "noise"]
+Layer = Literal["motion", "record", "draws"]
 State = Any
 
 
@@ -42,10 +52,14 @@ class Motion:
     dt_s : length of the interval, seconds; where it is 0 the rates are 0
     v, vy : forward and leftward speed, m/s (signed)
     omega : yaw rate, rad/s
-    acceleration : (n, 3) forward and leftward, m/s^2, and yaw acceleration, rad/s^2
-    x, y, theta : the clean pose (corruption) or the odometry's (study), metres and radians
+    acceleration : (n, 3) forward and leftward, m/s^2, and yaw acceleration, rad/s^2, see `motion.accelerations`
+    x, y, theta : the pose where the interval begins, metres and radians
     distance : travelled so far, metres
     track_m : the robot's nominal track, or None where it is not known
+
+    Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
+    the corrected one in correction, of the smoothest estimate in the study. A force accelerates the body and a floor is
+    where the body is; and only so can an effect that looks at accelerations be put in and taken out stably.
     """
 
     t_s: Array
@@ -81,28 +95,102 @@ class TwistError(NamedTuple):
     state: State
 
 
+class Recorded(NamedTuple):
+    """Increments (n, 3) as the driver reports them, metres along, metres left, radians; and the state to go on with."""
+
+    steps: Array
+    state: State
+
+
+class Drawn(NamedTuple):
+    """Numbers (n, 4) in place of the noise law's standard normals, and the state to go on with."""
+
+    normals: Array
+    state: State
+
+
+class Moments(NamedTuple):
+    """Expectation and variance (n, 3) of f over the intervals of a true motion, from the start on; NaN: not stated."""
+
+    mean: Array
+    variance: Array
+
+
+class About(NamedTuple):
+    """What a person wants to know of an effect.
+
+    equation : f, truth minus odometry, in plain text
+    typical : sizes seen on real robots, in words
+    source : where it is described
+    confused_with : names of effects that look alike, the likeliest first
+    drive : the manoeuvre that shows it and tells it from those
+    """
+
+    equation: str
+    typical: str
+    source: str
+    confused_with: tuple[str, ...]
+    drive: str
+
+
 class Effect:
     """The protocol every effect obeys, with its defaults; `odomcorrupt.testing.check_effect` holds it to it.
 
     A subclass is a frozen dataclass that sets the class variables and answers `twist_error`. The body of an effect
-    without memory is that one method. `clock` effects act on a bag by moving stamps, and their f is only what that
-    looks like to a regression.
+    without memory is that one method.
+
+    clock : it acts on a bag by moving stamps, and its f is only what that looks like to a regression
+    layer : "motion" for a function f of the odometry's motion; "record" for what happens between the wheels and the
+        message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
+    needs_track : it acts on single wheels and cannot do without the track
+    reads_truth : f reads acceleration, pose or distance, so a correction has to find them as it goes
+    twin_of : name of the effect with the very same f, where no recording can tell the two apart
     """
 
     name: ClassVar[str]
     kind: ClassVar[Kind]
     summary: ClassVar[str]
+    about: ClassVar[About | None] = None
     clock: ClassVar[bool] = False
+    layer: ClassVar[Layer] = "motion"
+    needs_track: ClassVar[bool] = False
+    reads_truth: ClassVar[bool] = False
+    twin_of: ClassVar[str | None] = None
 
     __slots__ = ()
+
+    @property
+    def acts(self) -> bool:
+        """Whether it does anything: some amplitude is off its identity."""
+        return any(getattr(self, p.name) != p.identity for p in amplitudes(self))
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for effects with shapes
+        """Return the family at its identity with every shape that is worth trying on these motions.
+
+        An effect without shapes is linear at its identity and needs one try.
+        """
+        return (cls(),)
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
         """Return the state before the first interval; None for an effect without memory."""
         return None
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f over the intervals of `motion`, and the state after them."""
+        """Return f over the intervals of `motion`, and the state after them; a state given is never changed."""
         raise NotImplementedError
+
+    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - layer "record"
+        """Return the increments (n, 3) that are reported where `steps` should be."""
+        return Recorded(steps, state)
+
+    def drawn(self, normals: Array, state: State) -> Drawn:
+        """Return what is drawn where the law draws standard normals (n, 4)."""
+        return Drawn(normals, state)
+
+    def moments(self, motion: Motion) -> Moments | None:  # noqa: ARG002 - for effects that draw
+        """Return expectation and variance of f on a true motion; None for an effect that draws nothing."""
+        return None
 
     def stamp_shift_s(self, t_s: Array) -> Array:
         """Return by how much (n,) seconds the odometry's stamps run ahead of true time t_s (n,)."""
@@ -117,6 +205,7 @@ class Parameter:
     low, high : bounds of what makes sense physically; beyond them a value is refused
     typical : a usual size on real robots, for scans and power statements
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
+    step : by how much to change it for a numerical slope of f
     """
 
     name: str
@@ -127,6 +216,7 @@ class Parameter:
     typical: float
     identity: float
     amplitude: bool
+    step: float
 
 
 def parameter(
@@ -138,13 +228,25 @@ def parameter(
     typical: float,
     identity: float = 0.0,
     amplitude: bool = True,
+    step: float | None = None,
 ) -> Any:
     """Declare a parameter: a dataclass field with unit and bounds; its default is the identity."""
     facts = {
-        "unit": unit, "meaning": meaning, "low": low, "high": high,
-        "typical": typical, "identity": identity, "amplitude": amplitude,
+        "unit": unit, "meaning": meaning, "low": low, "high": high, "typical": typical, "identity": identity,
+        "amplitude": amplitude, "step": 1e-3 * typical if step is None else step,
     }  # fmt: skip
     return dataclasses.field(default=identity, metadata=facts)
+
+
+def choice(meaning: str, *options: str) -> Any:
+    """Declare a parameter that is one of a few words; its default is the first of them."""
+    return dataclasses.field(default=options[0], metadata={"meaning": meaning, "options": options})
+
+
+def choices(effect: Effect | type[Effect]) -> dict[str, tuple[str, ...]]:
+    """Return the parameters of an effect that are words, and the words they may be."""
+    fields = dataclasses.fields(effect)  # type: ignore[arg-type]  # every subclass is a dataclass
+    return {f.name: f.metadata["options"] for f in fields if "options" in f.metadata}
 
 
 def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
@@ -153,10 +255,20 @@ def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
     return tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
 
 
+def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
+    """Return the parameters that f is proportional to: the ones a linear fit may move while shapes are held."""
+    return tuple(p for p in parameters(effect) if p.amplitude)
+
+
 def check_bounds(effect: Effect) -> None:
-    """Raise EffectError where a parameter is not a finite number within its bounds."""
+    """Raise EffectError where a parameter is not a finite number within its bounds, or not one of its words."""
+    for name, options in choices(effect).items():
+        if getattr(effect, name) not in options:
+            raise EffectError(f"effect {effect.name}, {name}: {getattr(effect, name)!r}; write {' or '.join(options)}")
     for p in parameters(effect):
         value = getattr(effect, p.name)
+        if isinstance(value, str):
+            raise EffectError(f"effect {effect.name}, {p.name}: {value!r}; it must be a number")
         if not (np.isfinite(value) and p.low <= value <= p.high):
             unit = f" {p.unit}" if p.unit else ""
             raise EffectError(

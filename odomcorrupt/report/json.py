@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes, parameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -70,7 +70,7 @@ def learned_json(learned: Learned) -> dict[str, Any]:
     """Return what a search found, in the order it was found: setup of the clocks first."""
     found = [*_clocks_found(learned)]
     errors = iter(learned.fit.standard_errors)
-    own = {e.name: (e, [float(next(errors)) for _ in parameters(e)]) for e in learned.fit.effects}
+    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found += [_found(look, *own[look.added]) for look in learned.rounds if look.added in learned.added]
     last = learned.rounds[-1]
     testable = [c for c in last.candidates if c.refused.startswith(("not testable", "cannot be told"))]
@@ -112,7 +112,7 @@ def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str],
         "kind": effect.kind,
         "parameters": {
             p.name: {"value": getattr(effect, p.name), "standard_error": _number(error), "unit": p.unit}
-            for p, error in zip(parameters(effect), errors, strict=True)
+            for p, error in zip(amplitudes(effect), errors, strict=True)
         },
         "alternatives": list(alternatives),
         "confidence": confidence,
@@ -126,7 +126,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
         "evidence_nats": _number(candidate.gain if candidate.fit is not None else 0.5 * score.statistic),
         "p": score.p,
         "held_out_nats": score.held_out_nats,
-        "estimate": {p.name: _number(v) for p, v in zip(parameters(score.effect), score.estimate, strict=True)},
+        "estimate": {p.name: _number(v) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
         "refused": candidate.refused or None,
     }
 

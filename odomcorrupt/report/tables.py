@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import amplitudes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,7 @@ def fit_text(result: RobotFit) -> str:
     lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
     lines += [_interval_line(result, interval) for interval in result.intervals]
     errors = iter(result.fit.standard_errors)
-    lines += [_effect_line(effect, [float(next(errors)) for _ in parameters(effect)]) for effect in result.fit.effects]
+    lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
     lines += clock_lines(names, result.clocks)
     wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
     lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {degrees(truth.yaw_rad):.2g} deg{wander}")
@@ -88,7 +88,7 @@ def _plain(result: RobotFit) -> bool:
 def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
     values = [
         f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}"
-        for p, error in zip(parameters(effect), errors, strict=True)
+        for p, error in zip(amplitudes(effect), errors, strict=True)
     ]
     return f"  {effect.name}: {', '.join(values)}"
 
@@ -104,7 +104,7 @@ def _candidate_line(candidate: Candidate) -> str:
     score = candidate.score
     values = ", ".join(
         f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
-        for p, v, e in zip(parameters(score.effect), score.estimate, score.standard_error, strict=True)
+        for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
     )
     evidence = f"{candidate.gain:+.1f}" if candidate.fit is not None else f"p {score.p:.2g}"
     held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"

@@ -1,0 +1,36 @@
+"""Wheels slip in proportion to the force they have to bring to the ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class AccelSlip(Effect):
+    """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body.
+
+    It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop.
+    """
+
+    name: ClassVar[str] = "accel_slip"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "wheels slip when the robot speeds up, and skid when it brakes"
+    reads_truth: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="f_along = -k abs(v) a",
+        typical="a slip of 0.5 to 6 % at 1 m/s^2 (an estimate)",
+        source="Rajamani, Vehicle Dynamics and Control (slip ratio and longitudinal tyre force)",
+        confused_with=("time_offset", "backlash", "speed_scale"),
+        drive="speed up and brake hard, at two speeds, with turns on the spot between: a late clock delays these too",
+    )
+
+    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.2, typical=0.02)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: behind while speeding up, ahead while braking."""
+        return TwistError(stacked(-self.k * np.abs(motion.v) * motion.a, 0.0, 0.0, motion.v), state)

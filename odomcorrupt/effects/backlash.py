@@ -1,0 +1,126 @@
+"""Gears have play: after each reversal the motor turns a little before the wheel does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Kind,
+    Layer,
+    Motion,
+    Recorded,
+    State,
+    TwistError,
+    parameter,
+)
+from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from odomcorrupt.pose import Array
+
+SWAY_M = 1e-4
+"""A wheel that goes back by less than this has not reversed: a parked robot sways, and its gears stay as they are."""
+
+
+class _Gear(NamedTuple):
+    """Where a motor stands in its play, metres from the middle of it; side 0 before the wheel has first turned."""
+
+    place: float
+    side: float
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(Effect):
+    """f of a wheel = -u while its motor crosses the play: `travel` is lost at each reversal.
+
+    The encoder sits on the motor. Play is the operator of that name on the motor's travel, with a little elastic sway
+    before it opens. The wheels are in touch when they first move. In corruption the play is crossed at once, because
+    the clean robot does not wait for it.
+    """
+
+    name: ClassVar[str] = "backlash"
+    kind: ClassVar[Kind] = "effect"
+    layer: ClassVar[Layer] = "record"
+    needs_track: ClassVar[bool] = True
+    summary: ClassVar[str] = "gears have play: travel is lost at each reversal of a wheel"
+    about: ClassVar[About | None] = About(
+        equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed",
+        typical="2 to 15 mm at the rim (1 to 8 degrees at the wheel; an estimate)",
+        source="the play operator, as in Visintin 1994, Differential Models of Hysteresis",
+        confused_with=("time_offset", "accel_slip"),
+        drive="drive forth and back, and turn on the spot after straights, many times",
+    )
+
+    travel: float = parameter("m", "lost at each reversal of a wheel", low=0.0, high=0.05, typical=0.005, step=0.004)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return gears that have not turned yet."""
+        return _Gear(0.0, 0.0), _Gear(0.0, 0.0)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: minus what the motors do inside their play. Below zero, for slopes, the opposite of it."""
+        track = needed_track_m(self.name, motion.track_m)
+        width, sign = abs(self.travel), np.sign(self.travel)
+        rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
+        lost, gears = [], []
+        for u, gear in zip(rims_of(motion.v, motion.omega, track), state, strict=True):
+            inside, after = _crossed(u * motion.dt_s, gear, width)
+            lost.append(-sign * inside * rate)
+            gears.append(after)
+        return TwistError(body_of(Rims(*lost), track), tuple(gears))
+
+    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:
+        """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
+        track = needed_track_m(self.name, track_m)
+        extra, gears = [], []
+        for travel, gear in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
+            side, after = _sides(travel, gear)
+            extra.append(0.5 * self.travel * np.diff(side))
+            gears.append(after)
+        return Recorded(steps + body_of(Rims(*extra), track), tuple(gears))
+
+
+def _crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
+    """Return how much of a motor's travel (n,) is spent inside the play, and where it then stands.
+
+    Its place is bounded by half the play and the sway on both sides; what it does in the middle part moves nothing.
+    """
+    half = 0.5 * width
+    place, side = gear
+    out = [0.0] * len(travel)
+    for i, step in enumerate(travel.tolist()):
+        before = min(max(place, -half), half) if side else 0.0
+        place += step
+        if side:
+            place = min(max(place, -half - SWAY_M), half + SWAY_M)
+            out[i] = min(max(place, -half), half) - before
+        elif abs(place) >= SWAY_M:
+            # the first move finds the gear in touch: nothing is lost
+            side = 1.0 if place > 0.0 else -1.0
+            place = side * (half + SWAY_M)
+    return np.array(out), _Gear(place, side)
+
+
+def _sides(travel: Array, gear: _Gear) -> tuple[Array, _Gear]:
+    """Return on which side of their play (n + 1,) a wheel's gears touch, 1 or -1, first before the first increment."""
+    place, side = gear
+    out = [side] * (len(travel) + 1)
+    for i, step in enumerate(travel.tolist()):
+        place += step
+        if side:
+            place = min(max(place, -SWAY_M), SWAY_M)
+            if place * side < 0.0:
+                side = -side
+        elif abs(place) >= SWAY_M:
+            side = 1.0 if place > 0.0 else -1.0
+            place = side * SWAY_M
+            out[: i + 1] = [side] * (i + 1)
+        out[i + 1] = side
+    return np.array(out), _Gear(place, side)

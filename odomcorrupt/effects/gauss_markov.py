@@ -1,0 +1,79 @@
+"""A gain that wanders about one: tyre pressure, load, floor, all that is correlated and has no name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.draws import again, autoregression
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Kind,
+    Moments,
+    Motion,
+    State,
+    TwistError,
+    choice,
+    parameter,
+    stacked,
+)
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from odomcorrupt.pose import Array
+
+
+class _Gain(NamedTuple):
+    rng: Generator
+    normal: float
+
+
+@dataclass(frozen=True, slots=True)
+class GaussMarkov(Effect):
+    """f = g (v, 0, 0) or g (0, 0, omega), g' = -g / tau + white noise, stationary with deviation sigma.
+
+    It vanishes at rest, which a wandering bias does not.
+    """
+
+    name: ClassVar[str] = "gauss_markov"
+    kind: ClassVar[Kind] = "noise"
+    summary: ClassVar[str] = "the gain of travel or turn wanders about one"
+    about: ClassVar[About | None] = About(
+        equation="f_along = g v, or f_yaw = g omega; g Gauss-Markov of deviation sigma and correlation time tau",
+        typical="1 to 5 % with correlation times of 2 to 30 s (an estimate)",
+        source="first-order Gauss-Markov process, as in Gelb 1974, Applied Optimal Estimation",
+        confused_with=("slip_burst", "region_slip", "scale_drift", "gyro_bias_walk"),
+        drive="drive for long and come back to the same places: what depends on the place comes back, this does not",
+    )
+
+    sigma: float = parameter("", "standard deviation of the gain", low=0.0, high=0.3, typical=0.02)
+    tau: float = parameter("s", "correlation time", low=0.05, high=1e4, typical=5.0, identity=5.0, amplitude=False)
+    channel: str = choice("what the gain acts on", "along", "yaw")
+
+    def start(self, rng: Generator) -> State:
+        """Return a gain of its stationary distribution (in units of sigma) and what will move it."""
+        rng = again(rng)
+        return _Gain(rng, float(rng.standard_normal()))
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the gain at the end of each interval times its speed."""
+        rng = again(state.rng)
+        keep = np.exp(-motion.dt_s / self.tau)
+        normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
+        last = float(normal[-1]) if len(normal) else state.normal
+        return TwistError(self._on_channel(self.sigma * normal * self._speed(motion)), _Gain(rng, last))
+
+    def moments(self, motion: Motion) -> Moments:
+        """Return the stationary variance of the gain times the speed squared."""
+        return Moments(np.zeros((len(motion), 3)), self._on_channel((self.sigma * self._speed(motion)) ** 2))
+
+    def _speed(self, motion: Motion) -> Array:
+        return motion.omega if self.channel == "yaw" else motion.v
+
+    def _on_channel(self, values: Array) -> Array:
+        along, yaw = (0.0, values) if self.channel == "yaw" else (values, 0.0)
+        return stacked(along, 0.0, yaw, values)

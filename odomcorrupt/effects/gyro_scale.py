@@ -1,0 +1,31 @@
+"""The gyro's gain is off: every turn comes out too large or too small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class GyroScale(Effect):
+    """f = (0, 0, -e / (1 + e) omega): kinematically the same as a wrong wheelbase."""
+
+    name: ClassVar[str] = "gyro_scale"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the yaw rate has a wrong gain"
+    twin_of: ClassVar[str | None] = "wheelbase"
+    about: ClassVar[About | None] = About(
+        equation="f_yaw = -e / (1 + e) omega",
+        typical="0.1 to 3 % for a MEMS gyro that nobody calibrated",
+        source="Woodman 2007, An introduction to inertial navigation (calibration errors)",
+        confused_with=("wheelbase", "turn_asymmetry"),
+        drive="turn on the spot both ways; which of the two it is only the source of the heading tells",
+    )
+
+    e: float = parameter("", "odometry yaw rate over the true one, minus one", low=-0.2, high=0.2, typical=0.01)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: every turn is misjudged by the same factor."""
+        return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)

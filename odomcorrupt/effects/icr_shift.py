@@ -1,0 +1,31 @@
+"""The robot does not turn about the origin of its base frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class IcrShift(Effect):
+    """f = (0, x omega, 0): turns happen about a point at -x, as on a skid-steered robot whose load is not centred."""
+
+    name: ClassVar[str] = "icr_shift"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the robot turns about a point ahead of or behind its base frame"
+    twin_of: ClassVar[str | None] = "lever_arm"
+    about: ClassVar[About | None] = About(
+        equation="f_across = x omega",
+        typical="a few centimetres on skid-steered and tracked robots",
+        source="Martinez, Mandow, Morales, Pedraza & Garcia-Cerezo 2005, IJRR 24(10)",
+        confused_with=("lever_arm", "side_slip", "mount_yaw"),
+        drive="turn on the spot; to tell it from a lever arm, move the marker and drive again",
+    )
+
+    x: float = parameter("m", "minus the x of the rotation centre", low=-0.5, high=0.5, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the base frame's origin swings sideways in turns."""
+        return TwistError(stacked(0.0, self.x * motion.omega, 0.0, motion.v), state)

@@ -1,0 +1,74 @@
+"""Wheels slip on one patch of the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_MOST_DISCS = 400
+_LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
+"""Parts of the way inside a disc below and above which nothing can be learnt from it."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionSlip(Effect):
+    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside."""
+
+    name: ClassVar[str] = "region_slip"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the wheels slip on one patch of the floor"
+    reads_truth: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc",
+        typical="1 to 10 % at a carpet's edge, on wet floor, on a ramp (an estimate)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("scale_drift", "wheel_scale", "slope", "slip_burst"),
+        drive="cross the place again at other times and in other headings, and drive elsewhere as much",
+    )
+
+    slip: float = parameter("", "part of the wheels' way that is lost inside", low=-0.1, high=0.5, typical=0.05)
+    x: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
+    y: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
+    radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return discs over the ground that was covered: three sizes, centres half a radius to a radius apart.
+
+        Discs with hardly any of the way in them are left out, and so are those with nearly all of it.
+        """
+        xy = np.concatenate([np.stack((m.x, m.y), axis=1) for m in motions])
+        way = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
+        if not way.sum() > 0.0:
+            return ()
+        low, high = xy.min(axis=0), xy.max(axis=0)
+        extent = float((high - low).max())
+        found: list[Self] = []
+        for radius in (extent / 12.0, extent / 6.0, extent / 3.0):
+            if radius < 0.1:
+                continue
+            # what lies in a cell of the grid counts once: the sums below then do not grow with the rate
+            cell = np.round((xy - low) / (radius / 4.0)).astype(np.int64)
+            places, which = np.unique(cell, axis=0, return_inverse=True)
+            share = np.bincount(which.ravel(), way) / way.sum()
+            centres = np.unique(np.round(places / 4.0).astype(np.int64), axis=0) * 4
+            for centre in centres:
+                inside = share[((places - centre) ** 2).sum(axis=1) <= 16.0].sum()
+                if _LEAST_SHARE < inside < _MOST_SHARE:
+                    at = low + centre * (radius / 4.0)
+                    found.append(cls(x=float(at[0]), y=float(at[1]), radius=radius))
+        every = -(-len(found) // _MOST_DISCS) or 1
+        return tuple(found[::every])
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a scale error that depends on the place."""
+        inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
+        slip = np.where(inside, -self.slip, 0.0)
+        return TwistError(stacked(slip * motion.v, slip * motion.vy, slip * motion.omega, motion.v), state)

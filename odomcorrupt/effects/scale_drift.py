@@ -1,0 +1,31 @@
+"""Wheels grow or shrink while the robot drives: they warm up, or lose pressure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleDrift(Effect):
+    """f = rate t (v, vy, omega), t since the first odometry stamp."""
+
+    name: ClassVar[str] = "scale_drift"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the scale of distance and turn changes with time"
+    about: ClassVar[About | None] = About(
+        equation="f = rate t (v, vy, omega)",
+        typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
+        source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
+        confused_with=("wheel_scale", "region_slip", "clock_skew"),
+        drive="repeat one loop for half an hour and more",
+    )
+
+    rate: float = parameter("1/s", "growth of the true radius per second", low=-2e-4, high=2e-4, typical=1e-5)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a scale error that grows."""
+        scale = self.rate * motion.t_s
+        return TwistError(stacked(scale * motion.v, scale * motion.vy, scale * motion.omega, motion.v), state)

@@ -1,0 +1,122 @@
+"""Now and then a wheel, or both, spin for a moment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.draws import again
+from odomcorrupt.effects.effect import About, Effect, Kind, Moments, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.wheels import Rims, body_of, rims_of
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+    from odomcorrupt.pose import Array
+
+_MOST = 0.75
+"""A wheel that loses more than this of its way cannot be told from one that spins on the spot."""
+
+
+class _Burst(NamedTuple):
+    begin_s: float
+    slip: float
+    right: float
+    left: float
+
+
+class _Bursts(NamedTuple):
+    """Time gone, the burst that is on (or over), and the next one."""
+
+    rng: Generator
+    clock_s: float
+    now: _Burst
+    next: _Burst
+
+
+@dataclass(frozen=True, slots=True)
+class SlipBurst(Effect):
+    """f of a wheel = -slip u during bursts, which begin at random, `rate` per second, and end after `duration`.
+
+    A burst takes the right wheel, the left or both alike, each as often; without a track it takes both. Slips of
+    bursts are spread evenly about their mean, within 0 to 0.75. A new burst ends the one before.
+    """
+
+    name: ClassVar[str] = "slip_burst"
+    kind: ClassVar[Kind] = "noise"
+    summary: ClassVar[str] = "now and then a wheel spins for a moment"
+    about: ClassVar[About | None] = About(
+        equation="f_wheel = -slip u for each wheel's rim speed u during bursts, 0 between them",
+        typical="30 % and more for 0.1 to 0.5 s, a few times a minute on a bad floor (an estimate)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("heavy_tails", "region_slip", "gauss_markov", "wheel_scale"),
+        drive="cross the same floor again: a patch comes back, a burst does not",
+    )
+
+    rate: float = parameter("1/s", "how many begin per second", low=0.0, high=5.0, typical=0.05)
+    slip: float = parameter(
+        "", "mean part of the wheel's way that is lost", low=0.0, high=_MOST, typical=0.4, identity=0.4, amplitude=False
+    )
+    duration: float = parameter(
+        "s", "how long one lasts", low=0.01, high=10.0, typical=0.3, identity=0.3, amplitude=False
+    )
+
+    def start(self, rng: Generator) -> State:
+        """Return a clock at zero, no burst, and the first one to come."""
+        rng = again(rng)
+        return _Bursts(rng, 0.0, _Burst(-np.inf, 0.0, 0.0, 0.0), self._draw(rng, 0.0))
+
+    def _spread(self) -> float:
+        return min(self.slip, _MOST - self.slip)
+
+    def _draw(self, rng: Generator, after_s: float) -> _Burst:
+        # three draws for each burst, whatever the parameters: neighbouring values of them then look alike
+        gap, place, side = float(rng.standard_exponential()), float(rng.uniform(-1.0, 1.0)), int(rng.integers(3))
+        begin = after_s + gap / self.rate if self.rate > 0.0 else np.inf
+        return _Burst(begin, self.slip + place * self._spread(), float(side != 1), float(side != 2))
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: what is lost in the part of each interval that lies in a burst."""
+        rng, now, coming = again(state.rng), state.now, state.next
+        clock = np.cumsum(np.concatenate(([state.clock_s], motion.dt_s)))
+        right, left = np.zeros(len(motion)), np.zeros(len(motion))
+        while True:
+            end_s = min(now.begin_s + self.duration, coming.begin_s)
+            first = max(int(np.searchsorted(clock, now.begin_s, side="right")) - 1, 0)
+            last = int(np.searchsorted(clock, end_s))
+            if first < last:
+                inside = (
+                    np.minimum(clock[first + 1 : last + 1], end_s)
+                    - np.maximum(clock[first:last], now.begin_s)[: len(clock) - 1 - first]
+                )
+                lost = now.slip * np.maximum(inside, 0.0)
+                right[first:last] += now.right * lost
+                left[first:last] += now.left * lost
+            if coming.begin_s > clock[-1]:
+                break
+            now, coming = coming, self._draw(rng, coming.begin_s)
+        dt = motion.dt_s
+        share = [np.divide(x, dt, out=np.zeros_like(x), where=dt > 0.0) for x in (right, left)]
+        f = self._lost(motion, Rims(*share))
+        return TwistError(f, _Bursts(rng, float(clock[-1]), now, coming))
+
+    def _lost(self, motion: Motion, share: Rims) -> Array:
+        if motion.track_m is None:
+            both = -np.maximum(share.right, share.left)
+            return stacked(both * motion.v, both * motion.vy, both * motion.omega, motion.v)
+        u = rims_of(motion.v, motion.omega, motion.track_m)
+        f = body_of(Rims(-share.right * u.right, -share.left * u.left), motion.track_m)
+        f[:, 1] = -0.5 * (share.right + share.left) * motion.vy
+        return f
+
+    def moments(self, motion: Motion) -> Moments:
+        """Return what bursts cost on average; variances for intervals much shorter than a burst."""
+        gone = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
+        on = 1.0 - np.exp(-self.rate * np.minimum(gone, self.duration))
+        square = self.slip**2 + self._spread() ** 2 / 3.0
+        one = np.ones(len(motion))
+        sides = [self._lost(motion, Rims(r * one, f * one)) for r, f in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))]
+        mean = on[:, None] * self.slip * np.mean(sides, axis=0)
+        return Moments(mean, on[:, None] * square * np.mean(np.square(sides), axis=0) - mean**2)
