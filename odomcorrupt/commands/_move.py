@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.sampling.move import Move
 
-__all__ = ["ARTICLE_CODE", "ChosenMove", "choose_move", "choose_noise", "move_options"]
+__all__ = ["ARTICLE_CODE", "MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
 
 ARTICLE_CODE = "article-code"
+
+MODEL_OPTIONS = ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")
+"""What `choose_model` takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +70,13 @@ def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
 
-    options = {name: given[name] for name in ("alpha", "law", "step", "preset", "effects", "model")}
+    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
     article_code = options["law"] == ARTICLE_CODE
     if article_code:
         options["law"] = "linear" if options["alpha"] else None
-    numbers = [name for name in ("alpha", "preset", "effects", "model") if options[name]]
+    numbers = [name for name in ("alpha", "preset", "effects", "model", "twist_noise") if options[name]]
     if numbers and example is not None:
-        raise click.UsageError(f"--example {example} brings its own noise; leave out --{numbers[0]}")
+        raise click.UsageError(f"--example {example} brings its own noise; leave out the other numbers")
     if numbers or options["law"]:
         chosen = choose_model(**options)
         return ChosenNoise(chosen.model, chosen.origin, article_code)

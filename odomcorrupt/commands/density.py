@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._move import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
@@ -14,7 +15,9 @@ from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_
 __all__ = ["command"]
 
 
-@click.command("density", short_help="How likely an end pose is, p(x_t | u_t, x_t-1), beside samples.")
+@click.command(
+    "density", cls=AlphaCommand, short_help="How likely an end pose is, p(x_t | u_t, x_t-1), beside samples."
+)
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
 @move_options
 @click.option(

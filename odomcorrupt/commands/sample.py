@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._move import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@click.command("sample", short_help="Draw where one motion may have ended: the banana.")
+@click.command("sample", cls=AlphaCommand, short_help="Draw where one motion may have ended: the banana.")
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Result: .png, .svg, .pdf, .csv or .json."
 )

@@ -1,0 +1,152 @@
+"""odomcorrupt integrate: wheel odometry from velocities alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing
+from odomcorrupt.commands._poses import need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from odomcorrupt.drive.read import Drive
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.trajectory import Trajectory
+
+__all__ = ["command"]
+
+_FILE = click.Path(path_type=Path)
+
+
+@click.command("integrate", short_help="Odometry from the velocities of a bag alone, with or without noise on them.")
+@click.argument("input_", metavar="INPUT", type=_FILE)
+@click.argument("output", metavar="[OUTPUT]", type=_FILE, required=False)
+@click.option(
+    "--integrate",
+    "rule",
+    type=click.Choice(["euler", "midpoint", "exact"]),
+    default="exact",
+    help="Along the heading an interval begins with, the one half-way, or the arc. [default: exact]",
+)
+@click.option(
+    "--hold",
+    type=click.Choice(["next", "previous"]),
+    default="next",
+    help="A twist holds until the next stamp, or since the previous one. [default: next]",
+)
+@click.option(
+    "--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s."
+)
+@click.option("--runs", type=click.IntRange(1, 100_000), default=1, help="How many noisy runs to draw. [default: 1]")
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise. [default: drawn, and printed]")
+@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry whose twists are taken.")
+@click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: the topic that is called so]")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+def command(input_: Path, output: Path | None, **given: Any) -> None:
+    r"""Integrate the velocities of a bag's odometry, and write them as its poses.
+
+    OUTPUT gets run 0, in the Odometry messages and the TF edges that go with them; everything else stays.
+
+    \b
+    odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
+    odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
+    """
+    from odomcorrupt.drive.integrate import integrate, noisy_twists
+    from odomcorrupt.drive.read import find_truth, read_drive, read_poses
+    from odomcorrupt.drive.rewrite import rewrite_path
+    from odomcorrupt.errors import ModelError, OdomCorruptError
+    from odomcorrupt.rng import draw_seed
+
+    plot, noise, rule = given["plot"], given["twist_noise"], given["rule"]
+    if "-" in (str(input_), str(output)):
+        raise OdomCorruptError("-: integration reads the whole drive first, which a pipe cannot do; name files")
+    if given["runs"] > 1 and noise is None:
+        raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
+    refuse_existing(plot, overwrite=given["overwrite"])
+    refuse_existing(output, overwrite=given["overwrite"])
+    if plot is not None:
+        if picture_kind(plot) is None:
+            raise click.UsageError(f"{plot}: ends in {plot.suffix or 'nothing'}; write .png, .svg or .pdf")
+        need_pictures()
+    drive = read_drive(input_, given["odom_topic"])
+    truth_topic = given["truth"] or find_truth(input_)
+    truth = None if truth_topic is None else read_poses(input_, truth_topic)
+    click.echo("\n".join([_about(drive, rule, given["hold"]), *drive.notes]))
+    clean = integrate(drive.xyt[0], drive.twist, drive.t_s, rule, hold=given["hold"])
+    _compare(drive, clean, truth, truth_topic)
+    written, provenance = clean, {"command": "integrate", "rule": rule, "hold": given["hold"]}
+    runs = None
+    if noise is not None:
+        seed = draw_seed() if given["seed"] is None else given["seed"]
+        try:
+            twists = noisy_twists(drive.twist, *noise, seed=seed, runs=range(given["runs"]))
+        except ModelError as error:
+            raise click.UsageError(str(error)) from error
+        runs = integrate(drive.xyt[0], twists, drive.t_s, rule, hold=given["hold"])
+        written, provenance = runs[0], provenance | {"seed": str(seed), "twist_noise": f"{noise[0]} {noise[1]}"}
+        _spread(runs, clean, noise, seed)
+    if output is not None:
+        done = rewrite_path(input_, output, drive, written, provenance, overwrite=given["overwrite"])
+        click.echo(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms", err=True)
+    if plot is not None:
+        _draw(plot, drive, clean, runs, truth, rule, noise)
+
+
+def _about(drive: Drive, rule: str, hold: str) -> str:
+    hertz = (len(drive) - 1) / float(drive.t_s[-1])
+    when = "until the next stamp" if hold == "next" else "since the previous stamp"
+    return (
+        f"{drive.topic}: {len(drive)} twists in {drive.t_s[-1]:.4g} s ({hertz:.3g} Hz), {drive.distance_m[-1]:.4g} m; "
+        f"rule {rule}, each twist holds {when}"
+    )
+
+
+def _compare(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | None) -> None:
+    import numpy as np
+
+    from odomcorrupt.drive.errors import path_error
+
+    error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
+    for error_of, against in ((error, name), (path_error(drive.stamps_ns, xyt, drive.trajectory), drive.topic)):
+        if error_of is not None:
+            click.echo(
+                f"against {against}: at most {error_of.position_m.max():.4f} m and "
+                f"{np.abs(error_of.heading_rad).max():.4f} rad"
+            )
+
+
+def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) -> None:
+    import numpy as np
+
+    ends = runs[:, -1] - clean[-1]
+    position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
+    click.echo(
+        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}"
+    )
+    click.echo(f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate")
+
+
+def _draw(
+    plot: Path,
+    drive: Drive,
+    clean: Array,
+    runs: Array | None,
+    truth: Trajectory | None,
+    rule: str,
+    noise: tuple[float, float] | None,
+) -> None:
+    from odomcorrupt.drive.errors import path_error
+    from odomcorrupt.report.odometry import draw_errors, draw_runs
+
+    reference = drive.trajectory if truth is None else truth
+    error = path_error(drive.stamps_ns, clean, reference)
+    if error is None:
+        raise click.UsageError("odometry and truth share no time; name another topic with --truth")
+    if runs is None or noise is None:
+        save_picture(plot, draw_errors(error, f"twists, {rule}", f"Odometry integrated from velocities alone ({rule})"))
+        return
+    words = f"Velocities with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s"
+    save_picture(plot, draw_runs(runs, error.truth_xyt, "true path" if truth is not None else "bag's own path", words))
