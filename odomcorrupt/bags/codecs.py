@@ -14,9 +14,10 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["compress", "compress_for_ros1", "decompress"]
+__all__ = ["compress", "compress_for_ros1", "decompress", "require_level"]
 
 _PIECE_BYTES = 1 << 20
+_LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
@@ -34,7 +35,7 @@ def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np
         elif codec == "lz4":
             out = _unlz4(data, size)
         elif codec == "bz2":
-            out = bytearray(bz2.BZ2Decompressor().decompress(data, max_length=size + 1))
+            out = _unbz2(data, size)
         else:
             out = bytearray(data)
     except _Damage as error:
@@ -58,6 +59,14 @@ def _unzstd(data: memoryview, size: int) -> bytearray:
     return out
 
 
+def _unbz2(data: memoryview, size: int) -> bytearray:
+    decompressor = bz2.BZ2Decompressor()
+    out = decompressor.decompress(data, max_length=size + 1)
+    if not decompressor.eof and len(out) <= size:
+        raise EOFError("the stream is cut short")
+    return bytearray(out)
+
+
 def _unlz4(data: memoryview, size: int) -> bytearray:
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
@@ -69,11 +78,19 @@ def _unlz4(data: memoryview, size: int) -> bytearray:
     return out if isinstance(out, bytearray) else bytearray(out)
 
 
+def require_level(codec: str, level: int | None) -> None:
+    """Refuse a level that a codec does not have."""
+    lowest, highest = _LEVELS.get(codec, (0, 99))
+    if level is not None and not lowest <= level <= highest:
+        raise BagError(f"level {level}: {codec} has levels {lowest} to {highest}")
+
+
 def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
     """Compress a chunk; level None is the fast one (zstd 1, plain LZ4, bz2 9 as bzip2 itself).
 
     Independent blocks of 64 KB are what LZ4 packs and unpacks fastest: larger or linked ones go through its own buffer.
     """
+    require_level(codec, level)
     if codec == "zstd":
         return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
     if codec == "lz4":
@@ -88,6 +105,7 @@ def compress_for_ros1(codec: str, data: NDArray[np.uint8], level: int | None) ->
     """Compress a chunk so that ROS 1 reads it: its LZ4 wants independent blocks, a checksum, and no content size."""
     if codec != "lz4":
         return compress(codec, data, level)
+    require_level(codec, level)
     packed: bytes = lz4.frame.compress(
         data.data, compression_level=level or 0, block_linked=False, store_size=False, content_checksum=True
     )

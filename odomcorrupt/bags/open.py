@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, BinaryIO
 
+from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
 from odomcorrupt.bags.mcap.writer import McapWriter
@@ -112,6 +113,8 @@ def open_writer(
         raise BagError(
             f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
         )
+    if compression is not None:
+        require_level(compression, level)
     if path is None or str(path) == "-":
         return McapWriter(Output(None, stream or sys.stdout.buffer), _single(reader, "mcap"), compression, level)
     named = path.suffix.lower() in _SUFFIXES

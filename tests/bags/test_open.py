@@ -8,7 +8,9 @@ import sys
 import threading
 
 import pytest
+from mcap.writer import Writer as McapLibraryWriter
 from oracles import OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages
+from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.errors import BagError
@@ -164,3 +166,46 @@ def test_blocks_have_buffers_of_their_own():
             assert block.data.flags.writeable
             block.data[:] = 0
         assert all(sums)
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
+def test_a_bag_without_messages_stays_one(suffix, tmp_path):
+    source = tmp_path / f"in{suffix}"
+    if suffix == ".bag":
+        with Ros1LibraryWriter(source):
+            pass
+    else:
+        with source.open("wb") as stream:
+            writer = McapLibraryWriter(stream)
+            writer.start()
+            writer.finish()
+    out = copy(source, tmp_path / f"out{suffix}")
+    with open_reader(out) as reader:
+        assert not reader.channels
+        assert not list(reader.blocks())
+    assert mcap_messages(copy(source, tmp_path / "out.copy.mcap")) == []
+
+
+def test_a_ros1_bag_on_a_pipe_becomes_the_same_bag_as_a_file(tmp_path):
+    through_file = copy(OFFICE_BAG, tmp_path / "file.bag")
+    through_pipe = copy(None, tmp_path / "pipe.bag", stdin=io.BytesIO(OFFICE_BAG.read_bytes()))
+    assert through_pipe.read_bytes() == through_file.read_bytes()
+
+
+def test_a_level_that_a_compression_does_not_have_is_refused_before_anything_is_written(tmp_path):
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="level 40"):
+        open_writer(tmp_path / "out.mcap", reader, compression="zstd", level=40)
+    with pytest.raises(BagError, match="level 40"):
+        copy(OFFICE_MCAP, tmp_path / "out.mcap", level=40)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_named_pipe_is_read_as_a_pipe(tmp_path):
+    fifo = tmp_path / "in.mcap"
+    os.mkfifo(fifo)
+    thread = threading.Thread(target=lambda: fifo.write_bytes(OFFICE_MCAP.read_bytes()))
+    thread.start()
+    with open_reader(fifo) as reader:
+        assert not reader.complete
+        assert sum(len(block.table) for block in reader.blocks()) == 9325
+    thread.join()

@@ -1,0 +1,72 @@
+"""Compressed chunks come back as they were, and lies about their size are found."""
+
+import bz2
+import io
+from contextlib import suppress
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+
+from odomcorrupt.bags.codecs import compress, compress_for_ros1, decompress
+from odomcorrupt.errors import BagError
+
+DATA = np.random.default_rng(0).integers(0, 3, 300_000).astype(np.uint8)
+
+
+def zstd_without_size(data):
+    out = io.BytesIO()
+    with zstandard.ZstdCompressor(write_content_size=False).stream_writer(out, closefd=False) as stream:
+        stream.write(data)
+    return out.getvalue()
+
+
+FRAMES = {
+    "zstd, two frames": ("zstd", lambda d: zstandard.compress(d[:1000]) + zstandard.compress(d[1000:])),
+    "zstd without size": ("zstd", zstd_without_size),
+    "lz4 linked": ("lz4", lz4.frame.compress),
+    "lz4 high": ("lz4", lambda d: lz4.frame.compress(d, compression_level=9, content_checksum=True)),
+    "bz2 fast": ("bz2", lambda d: bz2.compress(d, 1)),
+}
+
+
+@pytest.mark.parametrize("codec", ["none", "lz4", "zstd", "bz2"])
+@pytest.mark.parametrize("pack", [compress, compress_for_ros1])
+@pytest.mark.parametrize("size", [0, 1, 300_000])
+def test_what_is_compressed_comes_back_writable(codec, pack, size):
+    for level in (None, 3):
+        out = decompress(codec, memoryview(pack(codec, DATA[:size], level)), size, "chunk")
+        np.testing.assert_array_equal(out, DATA[:size])
+        assert out.flags.writeable
+
+
+@pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
+def test_frames_of_other_writers_are_read(codec, pack):
+    np.testing.assert_array_equal(decompress(codec, memoryview(pack(DATA.tobytes())), DATA.size, "chunk"), DATA)
+
+
+@pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
+@pytest.mark.parametrize("claim", [0, 999, DATA.size - 1, DATA.size + 1, 2**40, 2**62])
+def test_a_wrong_size_is_an_error(codec, pack, claim):
+    with pytest.raises(BagError, match=f"chunk.*{claim}"):
+        decompress(codec, memoryview(pack(DATA.tobytes())), claim, "chunk")
+
+
+@pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
+def test_a_frame_cut_or_damaged_is_an_error_or_the_same_size(codec, pack):
+    whole = pack(DATA.tobytes())
+    for cut in (0, 1, 5, len(whole) // 2, len(whole) - 1):
+        with pytest.raises(BagError, match="chunk"):
+            decompress(codec, memoryview(whole[:cut]), DATA.size, "chunk")
+    for place in np.random.default_rng(1).integers(0, len(whole), 100):
+        damaged = bytearray(whole)
+        damaged[place] ^= 0x55
+        with suppress(BagError):
+            assert decompress(codec, memoryview(damaged), DATA.size, "chunk").size == DATA.size
+
+
+@pytest.mark.parametrize(("codec", "level"), [("zstd", 0), ("zstd", 23), ("lz4", 17), ("bz2", 0), ("bz2", 10)])
+def test_a_level_that_a_codec_does_not_have_is_refused(codec, level):
+    with pytest.raises(BagError, match=f"level {level}"):
+        compress(codec, DATA, level)
