@@ -43,8 +43,11 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
     width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
     middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
     world = slopes(own, driver.xyt, middle, width_s)
-    pose = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
-    twist = np.concatenate((rotate(world[:, :2], -pose[:, 2]), world[:, 2:]), axis=1)
+    heading = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)[:, 2]
+    twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+    # slopes and regions lie in the world: where the robot is, is the truth's to say
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns)
     return Motion(
         t_s=t_s[1:],
         dt_s=dt,

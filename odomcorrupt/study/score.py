@@ -8,7 +8,7 @@ few blocks borrow strength from the others, as limma does for few arrays).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,26 +24,25 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fit import Fit
 
-__all__ = ["Score", "block_of", "score_tests"]
+__all__ = ["ColumnScore", "Score", "block_of", "score_columns", "score_tests"]
 
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
 _PRIOR_DOF = 20.0
 
 
-@dataclass(frozen=True, slots=True)
-class Score:
-    """What the residual says about one effect.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnScore:
+    """What the residual says about a group of columns.
 
-    estimate, standard_error : (p,) of its parameters, to first order, errors made robust
+    estimate, standard_error : (p,) of their factors, to first order, errors made robust
     statistic : chi-square with p degrees under the fitted model
     inflation : by how much the score varies more between blocks than the model says, at least 1
-    p : probability of such a score somewhere in the library without any effect, by the worse of both gates
-    separable : whether the effect can be told from what is believed already at all
+    p : probability of such a score anywhere in the family without any effect, by the worse of both gates
+    separable : whether the group can be told from what is believed already at all
     held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
     """
 
-    effect: Effect
     estimate: Array
     standard_error: Array
     statistic: float
@@ -52,6 +51,13 @@ class Score:
     separable: bool
     held_out_nats: float
     held_out_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score(ColumnScore):
+    """What the residual says about one effect; the factors are its parameters."""
+
+    effect: Effect
 
 
 def block_of(fit: Fit) -> NDArray[np.int64]:
@@ -71,32 +77,37 @@ def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
 
 
 def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list[Score]:
-    """Test every candidate effect at its present values on a fitted model.
+    """Test every candidate effect at its present values (usually the identity) on a fitted model.
 
     Parameters
     ----------
     fit : the fitted model
-    candidates : effects at the values to test from (usually the identity)
+    candidates : the family of effects
     believed : (K, 3, q)
         Columns of what is believed already; candidates are tested beside them.
 
     """
+    scores = score_columns(fit, [fit.problem.columns(effect) for effect in candidates], believed)
+    return [Score(effect=effect, **asdict(score)) for effect, score in zip(candidates, scores, strict=True)]
+
+
+def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[ColumnScore]:
+    """Test a family of groups of columns (K, 3, p), each beside what is believed (K, 3, q)."""
     whiten = fit.noise.whitener.whiten
     r = fit.noise.innovations
     known = whiten(believed) if believed.shape[2] else np.zeros((len(r), 0))
     basis = np.linalg.qr(known)[0] if known.shape[1] else known
     r = r - basis @ (basis.T @ r)
     block = np.repeat(block_of(fit), 3)
-    groups = []
-    for effect in candidates:
-        raw = whiten(fit.problem.columns(effect))
-        groups.append((effect, raw, raw - basis @ (basis.T @ raw)))
-    tests = [_test(r, column, raw, block) for _, raw, column in groups]
+    tests = []
+    for group in groups:
+        raw = whiten(group)
+        tests.append(_test(r, raw - basis @ (basis.T @ raw), raw, block))
     usable = [t for t in tests if t.separable]
-    # the library's common opinion on how much scores vary between blocks
+    # the family's common opinion on how much scores vary between blocks
     weights = np.array([t.dof for t in usable])
     shared = max(float(np.sum(weights * [t.variance for t in usable]) / weights.sum()), 1.0) if usable else 1.0
-    return [_judged(effect, t, shared, len(usable)) for (effect, _, _), t in zip(groups, tests, strict=True)]
+    return [_judged(t, shared, len(usable)) for t in tests]
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,18 +161,17 @@ def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) ->
     return gains
 
 
-def _judged(effect: Effect, test: _Test, shared: float, library: int) -> Score:
+def _judged(test: _Test, shared: float, family: int) -> ColumnScore:
     count = len(test.estimate)
     inflation = max(1.0, (_PRIOR_DOF * shared + test.dof * test.variance) / (_PRIOR_DOF + test.dof))
     if test.separable:
         plain = chi2.sf(test.statistic, count)
         robust = fisher_f.sf(test.statistic / (count * inflation), count, _PRIOR_DOF + test.dof)
-        p = min(1.0, library * float(max(plain, robust)))
+        p = min(1.0, family * float(max(plain, robust)))
     else:
         p = 1.0
     gains = test.held_out
-    return Score(
-        effect=effect,
+    return ColumnScore(
         estimate=test.estimate,
         standard_error=np.sqrt(np.diag(test.covariance) * inflation),
         statistic=test.statistic,

@@ -68,6 +68,10 @@ class Samples:
         chosen = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray) and len(value)}
         return replace(self, **chosen, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))
 
+    def stamped(self, stamps_ns: NDArray[np.int64]) -> Samples:
+        """Return the same poses with other stamps (n,)."""
+        return replace(self, stamps_ns=stamps_ns)
+
     def noted(self, *notes: str) -> Samples:
         """Return the same samples with more said about them."""
         return replace(self, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))
