@@ -1,0 +1,140 @@
+"""What a bag is like, and what would move."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from bagged import IMU, ODOM, OTHER, TF, TRUTH, MemoryBag, blocks_of, odometry, robot, transforms, twists
+from drives import office
+
+from odomcorrupt.bags.block import Channel
+from odomcorrupt.cli import run
+from odomcorrupt.corrupt.covariance_watch import CovarianceWatch
+from odomcorrupt.corrupt.portrait import portrait, portrait_text
+from odomcorrupt.corrupt.survey import survey
+from odomcorrupt.errors import TopicError
+from odomcorrupt.pose import compose, inverse
+
+DRIVE = office(20.0, 20.0)
+STATIC = Channel(6, "/tf_static", TF.msgtype, "cdr")
+CHANNELS = {c.id: c for c in (ODOM, TF, IMU, OTHER, TRUTH, STATIC)}
+
+
+def look(messages, **asked):
+    options = {"odom_topic": None, "odom_frame": None, "base_frame": None} | asked
+    return portrait(survey(MemoryBag(blocks_of(messages), CHANNELS)), **options)
+
+
+def alone(t, poses, **options):
+    return [(ODOM, int(s), odometry(s, p, w, **options)) for s, p, w in zip(t, poses, twists(t, poses), strict=True)]
+
+
+def test_a_sound_bag_has_its_topics_edges_and_drive_told_and_no_oddities():
+    values = look(robot(*DRIVE))
+    assert (values["driver"], values["odom_frame"], values["base_frame"]) == ("/odom", "odom", "base_link")
+    assert {t["topic"]: t["messages"] for t in values["topics"]} == {"/imu": 401, "/odom": 401, "/tf": 401}
+    assert {f"{e['parent']} -> {e['child']}": e["moved"] for e in values["edges"]} == {
+        "odom -> base_link": True, "map -> odom": False, "base_link -> laser": False,
+    }  # fmt: skip
+    (odom,) = values["odometry"]
+    assert odom["moved"]
+    assert odom["distance_m"] == pytest.approx(8 * 0.6 + 4 * 0.5 + 3 * 0.3, rel=0.02)
+    assert odom["reverse_m"] == pytest.approx(0.9, rel=0.05)
+    assert odom["standing_s"] == pytest.approx(2.0, abs=0.11)
+    assert odom["rate_hz"] == pytest.approx(20.0)
+    assert odom["sideways_m"] < 0.01
+    assert odom["tf_differs_m"] < 1e-9
+    assert [sentence for sentence in odom["oddities"] if "covariance" not in sentence] == []
+    assert values["still_true"] == ["/imu"]
+    assert values["remarks"] == []
+
+
+def test_odometry_and_tf_that_differ_are_found_in_both_directions():
+    t, poses = DRIVE
+    off = compose(poses, np.array([0.3, 0.0, 0.0]))
+    for edge in (lambda p: ("odom", "base_link", p), lambda p: ("base_link", "odom", inverse(p))):
+        messages = alone(t, poses) + [(TF, int(s), transforms((s, *edge(p)))) for s, p in zip(t, off, strict=True)]
+        (odom,) = look(messages)["odometry"]
+        assert odom["tf_differs_m"] == pytest.approx(0.3, abs=1e-6)
+
+
+def test_twists_in_the_odom_frame_zero_twists_and_wrong_ones_are_noticed():
+    t, poses = DRIVE
+    rates = np.vstack((np.zeros(3), np.diff(poses, axis=0) / np.diff(t)[:, None] * 1e9))
+    for made, sentence in ((rates, "odom frame"), (rates * 0, "all zero while"), (twists(t, poses) * 3, "do not fit")):
+        messages = [(ODOM, int(s), odometry(s, p, w)) for s, p, w in zip(t, poses, made, strict=True)]
+        (odom,) = look(messages)["odometry"]
+        assert any(sentence in said for said in odom["oddities"])
+
+
+def test_restarts_swaps_jumps_zero_stamps_and_broken_poses_are_counted():
+    t, poses = DRIVE
+    poses = poses.copy()
+    poses[200:, 0] += 40.0
+    poses[50, 1] = np.nan
+    messages = alone(t, poses)
+    messages[20], messages[22] = messages[22], messages[20]
+    later = [(c, log + 30 * 10**9, data) for c, log, data in messages]
+    (odom,) = look(messages + later)["odometry"]
+    assert (odom["restarts"], odom["jumps"]) == (1, 2)
+    assert odom["swapped"] == 4
+    assert "2 poses are not numbers" in odom["oddities"]
+    (odom,) = look([(ODOM, int(s), odometry(0, p)) for s, p in zip(*DRIVE, strict=True)])["odometry"]
+    assert "401 of 401 stamps are zero: log times stand in for them" in odom["oddities"]
+
+
+def test_sideways_motion_points_to_the_omni_law():
+    t, _ = DRIVE
+    poses = np.column_stack((np.zeros(len(t)), np.linspace(0, 5, len(t)), np.zeros(len(t))))
+    assert "moves sideways (5 m): --law omni" in portrait_text(look(alone(t, poses)))
+
+
+def test_what_needs_a_choice_is_remarked():
+    several = [*robot(*DRIVE), *((TRUTH, int(s), odometry(s, p)) for s, p in zip(*DRIVE, strict=True))]
+    assert "several nav_msgs/Odometry topics" in look(several)["remarks"][0]
+    assert look(several, odom_topic="truth")["driver"] == "/truth"
+    with pytest.raises(TopicError, match="/odom, /truth is"):
+        look(several, odom_topic="/imu")
+    in_map = look(alone(*DRIVE, frame="map"))
+    assert "'map'" in in_map["remarks"][0]
+    assert not in_map["odometry"][0]["moved"]
+    assert look(alone(*DRIVE, frame="map"), odom_frame="map")["odometry"][0]["moved"]
+    static = [(STATIC, int(DRIVE[0][0]), transforms((DRIVE[0][0], "odom", "base_link", (0, 0, 0))))]
+    assert "cannot follow a drift" in look(static + alone(*DRIVE))["remarks"][0]
+    assert "TF alone can be corrupted" in look(static)["remarks"][0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda c: c * 0, "are all zero"),
+        (lambda c: c, "never change"),
+        (lambda c: c * np.linspace(1, 2, 5)[:, None], None),
+        (lambda c: c * 1e9, 'say "not known" (up to 1e+07)'),
+        (lambda c: -c, "are negative or not numbers"),
+        (lambda c: c * np.nan, "are negative or not numbers"),
+        (lambda c: c + np.eye(36)[1], "are not symmetric, or not positive"),
+    ],
+)
+def test_odd_covariances_are_named(make, said):
+    watch = CovarianceWatch()
+    covariances = make(np.tile((0.01 * np.eye(6)).ravel(), (5, 1)))
+    watch.take(covariances[:2])
+    watch.take(covariances[2:])
+    assert watch.oddity(never_changes=True) == said
+
+
+def test_the_command_prints_text_or_values(capsys, tmp_path):
+    from test_run import FIXTURES
+
+    office_bag = str(FIXTURES / "office.mcap")
+    assert run(["info", office_bag]) == 0
+    text = capsys.readouterr().out
+    assert "/odom (odom -> base_link, 50 Hz): drives the model" in text
+    assert "static edges that stay" in text
+    assert run(["info", office_bag, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["still_true"] == ["/imu"]
+    assert run(["info", str(tmp_path / "none.bag")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
