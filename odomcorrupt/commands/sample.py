@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._along import sample_along
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._move import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing, write_text
@@ -19,21 +20,27 @@ __all__ = ["command"]
 
 
 @click.command("sample", cls=AlphaCommand, short_help="Draw where one motion may have ended: the banana.")
+@click.argument("bag", metavar="[BAG]", type=click.Path(path_type=Path), required=False)
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Result: .png, .svg, .pdf, .csv or .json."
 )
 @move_options
+@click.option(
+    "--every", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Along a bag: a cloud per M m."
+)
+@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
-def command(output: Path | None, *, as_json: bool, overwrite: bool, **given: Any) -> None:
-    r"""Draw where one motion may have ended.
+def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: bool, **given: Any) -> None:
+    r"""Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
 
     \b
     odomcorrupt sample -o banana.png                             # the article's example
     odomcorrupt sample --law article-code -o listing.png         # its listing, as it is
     odomcorrupt sample --example rotation-heavy -o heavy.svg     # one of the lecture's settings
     odomcorrupt sample --end 1,0.3,20deg --alpha 0.05 0.02 0.05 0.01 -n 5000 -o ends.csv
+    odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive
     """
     from odomcorrupt.rng import draw_seed, stream
     from odomcorrupt.sampling.account import Drawn, csv_text, json_text, report_text
@@ -45,6 +52,9 @@ def command(output: Path | None, *, as_json: bool, overwrite: bool, **given: Any
         raise click.UsageError(f"{output}: ends in {kind or 'nothing'}; write .png, .svg, .pdf, .csv or .json")
     if kind in PICTURES:
         need_pictures()
+    if bag is not None:
+        sample_along(bag, output, kind, as_json=as_json, given=given)
+        return
     chosen = choose_move(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     xyt = move_sampled(chosen.move, chosen.variances, chosen.count, stream(seed, 0, "sample"))

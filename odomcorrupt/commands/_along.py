@@ -1,0 +1,66 @@
+"""`odomcorrupt sample in.mcap`: where a robot may be along a whole drive."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt.commands._model import choose_model
+from odomcorrupt.commands._move import MODEL_OPTIONS
+from odomcorrupt.commands._output import write_text
+from odomcorrupt.commands._poses import PICTURES, save_picture
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+__all__ = ["DEFAULT_RUNS", "sample_along"]
+
+DEFAULT_RUNS = 300
+
+
+def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: bool, given: Mapping[str, Any]) -> None:
+    """Draw runs of a bag's drive, look at them along the way, and print and write what is asked for."""
+    from odomcorrupt.drive.cloud import cloud_along, csv_text, json_text, report_text
+    from odomcorrupt.drive.read import read_drive
+    from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.rng import draw_seed
+    from odomcorrupt.sampling.account import law_words
+
+    taken = [name for name in ("example", "start", "end") if given[name] is not None]
+    if taken:
+        raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
+    if str(bag) == "-":
+        raise OdomCorruptError("-: the whole drive is read first, which a pipe cannot do; name a file")
+    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
+    chosen = choose_model(**options)
+    drive = read_drive(bag, given["odom_topic"])
+    # about six clouds, at round distances
+    every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    cloud = cloud_along(drive, chosen.model, seed=seed, runs=given["count"] or DEFAULT_RUNS, every_m=every)
+    if as_json:
+        click.echo(json_text(cloud), nl=False)
+    else:
+        origin = f" ({chosen.origin})" if chosen.origin else ""
+        click.echo(f"noise: {law_words(chosen.model.noise)}{origin}")
+        click.echo(report_text(cloud))
+    if output is None:
+        return
+    if kind in PICTURES:
+        from odomcorrupt.report.cloud import draw_cloud
+
+        law = chosen.model.noise.law_name
+        save_picture(output, draw_cloud(cloud, f"Where the robot may be: law {law}, seed {seed}"))
+        return
+    write_text(output, csv_text(cloud) if kind == ".csv" else json_text(cloud))
+    click.echo(f"wrote {output}", err=True)
+
+
+def _round(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, the nearest from above."""
+    import math
+
+    power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
