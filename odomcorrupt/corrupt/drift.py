@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.path import Knots
     from odomcorrupt.pose import Array
 
-__all__ = ["LEG_M", "Drift", "DriftMeter"]
+__all__ = ["LEG_M", "Drift", "DriftMeter", "PathWatcher"]
 
 LEG_M = 10.0
 """Drift is told per this many metres: of the pose after them as seen from the pose before them."""
@@ -62,6 +62,16 @@ def _place(knots: Knots, i: int) -> _Place:
         knots.clean_xyt[i].copy(), knots.error_xyt[i].copy(), knots.sums[:, i].copy(), knots.origin_xy,
         float(knots.travelled_m[i]), int(knots.stamps_ns[i]),
     )  # fmt: skip
+
+
+class PathWatcher(Protocol):
+    """Whoever wants to see the path go by."""
+
+    def restart(self) -> None:
+        """Learn that time began anew."""
+
+    def add(self, knots: Knots) -> None:
+        """Take the next part of the path."""
 
 
 class DriftMeter:

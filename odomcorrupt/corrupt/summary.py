@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model import MotionModel
 
-__all__ = ["summary", "truth_tellers"]
+__all__ = ["SIDEWAYS", "model_words", "summary", "truth_tellers"]
 
 TRUTH_TYPES = frozenset({
     ODOMETRY,
@@ -46,7 +46,7 @@ def summary(outcome: Outcome, origin: str) -> str:
     drive = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
     parts = [
         f"{'Nothing to change' if silent else 'Moved'}: {_moved(outcome)}, driven by {outcome.driver} ({drive}).",
-        f"{_model(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
+        f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
     ]
     if not silent:
         parts += [_drift(outcome.drift), *_rate(outcome)]
@@ -80,7 +80,8 @@ def _moved(outcome: Outcome) -> str:
     return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
 
 
-def _model(model: MotionModel, origin: str) -> str:
+def model_words(model: MotionModel, origin: str) -> str:
+    """Return law, coefficients, where they come from, and effects."""
     noise = model.noise
     values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
     numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)

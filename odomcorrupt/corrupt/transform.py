@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corrupt.drift import PathWatcher
     from odomcorrupt.corrupt.patch import Changes
     from odomcorrupt.corrupt.targets import Frames, Side
     from odomcorrupt.model import MotionModel
@@ -90,6 +91,7 @@ class Transform:
         self.model = model
         self.order = TimeOrder()
         self.drift = DriftMeter()
+        self.watchers: list[PathWatcher] = [self.drift]
         self.driver = Driver(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
         self.unusable = 0
         self.seen: set[int] = set()
@@ -163,13 +165,15 @@ class Transform:
             self._extend(ended)
             self._path.restart()
             self._curve.restart()
-            self.drift.restart()
+            for watcher in self.watchers:
+                watcher.restart()
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):
             knots = self._path.feed(ordered.stamps_ns, ordered.xyt)
             self._curve.extend(knots, ordered.time_ns)
-            self.drift.add(knots)
+            for watcher in self.watchers:
+                watcher.add(knots)
 
     def _ready(self, held: _Held) -> bool:
         """Whether nothing more can be learnt for a block."""

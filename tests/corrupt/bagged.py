@@ -94,6 +94,7 @@ class MemoryBag:
     channels: dict = field(default_factory=lambda: {c.id: c for c in (ODOM, TF, IMU)})
     complete: bool = True
     kind: str = "mcap"
+    name: str = "test.mcap"
 
     def blocks(self):
         yield from self.held

@@ -1,0 +1,76 @@
+"""A forecast as text, and as plain values."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.summary import model_words
+
+if TYPE_CHECKING:
+    from odomcorrupt.corrupt.forecast import Forecast
+    from odomcorrupt.model import MotionModel
+
+__all__ = ["SCHEMA", "forecast_json", "forecast_text"]
+
+SCHEMA = 1
+"""Version of the values that `forecast_json` returns."""
+
+SAME = 0.03
+"""Factors this near 1 are the discretisation of the drive, not a law that depends on the rate."""
+
+
+def depends_on_rate(outlook: Forecast) -> bool:
+    """Whether the same numbers mean another drift at another message rate."""
+    return abs(outlook.half_rate_position - 1.0) > SAME or abs(outlook.half_rate_heading - 1.0) > SAME
+
+
+def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:
+    """Return a forecast for people: the drive, the model, a table, and whether the message rate matters."""
+    rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
+    lines = [
+        f"{outlook.name}: {outlook.distance_m:.4g} m in {outlook.duration_s:.4g} s{rate}",
+        f"{model_words(model, origin)}; runs 0 to {outlook.runs - 1} of seed {seed}",
+        "",
+        "    after     position   9 of 10 below       heading" + "   of it constant" * _systematic(model),
+    ]
+    for i, row in enumerate(outlook.rows):
+        after = "the end" if i == len(outlook.rows) - 1 else f"{row.after_m:.0f} m"
+        line = f"{after:>9}   {row.position_rms_m:8.3g} m   {row.position_90_m:11.3g} m"
+        line += f"   {math.degrees(row.heading_rms_rad):7.3g} deg"
+        if _systematic(model):
+            line += f"   {row.position_mean_m:.3g} m, {math.degrees(row.heading_mean_rad):.3g} deg"
+        lines.append(line)
+    return "\n".join([*lines, "", _rate_sentence(outlook)])
+
+
+def _systematic(model: MotionModel) -> bool:
+    return any(acts(effect) and effect.kind != "noise" for effect in model.effects)
+
+
+def _rate_sentence(outlook: Forecast) -> str:
+    if not depends_on_rate(outlook):
+        return "The noise does not depend on the message rate."
+    return (
+        f"The noise depends on the message rate: at half of it, travel would be {outlook.half_rate_position:.3g} and "
+        f"heading {outlook.half_rate_heading:.3g} times as uncertain."
+    )
+
+
+def forecast_json(outlook: Forecast, seed: int) -> dict[str, Any]:
+    """Return a forecast as values that JSON can hold: metres, radians, seconds."""
+    return {
+        "schema": SCHEMA,
+        "driver": outlook.name,
+        "distance_m": outlook.distance_m,
+        "duration_s": outlook.duration_s,
+        "rate_hz": outlook.rate_hz,
+        "seed": seed,
+        "runs": outlook.runs,
+        "rows": [dataclasses.asdict(row) for row in outlook.rows],
+        "depends_on_rate": depends_on_rate(outlook),
+        "half_rate_position_factor": outlook.half_rate_position,
+        "half_rate_heading_factor": outlook.half_rate_heading,
+    }

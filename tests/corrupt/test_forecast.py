@@ -1,0 +1,97 @@
+"""What a model will do to a drive, before it is done."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, odometry, robot
+from drives import model, office, silent
+from test_run import FIXTURES
+
+from odomcorrupt.cli import run
+from odomcorrupt.corrupt.forecast import CleanDrive, forecast, read_clean_drive
+from odomcorrupt.corrupt.forecast_text import forecast_json, forecast_text
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.errors import TopicError
+
+T, POSES = office(10.0, 40.0)
+DRIVE = CleanDrive("/odom", T, POSES)
+
+
+def bag(messages):
+    return MemoryBag(blocks_of(messages), {c.id: c for c in (ODOM, TF, IMU)})
+
+
+def test_the_clean_drive_is_the_longest_stretch():
+    t, poses = office(20.0, 8.0)
+    short = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t[:40], poses[:40], strict=True)]
+    later = [(c, log + 10**10, data) for c, log, data in robot(t, poses)]
+    drive = read_clean_drive(bag(short + later), model(), Options())
+    assert drive.name == "/odom"
+    assert np.array_equal(drive.stamps_ns, t)
+    assert drive.xyt == pytest.approx(poses)
+
+
+def test_without_odometry_there_is_no_forecast():
+    with pytest.raises(TopicError):
+        read_clean_drive(MemoryBag([], {IMU.id: IMU}, name="x"), model(), Options())
+
+
+def test_its_runs_are_those_that_corruption_draws():
+    outlook = forecast(DRIVE, model(), 5, 3)
+    messages = [(ODOM, int(s), odometry(s, p)) for s, p in zip(T, POSES, strict=True)]
+    for k in range(3):
+        transform = Transform(model(), 5, k)
+        list(transform.blocks(bag(messages), "test"))
+        end = outlook.noisy_xy[k][-1] - outlook.clean_xy[-1]
+        assert np.hypot(*end) == pytest.approx(transform.drift.result().end_drawn_m, abs=1e-9)
+
+
+def test_rows_are_the_moments_of_its_runs():
+    outlook = forecast(DRIVE, model(), 1, 50)
+    errors = np.array([NoisyPath(model(), 1, k).feed(T, POSES).error_xyt[-1] for k in range(50)])
+    end = outlook.rows[-1]
+    assert end.after_m == pytest.approx(outlook.distance_m)
+    assert end.position_rms_m == pytest.approx(np.sqrt(np.mean(errors[:, :2] ** 2) * 2))
+    assert end.heading_rms_rad == pytest.approx(np.sqrt(np.mean(errors[:, 2] ** 2)))
+    assert np.mean(np.hypot(errors[:, 0], errors[:, 1]) <= end.position_90_m) == pytest.approx(0.9, abs=0.021)
+    assert [row.after_m for row in outlook.rows[:-1]] == [1.0, 2.0, 5.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "depends"),
+    [(model(), False), (model("linear"), True), (model("linear", step="0.25m,0.2rad"), False), (model("omni"), True)],
+)
+def test_it_says_whether_the_message_rate_matters(chosen, depends):
+    outlook = forecast(DRIVE, chosen, 1, 2)
+    assert forecast_json(outlook, 1)["depends_on_rate"] == depends
+    assert ("noise depends on the message rate" in forecast_text(outlook, chosen, "", 1)) == depends
+
+
+def test_half_the_rate_makes_a_linear_law_drift_by_the_square_root_of_two():
+    assert forecast(DRIVE, model("linear"), 1, 2).half_rate_heading == pytest.approx(np.sqrt(2), rel=0.05)
+
+
+def test_effects_are_told_as_the_constant_part():
+    chosen = silent([effect_from_values("wheel_scale", {"e": 0.01})])
+    outlook = forecast(DRIVE, chosen, 1, 2)
+    assert outlook.rows[-1].position_mean_m == pytest.approx(outlook.rows[-1].position_rms_m)
+    assert "of it constant" in forecast_text(outlook, chosen, "", 1)
+    assert "of it constant" not in forecast_text(outlook, model(), "", 1)
+
+
+def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
+    office_bag, picture = str(FIXTURES / "office.mcap"), tmp_path / "fan.svg"
+    assert run(["preview", office_bag, "--runs", "3", "--alpha", "0.1", "0", "0", "0", "-o", str(picture)]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("/odom: 25.05 m in 59.98 s at 50 Hz\nLaw diffusion, rot_rot 0.1 ")
+    assert picture.read_bytes().startswith(b"<?xml")
+    assert run(["preview", office_bag, "--runs", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["runs"] == 3
+    assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
+    assert run(["preview", office_bag, "-o", str(picture)]) == 1
+    assert "exists already" in capsys.readouterr().err
