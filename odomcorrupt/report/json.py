@@ -92,7 +92,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         for clock, free, errors in zip(learned.clocks.clocks, learned.clocks.free, learned.clocks.errors, strict=True):
             if free[position]:
                 value = (clock.offset_s, clock.rate)[position]
-                p = parameters(kinds[name])[0]
+                p = amplitudes(kinds[name])[0]
                 yield _entry(kinds[name](**{p.name: value}), [errors[position]], (), 0.9999)
                 break
 

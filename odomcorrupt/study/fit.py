@@ -40,7 +40,7 @@ class Fit:
     pieces : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
     noise : coefficients, truth noise, innovations and likelihood
-    standard_errors : (p,) of the effects' parameters, in order
+    standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
     """
 

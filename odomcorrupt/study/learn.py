@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.fit import Fit, fit
@@ -41,7 +42,9 @@ class Round:
             return ()
         best = self.candidates[0].gain
         rivals = [c for c in self.candidates[1:] if not c.refused and c.gain > best - ALTERNATIVE_NATS]
-        return tuple(c.score.effect.name for c in rivals)
+        names = [self.added, *(c.score.effect.name for c in rivals)]
+        twins = [name for name, kind in registry().items() if kind.twin_of in names]
+        return (*names[1:], *twins)
 
 
 @dataclass(frozen=True, slots=True)

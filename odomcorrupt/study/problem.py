@@ -32,11 +32,24 @@ __all__ = ["Problem", "pose_problem", "undo"]
 
 
 def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
-    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start."""
+    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
+
+    Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
+    from the smooth motion and from the recorded truth, which is at hand here.
+    """
     if not effects:
         return recording
-    motion = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
-    xyt = accumulate(recording.odometry.xyt[0], corrected_increments(effects, motion))
+    raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    smooth = driving_motion(recording, "odometry")
+    known = ("acceleration", "x", "y", "theta", "distance")
+    motion = replace(raw, **{name: getattr(smooth, name) for name in known})
+    steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
+    more = np.zeros((len(motion), 3))
+    for effect in effects:
+        if effect.reads_truth and effect.kind != "noise":
+            more += error_of(effect, motion) * motion.dt_s[:, None]
+    whole = Increments(steps.ds_m + more[:, 0], steps.dl_m + more[:, 1], steps.dtheta_rad + more[:, 2])
+    xyt = accumulate(recording.odometry.xyt[0], whole)
     return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fit import Fit
 
-__all__ = ["ColumnScore", "Score", "block_of", "score_columns", "score_tests"]
+__all__ = ["ColumnScore", "Score", "best_member", "block_of", "score_columns", "score_tests"]
 
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
@@ -108,6 +108,23 @@ def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[Co
     weights = np.array([t.dof for t in usable])
     shared = max(float(np.sum(weights * [t.variance for t in usable]) / weights.sum()), 1.0) if usable else 1.0
     return [_judged(t, shared, len(usable)) for t in tests]
+
+
+def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
+    """Return the member of a family of shapes whose amplitudes explain most of what is left."""
+    if len(family) == 1:
+        return family[0]
+    whiten = fit.noise.whitener.whiten
+    r = fit.noise.innovations
+    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
+    r = r - basis @ (basis.T @ r)
+    gains = []
+    for effect in family:
+        column = whiten(fit.problem.columns(effect))
+        column = column - basis @ (basis.T @ column)
+        estimate = np.linalg.lstsq(column, r, rcond=None)[0] if column.any() else np.zeros(column.shape[1])
+        gains.append(float((column @ estimate) @ r))
+    return family[int(np.argmax(gains))]
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,7 @@ is physically possible and well enough known, and the drift over 10 s of the dat
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.clock import Clock, aligned, coarse_clock
 from odomcorrupt.study.fit import Fit, believed_columns, fit
 from odomcorrupt.study.problem import undo
-from odomcorrupt.study.score import Score, score_tests
+from odomcorrupt.study.score import Score, best_member, score_tests
 from odomcorrupt.study.windows import WINDOW_S, phased_rmse
 
 if TYPE_CHECKING:
@@ -90,30 +89,35 @@ class Candidate:
     refused: str = ""
 
 
-def library(fitted: Fit) -> list[Effect]:
-    """Return every registered systematic effect that the model does not have, at its identity; clocks are apart.
+def library(fitted: Fit) -> list[tuple[Effect, ...]]:
+    """Return every registered systematic effect that the model does not have, at its identity.
 
-    Left out are exact twins of others, effects on single wheels where no track is known, and those with shapes, which
-    need a scan (`Effect.scan`).
+    An effect with shapes comes as the family of shapes worth trying. Clocks are apart, a twin is named as an
+    alternative of the one it cannot be told from, and single wheels need a track.
     """
     have = {effect.name for effect in fitted.effects}
-    tracks = all(recording.track_m is not None for recording in fitted.problem.recordings)
-    return [
-        kind()
+    motions = fitted.problem.motions
+    track = all(m.track_m is not None for m in motions)
+    kinds = [
+        kind
         for name, kind in registry().items()
-        if name not in have
-        and kind.kind != "noise"
-        and not kind.clock
-        and kind.twin_of is None
-        and (tracks or not kind.needs_track)
-        and amplitudes(kind) == parameters(kind)
+        if name not in have and kind.kind != "noise" and not kind.clock and kind.twin_of is None
     ]
+    families = [tuple(kind.scan(motions)) for kind in kinds if track or not kind.needs_track]
+    return [family for family in families if family]
 
 
 def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
     """Return all candidates, the ones that may be added first and in order of evidence."""
-    scores = score_tests(fitted, library(fitted), believed_columns(fitted.problem, free_clocks))
-    ranked = sorted(scores, key=lambda s: _evidence(s, len(fitted.problem.nodes)), reverse=True)
+    believed = believed_columns(fitted.problem, free_clocks)
+    families = library(fitted)
+    members = [best_member(fitted, family, believed) for family in families]
+    scores = score_tests(fitted, members, believed)
+    # whoever may choose among many shapes is the likelier to fit by chance
+    scores = [replace(s, p=min(1.0, s.p * len(f))) for s, f in zip(scores, families, strict=True)]
+    trials = {s.effect.name: len(f) for s, f in zip(scores, families, strict=True)}
+    count = len(fitted.problem.nodes)
+    ranked = sorted(scores, key=lambda s: _evidence(s, trials[s.effect.name], count), reverse=True)
     candidates = []
     refits = 0
     for score in ranked:
@@ -122,12 +126,17 @@ def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
             continue
         refits += 1
-        candidates.append(_refitted(fitted, score, free_clocks))
+        candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
     return sorted(candidates, key=lambda c: (c.refused == "", c.gain, -c.score.p), reverse=True)
 
 
-def _evidence(score: Score, count: int) -> float:
-    return 0.5 * score.statistic / score.inflation - 0.5 * len(score.estimate) * float(np.log(count))
+def _evidence(score: Score, trials: int, count: int) -> float:
+    return 0.5 * score.statistic / score.inflation - _price(score.effect, trials, count)
+
+
+def _price(effect: Effect, trials: int, count: int) -> float:
+    """Return the nats an effect must gain: (k/2) ln K for its parameters, and what looking about gains by chance."""
+    return 0.5 * len(parameters(effect)) * float(np.log(count)) + float(np.log(trials))
 
 
 def _objection(score: Score) -> str:
@@ -147,10 +156,12 @@ def _objection(score: Score) -> str:
     return ""
 
 
-def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
     problem = fitted.problem
-    values = {p.name: float(v) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)}
-    moved = dataclasses.replace(score.effect, **values)  # type: ignore[type-var]
+    values = {
+        p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)
+    }
+    moved = replace(score.effect, **values)  # type: ignore[type-var]  # effects are dataclasses
     again = fit(
         problem.recordings,
         (*problem.effects, moved),
@@ -160,8 +171,7 @@ def _refitted(fitted: Fit, score: Score, free_clocks: Sequence[tuple[bool, bool]
         start=fitted.noise.free,
         weights=fitted.noise.weights,
     )
-    count = len(amplitudes(score.effect))
-    gain = again.log_likelihood - fitted.log_likelihood - 0.5 * count * float(np.log(len(problem.nodes)))
+    gain = again.log_likelihood - fitted.log_likelihood - _price(score.effect, trials, len(problem.nodes))
     before, after = ten_second_error(fitted), ten_second_error(again)
     refused = ""
     if gain <= 0.0:
