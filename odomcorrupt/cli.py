@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
 from odomcorrupt import __version__, commands
 from odomcorrupt.errors import OdomCorruptError
@@ -58,6 +59,18 @@ class _Group(click.Group):
                 _suggest(args[0])
             args = [DEFAULT, *args]
         return super().parse_args(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete commands, and what the default command takes."""
+        found = super().shell_complete(ctx, incomplete)
+        default = self.get_command(ctx, DEFAULT)
+        if default is not None:
+            sub = click.Context(default, parent=ctx, resilient_parsing=True)
+            known = {item.value for item in found}
+            found += [item for item in default.shell_complete(sub, incomplete) if item.value not in known]
+            if not incomplete.startswith("-"):
+                found.append(CompletionItem(incomplete, type="file"))
+        return found
 
     def format_usage(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write both ways of calling."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -347,3 +348,22 @@ def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdout", Terminal())
     assert run([OFFICE, "-"]) == 2
     assert "stdout is a terminal" in capsys.readouterr().err
+
+
+def completed(words):
+    """Return what the shell is offered behind these words."""
+    done = subprocess.run(
+        [sys.executable, "-c", "from odomcorrupt.cli import main; main()"],
+        env=os.environ
+        | {"_ODOMCORRUPT_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    return done.stdout.splitlines()
+
+
+def test_the_shell_completes_commands_options_and_files():
+    assert "plain,preview" in completed("odomcorrupt pre")
+    assert {"plain,--seed", "plain,--version"} <= set(completed("odomcorrupt --"))
+    assert "plain,--odom-topic" in completed("odomcorrupt in.bag --odom")
+    assert "file,in" in completed("odomcorrupt in")
+    assert "plain,keep" in completed("odomcorrupt in.bag out.bag --twist k")

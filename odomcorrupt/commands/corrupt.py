@@ -14,8 +14,8 @@ __all__ = ["command"]
 
 
 @click.command("corrupt", cls=AlphaCommand, short_help="Corrupt the odometry of a bag (the default: needs no name).")
-@click.argument("input_", metavar="INPUT")
-@click.argument("output", metavar="OUTPUT")
+@click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
+@click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True))
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")

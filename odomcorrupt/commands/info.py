@@ -10,7 +10,7 @@ __all__ = ["command"]
 
 
 @click.command("info", short_help="Show a bag's odometry, and what corruption would move.")
-@click.argument("input_", metavar="INPUT")
+@click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
 @click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
 @click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")

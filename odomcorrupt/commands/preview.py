@@ -15,7 +15,7 @@ __all__ = ["command"]
 
 
 @click.command("preview", cls=AlphaCommand, short_help="Forecast what a motion model will do to a bag.")
-@click.argument("input_", metavar="INPUT")
+@click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
 @click.option("--seed", type=click.IntRange(0), default=0, metavar="N", help="Of all draws. [default: 0]")
 @click.option(

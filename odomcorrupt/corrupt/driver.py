@@ -48,6 +48,16 @@ class Driver:
         self._odom_frame = odom_frame
         self._base_frame = base_frame
         self.by_edge = False
+        self._edges: set[str] = set()
+
+    @property
+    def elsewhere(self) -> str:
+        """Where else to look, as the end of a sentence."""
+        if self.by_edge and self._edges:
+            return (
+                f" (TF has {', '.join(sorted(self._edges)[:12])}); name one of these with --odom-frame and --base-frame"
+            )
+        return "; name another topic with --odom-topic"
 
     @property
     def name(self) -> str:
@@ -97,6 +107,7 @@ class Driver:
         found = []
         for channel, layout in parts:
             if self.by_edge:
+                self._edges |= {f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}" for item in layout.items}
                 asked = self._asked is None or plain(channel.topic) == plain(self._asked)
                 items = [(number, item) for number, item in enumerate(layout.items) if asked and self._is_edge(item)]
             else:

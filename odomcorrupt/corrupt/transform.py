@@ -135,7 +135,7 @@ class Transform:
         if self._first_ns is None:
             if not self.driver.by_edge:
                 find_driver(reader.channels.values(), self.driver.topic, name)
-            raise TopicError(f"{name}: {self.driver.name} has no message with a pose; name another topic or edge")
+            raise TopicError(f"{name}: {self.driver.name} has no message with a pose{self.driver.elsewhere}")
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read what a block tells about the odometry, and let the curve grow."""
@@ -181,9 +181,11 @@ class Transform:
         if age_ns >= WAIT_NS or not held.parts or (self.driver.frames is not None and not self._targets(held)):
             return True
         until_ns = self._curve.known_until_ns
-        if age_ns < PATIENCE_NS or until_ns is None:
+        if until_ns is None:
             return False
-        return all(int(target.stamps_ns.max()) <= until_ns for target in self._targets(held))
+        ahead_ns = until_ns - max((int(target.stamps_ns.max()) for target in self._targets(held)), default=until_ns)
+        # a log clock that stands still must not fill the memory
+        return ahead_ns >= (0 if age_ns >= PATIENCE_NS else 2 * WAIT_NS)
 
     def _targets(self, held: _Held) -> list[Target]:
         if held.targets is None:

@@ -426,3 +426,18 @@ def test_relative_poses_on_the_way_do_not_depend_on_where_odom_began():
 
 def replace_start(poses, start):
     return compose(start, between(poses[:1], poses))
+
+
+def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
+    messages = [(channel, 10**18, data) for channel, _, data in robot(*office(20.0, 40.0))]
+    bag, read_blocks, held = MemoryBag(blocks_of(messages, 30), CHANNELS), [], 0
+
+    def watched():
+        for block in bag.held:
+            read_blocks.append(block)
+            yield block
+
+    bag.blocks = watched
+    for given, _ in enumerate(Transform(model(), 1).blocks(bag, "test")):
+        held = max(held, len(read_blocks) - given)
+    assert held < 20
