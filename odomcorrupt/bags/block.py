@@ -114,6 +114,10 @@ class BagReader(Protocol):
     complete: bool
     channels: Mapping[int, Channel]
 
+    @property
+    def losses(self) -> list[str]:
+        """Return what could not be read in the last pass, one sentence each, where recovery was asked for."""
+
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks in file order, each with a buffer of its own: several are held at once.
 

@@ -24,6 +24,8 @@ __all__ = ["PROGRAMS", "Item", "Template", "read_template"]
 _PLAIN_CDR = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
 """Representation identifiers of plain encodings: byte order and largest alignment. XCDR2 aligns doubles to 4 bytes."""
 
+_ZSTD = b"\x28\xb5\x2f\xfd"
+
 
 @dataclass(frozen=True, slots=True)
 class Item:
@@ -142,7 +144,8 @@ class _CdrCursor(_Cursor):
         super().__init__(data, topic)
         self.take(4, structural=True)
         if data[0] != 0 or data[1] not in _PLAIN_CDR:
-            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one; it cannot be read")
+            hint = "; it is compressed by itself, `ros2 bag convert` can undo that" if data[:4] == _ZSTD else ""
+            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one{hint}")
         self.order, self.largest = _PLAIN_CDR[data[1]]
         # The options (bytes 2, 3) say how much padding follows the message: they do not shape what lies before it.
         self.mask[2:4] = b"\0\0"

@@ -38,11 +38,12 @@ _NAMES: dict[Kind, str] = {"mcap": "an MCAP", "ros1": "a ROS 1 bag", "sqlite3": 
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
-def open_reader(path: Path | None, stream: BinaryIO | None = None) -> BagReader:
+def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False) -> BagReader:
     """Open a bag, by its content.
 
     path : None or "-" for a pipe
     stream : the pipe, stdin unless given
+    recover : read what is whole of a damaged bag, and say in the reader's `losses` what is not
 
     Raises
     ------
@@ -51,24 +52,24 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None) -> BagReader:
 
     """
     if path is None or str(path) == "-":
-        return _reader(None, Source(sys.stdin.buffer if stream is None else stream, "stdin"))
+        return _reader(None, Source(sys.stdin.buffer if stream is None else stream, "stdin"), recover=recover)
     if path.is_dir():
-        return Rosbag2Reader(path)
-    return _reader(path, Source.of_file(path))
+        return Rosbag2Reader(path, recover=recover)
+    return _reader(path, Source.of_file(path), recover=recover)
 
 
-def _reader(path: Path | None, source: Source) -> BagReader:
+def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
     try:
         begin = source.sniff(16)
         for magic, reader in _READERS.items():
             if begin.startswith(magic):
-                return reader(path, source)
+                return reader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise
     source.close()
     if path is not None and begin == SQLITE_MAGIC:
-        return Rosbag2Reader(path)
+        return Rosbag2Reader(path, recover=recover)
     raise _unknown(source.name, begin)
 
 

@@ -62,6 +62,18 @@ class Source:
         self._ahead = b""
         self.position = position
 
+    def skip_to(self, position: int) -> bool:
+        """Go forwards to a byte; return whether the input reaches so far."""
+        if self.size is not None:
+            self.seek(min(position, self.size))
+            return position <= self.size
+        try:
+            while self.position < position:
+                self.read_scratch(min(position - self.position, _BUFFER_BYTES), "skipped bytes")
+        except BagError:
+            return False
+        return True
+
     def require(self, size: int, what: str) -> None:
         """Refuse a length that reaches beyond the file."""
         if self.size is not None and size > self.size - self.position:

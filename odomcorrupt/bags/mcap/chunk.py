@@ -51,6 +51,10 @@ class Chunk:
     what: str
     indexes: list[bytes] = field(default_factory=list)
 
+    def append(self, _opcode: int, content: bytes, _what: str) -> None:
+        """Append a message index."""
+        self.indexes.append(content)
+
 
 class Loose:
     """Messages, schemas and channels outside chunks, collected until they are a block's worth."""

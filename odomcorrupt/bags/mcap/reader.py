@@ -51,11 +51,12 @@ class McapReader:
     header : content of the header record
     schemas : by id
     summary : what the summary section had; of a pipe, known when the blocks are read
+    losses : what could not be read, one sentence each, where recovery was asked for
     """
 
     kind: Kind = "mcap"
 
-    def __init__(self, path: Path | None, source: Source) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
@@ -63,12 +64,19 @@ class McapReader:
         self.channels: Mapping[int, Channel] = self._channels
         self.schemas: dict[int, SchemaRecord] = {}
         self.summary = Summary()
+        self.losses: list[str] = []
+        self._recover = recover
         self._source = source
         self.header = self._read_header(source)
         self._data_start = source.position
         self._begun = False
         if self.complete and source.size is not None:
-            self.summary = read_summary(source, source.size)
+            try:
+                self.summary = read_summary(source, source.size)
+            except BagError:
+                # What is lost shows when the blocks are read; here it is only the way to the channels.
+                if not recover:
+                    raise
             self._learn_all()
 
     def definition(self, channel: Channel) -> Definition:
@@ -79,38 +87,67 @@ class McapReader:
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
+        self.losses.clear()
         if not self.complete:
             if self._begun:
                 raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
             self._begun = True
             yield from self._blocks(self._source)
-            self._finish(self._source)
+            try:
+                self._finish(self._source)
+            except BagError as error:
+                self._lose(error)
             return
         with Source.of_file(self.paths[0]) as source:
             source.seek(self._data_start)
             yield from self._blocks(source)
 
     def _blocks(self, source: Source) -> Iterator[Block]:
-        chunk: Chunk | None = None
-        loose = Loose()
-        for opcode, length, what in _records(source):
-            if opcode == MESSAGE_INDEX:
-                index = source.read(length, what)
-                if chunk:
-                    chunk.indexes.append(index)
-                continue
-            if chunk:
-                yield self._chunk_block(chunk)
-                chunk = None
-            if loose.data and (opcode not in _LOOSE or len(loose.data) >= _BATCH_BYTES):
-                yield self._loose_block(loose)
-                loose = Loose()
-            if opcode in _LOOSE:
-                loose.append(opcode, source.read(length, what), f"{self.name}: {what}")
-            elif opcode == CHUNK:
-                chunk = read_chunk(source, length, what)
-            elif opcode not in _ENDS:
-                yield from read_pieces(source, opcode, length, what)
+        pending: Chunk | Loose | None = None
+        for opcode, length, what in self._records(source):
+            if pending and not _continues(pending, opcode):
+                done, pending = pending, None
+                yield from self._finished(done)
+            end = source.position + length
+            try:
+                if opcode in _LOOSE and pending is None:
+                    pending = Loose()
+                if pending:
+                    pending.append(opcode, source.read(length, what), f"{self.name}: {what}")
+                elif opcode == CHUNK:
+                    pending = read_chunk(source, length, what)
+                else:
+                    yield from _alone(source, opcode, length, what)
+            except BagError as error:
+                self._lose(error)
+                if not source.skip_to(end):
+                    break
+        if pending:
+            yield from self._finished(pending)
+
+    def _records(self, source: Source) -> Iterator[tuple[int, int, str]]:
+        """Yield opcode, length and name of the data section's records, whose contents are read by the caller."""
+        opcode, length, what = 0, 0, ""
+        try:
+            while opcode not in _ENDS:
+                what = f"record at byte {source.position}"
+                opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
+                yield opcode, length, what
+            source.read(length, what)
+        except BagError as error:
+            self._lose(error)
+
+    def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
+        try:
+            yield self._chunk_block(part) if isinstance(part, Chunk) else self._loose_block(part)
+        except BagError as error:
+            self._lose(error)
+
+    def _lose(self, error: BagError) -> None:
+        """Note what cannot be read, or give up where that was not asked for."""
+        if not self._recover:
+            raise error
+        self.losses.append(str(error))
 
     def _chunk_block(self, chunk: Chunk) -> Block:
         contents = read_contents(chunk.data, chunk.indexes, chunk.what)
@@ -189,11 +226,16 @@ class McapReader:
         self._source.close()
 
 
-def _records(source: Source) -> Iterator[tuple[int, int, str]]:
-    """Yield opcode, length and name of the data section's records, whose contents are read by the caller."""
-    opcode = 0
-    while opcode not in _ENDS:
-        what = f"record at byte {source.position}"
-        opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
-        yield opcode, length, what
-    source.read(length, what)
+def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
+    """Yield a record that stands alone; the end has no content of use, an index without its chunk is rebuilt."""
+    if opcode == MESSAGE_INDEX:
+        source.read(length, what)
+    elif opcode not in _ENDS:
+        yield from read_pieces(source, opcode, length, what)
+
+
+def _continues(pending: Chunk | Loose, opcode: int) -> bool:
+    """Tell whether a record belongs to what is being collected."""
+    if isinstance(pending, Chunk):
+        return opcode == MESSAGE_INDEX
+    return opcode in _LOOSE and len(pending.data) < _BATCH_BYTES

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block, Channel, Message
 from odomcorrupt.bags.codecs import compress_for_ros1
+from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.connections import Connections
 from odomcorrupt.bags.ros1.framing import Framed, frame, indexes, pack_time
-from odomcorrupt.bags.ros1.reader import Ros1Framing
 from odomcorrupt.bags.ros1.records import BAG_HEADER, CHUNK, CHUNK_INFO, MAGIC, pack_fields, pack_record
 from odomcorrupt.errors import BagError
 

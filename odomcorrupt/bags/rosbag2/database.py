@@ -52,7 +52,9 @@ def reported(path: Path) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
-        raise BagError(f"{path}: sqlite3 says {error}; the bag is truncated or damaged, try --recover") from error
+        raise BagError(
+            f"{path}: sqlite3 says {error}; the bag is truncated or damaged, `sqlite3 FILE .recover` may save rows"
+        ) from error
 
 
 def has_log(path: Path) -> bool:
@@ -123,6 +125,6 @@ def _require_whole(path: Path) -> None:
     size = (65536 if page == 1 else page) * pages
     if changes == valid_for and path.stat().st_size < size and not has_log(path):
         raise BagError(
-            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, --recover saves what "
-            "is whole"
+            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, `sqlite3 FILE "
+            ".recover` may save rows"
         )

@@ -35,13 +35,13 @@ class Rosbag2Reader:
 
     complete = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, recover: bool = False) -> None:
         self.name = str(path)
         found = find_files(path) if path.is_dir() else BagFiles([path], None)
         self.directory = path if path.is_dir() else None
         self.metadata = found.metadata
         self.paths = [path, *found.files]
-        self.parts = [open_part(file) for file in found.files]
+        self.parts = [open_part(file, recover=recover) for file in found.files]
         self.kind: Kind = self.parts[0].kind
         if any(part.kind != self.kind for part in self.parts):
             raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
@@ -54,6 +54,11 @@ class Rosbag2Reader:
         """Return what the first file that has a channel says of its type."""
         part, own = self._origins[channel.id]
         return part.definition(own)
+
+    @property
+    def losses(self) -> list[str]:
+        """What could not be read of the files, one sentence each."""
+        return [loss for part in self.parts for loss in part.losses]
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks, file after file."""
@@ -97,13 +102,13 @@ class Rosbag2Reader:
             part.__exit__(kind, error, trace)
 
 
-def open_part(path: Path) -> SqliteReader | McapReader:
+def open_part(path: Path, *, recover: bool = False) -> SqliteReader | McapReader:
     """Open a file of a bag, by its content."""
     source = Source.of_file(path)
     try:
         begin = source.sniff(16)
         if begin.startswith(MCAP_MAGIC):
-            return McapReader(path, source)
+            return McapReader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise

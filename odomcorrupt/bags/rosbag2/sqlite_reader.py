@@ -50,6 +50,7 @@ class SqliteReader:
         self.name = str(path)
         self.path = path
         self.paths = [path]
+        self.losses: list[str] = []  # sqlite recovers by itself or not at all
         with reported(path), closing(read_only(path)) as connection:
             topics = read_topics(connection, path)
         self.channels: Mapping[int, Channel] = {

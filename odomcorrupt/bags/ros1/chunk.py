@@ -1,0 +1,87 @@
+"""Bring the records of a ROS 1 bag in, and its chunks decompressed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.bags.codecs import decompress
+from odomcorrupt.bags.ros1.records import number, parse_fields
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.source import Source
+
+__all__ = ["Chunk", "Head", "Ros1Framing", "read_chunk", "read_head"]
+
+_CODECS = ("none", "lz4", "bz2")
+_HEADER_LIMIT = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class Ros1Framing:
+    """How a block stood in its bag.
+
+    codec : of the chunk
+    starts : (n,) offsets of the message records in the block's data, bytes
+    """
+
+    codec: str
+    starts: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A decompressed chunk and the index records that follow it.
+
+    open : records of a chunk that was never finished
+    """
+
+    data: NDArray[np.uint8]
+    codec: str
+    what: str
+    indexes: list[bytes] = field(default_factory=list)
+    open: bytearray = field(default_factory=bytearray)
+
+
+class Head(NamedTuple):
+    """A record up to its data, which the caller reads."""
+
+    op: int
+    header: bytes
+    fields: dict[str, bytes]
+    size: int
+    what: str
+
+
+def read_head(source: Source) -> Head:
+    """Read a record up to its data."""
+    what = f"record at byte {source.position}"
+    named = f"{source.name}: {what}"
+    length = int.from_bytes(source.read(4, what), "little")
+    if length > _HEADER_LIMIT:
+        raise BagError(f"{named} claims a header of {length} bytes; the bag is damaged, try --recover")
+    header = source.read(length, what)
+    fields = parse_fields(header, named)
+    size = int.from_bytes(source.read(4, what), "little")
+    source.require(size, what)
+    return Head(number(fields, "op", named), header, fields, size, what)
+
+
+def read_chunk(source: Source, head: Head) -> Chunk:
+    """Read and decompress a chunk record's data."""
+    named = f"{source.name}: {head.what}"
+    codec = head.fields.get("compression", b"").decode(errors="replace")
+    size = number(head.fields, "size", named)
+    if codec not in _CODECS:
+        raise BagError(f"{named}: compression {codec!r} is not known (none, lz4, bz2); recompress the bag")
+    if codec == "none":
+        data = source.read_array(head.size, head.what)
+        if size != head.size:
+            raise BagError(f"{named}: says it holds {size} bytes, but has {head.size}; the bag is damaged")
+    else:
+        data = decompress(codec, source.read_scratch(head.size, head.what), size, named)
+    return Chunk(data, codec, named)

@@ -1,0 +1,102 @@
+"""What is whole of a damaged bag is saved, and what is not is said."""
+
+import io
+
+import numpy as np
+import pytest
+from oracles import OFFICE_BAG, OFFICE_MCAP, SHARED, copy, mcap_messages, mcap_record_places, ros1_messages
+from test_ros1 import packed, records
+
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.errors import BagError
+
+SEEN = {".mcap": mcap_messages, ".bag": ros1_messages}
+
+
+def recover(source, target, stdin=None):
+    """Save what can be saved; return what is said to be lost."""
+    with open_reader(source, stdin, recover=True) as reader, open_writer(target, reader) as writer:
+        for block in reader.blocks():
+            writer.write(block)
+        return list(reader.losses)
+
+
+@pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])
+def test_a_whole_bag_loses_nothing(source, tmp_path):
+    assert recover(source, tmp_path / f"out{source.suffix}") == []
+    assert (tmp_path / f"out{source.suffix}").read_bytes() == copy(source, tmp_path / "plain").read_bytes()
+
+
+@pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])
+@pytest.mark.parametrize("through_pipe", [False, True])
+def test_a_cut_bag_keeps_its_whole_chunks_and_says_that_it_was_cut(source, through_pipe, tmp_path):
+    data = source.read_bytes()
+    everything = set(SEEN[source.suffix](source))
+    last = 0
+    for share in (0.3, 0.6, 0.9):
+        cut = tmp_path / f"cut{source.suffix}"
+        cut.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(BagError):
+            copy(cut, tmp_path / f"no{source.suffix}")
+        out = tmp_path / f"out{share}{source.suffix}"
+        stdin = io.BytesIO(cut.read_bytes()) if through_pipe else None
+        losses = recover(None if through_pipe else cut, out, stdin)
+        assert len(losses) >= 1
+        assert "truncated" in losses[0]
+        saved = SEEN[source.suffix](out)
+        assert everything.issuperset(saved)
+        assert len(saved) > max(last, 0.8 * share * len(everything))
+        last = len(saved)
+
+
+def test_a_damaged_chunk_of_an_mcap_is_left_out_and_the_others_stay(tmp_path):
+    data = bytearray(OFFICE_MCAP.read_bytes())
+    chunks = [place for place in mcap_record_places(data) if place[0] == 6]
+    middle = (chunks[3][1] + chunks[3][2]) // 2
+    data[middle] ^= 0xFF
+    (tmp_path / "in.mcap").write_bytes(data)
+    losses = recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
+    assert len(losses) == 1
+    assert f"byte {chunks[3][1]}" in losses[0]
+    saved, everything = mcap_messages(tmp_path / "out.mcap"), mcap_messages(OFFICE_MCAP)
+    assert set(saved) < set(everything)
+    assert len(saved) > len(everything) * (1 - 2 / len(chunks))
+
+
+def test_a_damaged_chunk_of_a_ros1_bag_is_left_out_and_the_others_stay(tmp_path):
+    changed = records(OFFICE_BAG.read_bytes())
+    place = [n for n, (fields, _, _) in enumerate(changed) if fields["op"][0] == 5][3]
+    content = bytearray(changed[place][2])
+    content[len(content) // 2] ^= 0xFF
+    changed[place] = (*changed[place][:2], bytes(content))
+    (tmp_path / "in.bag").write_bytes(b"#ROSBAG V2.0\n" + b"".join(packed(head, data) for _, head, data in changed))
+    assert len(recover(tmp_path / "in.bag", tmp_path / "out.bag")) == 1
+    saved, everything = ros1_messages(tmp_path / "out.bag"), ros1_messages(OFFICE_BAG)
+    assert set(saved) < set(everything)
+    assert len(saved) > 0.9 * len(everything)
+
+
+@pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])
+def test_any_damage_leaves_a_readable_bag_of_true_messages(source, tmp_path):
+    rng = np.random.default_rng(11)
+    data = source.read_bytes()
+    everything = set(SEEN[source.suffix](source))
+    for offset in rng.integers(5000, len(data), 25).tolist():
+        damaged = bytearray(data)
+        damaged[offset : offset + 20] = rng.integers(0, 256, 20, dtype=np.uint8).tobytes()
+        broken = tmp_path / f"in{source.suffix}"
+        broken.write_bytes(damaged[: len(data)])
+        out = tmp_path / f"out{source.suffix}"
+        out.unlink(missing_ok=True)
+        losses = recover(broken, out)
+        saved = SEEN[source.suffix](out)
+        assert everything.issuperset(saved)
+        assert losses or len(saved) == len(everything)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
+def test_the_unindexed_recording_is_read(tmp_path):
+    source = SHARED / "bags" / "malformed" / "unindexed.bag"
+    losses = recover(source, tmp_path / "out.bag")
+    assert len(ros1_messages(tmp_path / "out.bag")) == 608
+    assert losses == []
