@@ -11,7 +11,8 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, Step, TruthNoise, parse_alpha
@@ -103,11 +104,28 @@ def _effect(item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
     if not isinstance(name, str):
         raise ModelError('[[effect]]: it has no name; write name = "wheelbase" or another one')
     kinds = registry()
+    if "expression" in item:
+        return _user_effect(name, item, errors)
     units = {p.name: p.unit for p in parameters(kinds[name])} if name in kinds else {}
+    words = choices(kinds[name]) if name in kinds else {}
     values = {
-        key: _measured(value, f"{name}.{key}", errors, units.get(key)) for key, value in item.items() if key != "name"
+        key: str(value) if key in words else _measured(value, f"{name}.{key}", errors, units.get(key))
+        for key, value in item.items()
+        if key != "name"
     }
     return effect_from_values(name, values)
+
+
+def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -> Effect:
+    text = item["expression"]
+    if name in registry():
+        raise ModelError(f"[[effect]] {name}: the library has an effect of that name; give the expression another one")
+    if not isinstance(text, str):
+        raise ModelError(f'[[effect]] {name}: expression: {text!r}; write text, as in "yaw += k * v"')
+    numbers = {key: value for key, value in item.items() if key not in ("name", "expression")}
+    values = {key: _measured(value, f"{name}.{key}", errors) for key, value in numbers.items()}
+    units = {key: str(value.get("unit", "")) for key, value in numbers.items() if isinstance(value, dict)}
+    return user_effect(name, text, values, units)
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
@@ -228,9 +246,16 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
 
 def _effect_lines(effect: Effect, errors: Mapping[str, float]) -> list[str]:
     lines = [f"name = {_text(effect.name)}  # {effect.summary}"]
+    if isinstance(effect, UserEffect):
+        lines.append(f"expression = {_text(effect.expression.text)}")
+    lines += [f"{word} = {_text(getattr(effect, word))}" for word in choices(effect)]
     for p in parameters(effect):
         error = errors.get(f"{effect.name}.{p.name}")
-        lines.append(f"{p.name} = {_value(getattr(effect, p.name), error, p.unit)}")
+        value, unit = getattr(effect, p.name), p.unit
+        if isinstance(effect, UserEffect) and unit and error is None:  # nobody else knows it
+            lines.append(f"{p.name} = {{ value = {_figure(value)}, unit = {_text(unit)} }}")
+        else:
+            lines.append(f"{p.name} = {_value(value, error, unit)}")
     return lines
 
 

@@ -162,16 +162,18 @@ def _model_of(noise: Noise) -> MotionModel:
 
 def _effect(text: str) -> Effect:
     """Return the effect written as NAME:key=value,key=value; values may be degrees."""
-    from odomcorrupt.effects import effect_from_values
+    from odomcorrupt.effects import effect_from_values, effect_named
+    from odomcorrupt.effects.effect import choices
     from odomcorrupt.errors import EffectError, ModelError
     from odomcorrupt.model import parse_alpha
 
     name, _, rest = text.partition(":")
-    values = {}
+    words = choices(effect_named(name.strip()))
+    values: dict[str, float | str] = {}
     for part in rest.split(",") if rest else ():
         key, equals, value = part.partition("=")
         try:
-            values[key.strip()] = parse_alpha(value)
+            values[key.strip()] = value.strip() if key.strip() in words else parse_alpha(value)
         except ModelError:
             equals = ""
         if not equals:

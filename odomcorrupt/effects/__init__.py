@@ -1,21 +1,29 @@
-"""The library of effects: one file each; a new file is found without touching any other."""
+"""The library of effects: one file each; a new file is found without touching any other.
+
+Other packages add effects by the entry point group `odomcorrupt.effects`, one class each.
+"""
 
 from __future__ import annotations
 
 import difflib
 import importlib
 import pkgutil
+import warnings
 from functools import cache
+from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import Effect, check_bounds, parameters
+from odomcorrupt.effects.effect import Effect, check_bounds, choices, parameters
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["Effect", "effect_from_values", "registry"]
+__all__ = ["GROUP", "Effect", "effect_from_values", "effect_named", "registry"]
+
+GROUP = "odomcorrupt.effects"
+"""Entry points of this group name effect classes of other packages."""
 
 
 @cache
@@ -27,10 +35,28 @@ def registry() -> Mapping[str, type[Effect]]:
         for value in vars(module).values():
             if isinstance(value, type) and issubclass(value, Effect) and "name" in vars(value):
                 found[value.name] = value
+    for point in entry_points(group=GROUP):
+        try:
+            kind = point.load()
+        except Exception as error:  # noqa: BLE001 - another package's code may fail in any way, and must not stop ours
+            warnings.warn(f"effect {point.name} of {point.value}: cannot be loaded ({error})", stacklevel=2)
+            continue
+        if not (isinstance(kind, type) and issubclass(kind, Effect)) or kind.name in found:
+            warnings.warn(f"effect {point.name} of {point.value}: no effect, or its name is taken", stacklevel=2)
+            continue
+        found[kind.name] = kind
     return MappingProxyType(dict(sorted(found.items())))
 
 
-def effect_from_values(name: str, values: Mapping[str, float]) -> Effect:
+def effect_named(name: str) -> type[Effect]:
+    """Return an effect's class; EffectError names the nearest one there is."""
+    known = registry()
+    if name not in known:
+        raise EffectError(f"no effect is called {name!r}{_nearest(name, known)}; there are {', '.join(known)}")
+    return known[name]
+
+
+def effect_from_values(name: str, values: Mapping[str, float | str]) -> Effect:
     """Return an effect by name with parameter values.
 
     Raises
@@ -39,16 +65,14 @@ def effect_from_values(name: str, values: Mapping[str, float]) -> Effect:
         For an unknown effect or parameter (with the nearest name there is) or a value out of bounds.
 
     """
-    known = registry()
-    if name not in known:
-        raise EffectError(f"no effect is called {name!r}{_nearest(name, known)}; there are {', '.join(known)}")
-    names = [p.name for p in parameters(known[name])]
+    kind = effect_named(name)
+    names = [*(p.name for p in parameters(kind)), *choices(kind)]
     for key in values:
         if key not in names:
             raise EffectError(
                 f"effect {name} has no parameter {key!r}{_nearest(key, names)}; it has {', '.join(names)}"
             )
-    effect = known[name](**values)
+    effect = kind(**values)
     check_bounds(effect)
     return effect
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
@@ -22,6 +22,13 @@ class ClockSkew(Effect):
     kind: ClassVar[Kind] = "setup"
     summary: ClassVar[str] = "the odometry's clock runs fast or slow against the truth's"
     clock: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="f = rate (t (a, ay, alpha) + (v, vy, omega))",
+        typical="1e-6 to 1e-4 between unsynchronised computers",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("time_offset", "wheel_scale"),
+        drive="more than five minutes with starts and stops throughout",
+    )
 
     rate: float = parameter("", "odometry clock rate over true rate, minus one", low=-0.1, high=0.1, typical=1e-4)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,13 @@ class GyroBias(Effect):
     name: ClassVar[str] = "gyro_bias"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the yaw rate has a constant offset, also while standing"
+    about: ClassVar[About | None] = About(
+        equation="f_yaw = -bias",
+        typical="0.01 to 0.1 deg/s after zeroing a MEMS gyro, 1 deg/s raw",
+        source="Woodman 2007, An introduction to inertial navigation",
+        confused_with=("unequal_wheels", "gyro_bias_walk", "turn_asymmetry"),
+        drive="stand still for a minute",
+    )
 
     bias: float = parameter("rad/s", "odometry yaw rate minus the true one", low=-0.5, high=0.5, typical=0.003)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,13 @@ class LeverArm(Effect):
     name: ClassVar[str] = "lever_arm"
     kind: ClassVar[Kind] = "setup"
     summary: ClassVar[str] = "the point that the truth follows is not the origin of the base frame"
+    about: ClassVar[About | None] = About(
+        equation="f = (-y omega, x omega, 0)",
+        typical="1 to 20 cm where nobody has measured it",
+        source="Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2)",
+        confused_with=("icr_shift", "mount_yaw", "side_slip", "unequal_wheels"),
+        drive="turn on the spot both ways, and drive straights; a second place of the marker tells it from icr_shift",
+    )
 
     x: float = parameter("m", "tracked point ahead of the base frame", low=-2.0, high=2.0, typical=0.03)
     y: float = parameter("m", "tracked point to the left of the base frame", low=-2.0, high=2.0, typical=0.03)

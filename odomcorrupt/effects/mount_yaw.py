@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +19,13 @@ class MountYaw(Effect):
     name: ClassVar[str] = "mount_yaw"
     kind: ClassVar[Kind] = "setup"
     summary: ClassVar[str] = "the truth's forward axis is turned against the robot's"
+    about: ClassVar[About | None] = About(
+        equation="f = (cos(yaw) - 1, -sin(yaw)) v, and the like for vy",
+        typical="0.1 to 3 degrees",
+        source="Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2)",
+        confused_with=("lever_arm", "icr_shift", "slope"),
+        drive="long straights in several headings",
+    )
 
     yaw: float = parameter("rad", "heading of the truth frame on the robot", low=-3.2, high=3.2, typical=0.02)
 

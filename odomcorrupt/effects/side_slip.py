@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,13 @@ class SideSlip(Effect):
     name: ClassVar[str] = "side_slip"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the robot slips outwards in turns, in proportion to speed times yaw rate"
+    about: ClassVar[About | None] = About(
+        equation="f_across = -k v omega",
+        typical="0.01 to 0.1 s (an estimate)",
+        source="Rajamani, Vehicle Dynamics and Control (linear tyre)",
+        confused_with=("icr_shift", "lever_arm", "mount_yaw"),
+        drive="the same turn slowly and fast",
+    )
 
     k: float = parameter("s", "sideways speed per speed and yaw rate", low=-0.5, high=0.5, typical=0.03)
 

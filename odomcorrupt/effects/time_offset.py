@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
@@ -24,6 +24,13 @@ class TimeOffset(Effect):
     kind: ClassVar[Kind] = "setup"
     summary: ClassVar[str] = "the odometry's clock is ahead of the truth's by a constant"
     clock: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="f = offset (a, ay, alpha)",
+        typical="5 to 150 ms by USB, WiFi or motion capture",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("accel_slip", "clock_skew", "backlash"),
+        drive="start, stop and turn briskly",
+    )
 
     offset: float = parameter("s", "odometry stamp minus true time", low=-5.0, high=5.0, typical=0.03)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,13 @@ class WheelScale(Effect):
     name: ClassVar[str] = "wheel_scale"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the wheels' true radius differs from the nominal one"
+    about: ClassVar[About | None] = About(
+        equation="f = e (v, vy, omega)",
+        typical="0.2 to 2 %; inflatable tyres up to 3 %",
+        source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_s",
+        confused_with=("speed_scale", "scale_drift", "lost_increments", "lever_arm"),
+        drive="straights and turns, at two speeds",
+    )
 
     e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.5, high=1.0, typical=0.01)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +18,13 @@ class Wheelbase(Effect):
     name: ClassVar[str] = "wheelbase"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the true distance between the wheels differs from the nominal track"
+    about: ClassVar[About | None] = About(
+        equation="f_yaw = -e / (1 + e) omega",
+        typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",
+        source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_b",
+        confused_with=("gyro_scale", "turn_asymmetry", "speed_scale"),
+        drive="turn on the spot both ways; which of the twins it is only the source of the heading tells",
+    )
 
     e: float = parameter("", "true over nominal track, minus one", low=-0.5, high=2.0, typical=0.015)
 

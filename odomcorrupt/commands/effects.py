@@ -1,0 +1,112 @@
+"""odomcorrupt effects: what is known of why odometry goes wrong."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect, Parameter
+
+__all__ = ["command"]
+
+
+@click.command("effects", short_help="List the physical effects, or explain one.")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click passes flags so
+    """List the physical effects by which odometry departs from the truth, or explain one of them.
+
+    Each is put into a bag by --effect NAME:parameter=value, looked for by diagnose, and taken out by correct.
+
+    \b
+    An effect of your own is an expression in a model file, a rate added to truth minus odometry:
+      [[effect]]
+      name = "my_bumps"
+      expression = "yaw += k * v * abs(omega)"
+      k = 0.01
+    channels    along, across (m/s), yaw (rad/s); several statements with ; between
+    variables   v, vy, omega, a, alpha, t, x, y, theta, distance, pi, and your parameters
+    functions   sin cos tan exp log sqrt tanh abs sign atan2 hypot min max where(a > b, yes, no)
+    """  # noqa: D301 - click wants a real backspace
+    from odomcorrupt.effects import effect_named, registry
+
+    if name is not None:
+        kind = effect_named(name)
+        click.echo(json.dumps(_facts(kind), indent=2, allow_nan=False) if as_json else _page(kind))
+        return
+    kinds = registry()
+    if as_json:
+        effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
+        click.echo(json.dumps({"schema": 1, "effects": effects}, indent=2))
+        return
+    width = max(map(len, kinds))
+    for n, k in kinds.items():
+        click.echo(f"{n:<{width}}  {k.kind:<6}  {k.summary}")
+    click.echo(
+        "\neffect: systematic; setup: of the measurement, not of the robot; noise: random"
+        "\nodomcorrupt effects NAME explains one"
+    )
+
+
+def _facts(kind: type[Effect]) -> dict[str, Any]:
+    from odomcorrupt.effects.effect import choices, parameters
+
+    about = kind.about
+    return {
+        "schema": 1,
+        "name": kind.name,
+        "kind": kind.kind,
+        "summary": kind.summary,
+        "equation": about.equation if about else None,
+        "parameters": [
+            {
+                "name": p.name,
+                "meaning": p.meaning,
+                "unit": p.unit,
+                "low": p.low,
+                "high": p.high,
+                "typical": p.typical,
+                "default": p.identity,
+                "role": "amplitude" if p.amplitude else "shape",
+            }
+            for p in parameters(kind)
+        ],
+        "words": {word: list(options) for word, options in choices(kind).items()},
+        "typical": about.typical if about else None,
+        "source": about.source if about else None,
+        "confused_with": list(about.confused_with) if about else [],
+        "twin_of": kind.twin_of,
+        "drive": about.drive if about else None,
+        "needs_track": kind.needs_track,
+    }
+
+
+def _page(kind: type[Effect]) -> str:
+    from odomcorrupt.effects.effect import choices, parameters
+
+    own = parameters(kind)
+    lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
+    if kind.about is not None:
+        lines += [f"truth minus odometry:  {kind.about.equation}", ""]
+    lines.append("parameters")
+    lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
+    lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
+    if kind.needs_track:
+        lines.append("  needs the distance between the wheels: [robot] track in a model file, or --track in the study")
+    if kind.about is not None:
+        lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
+        lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
+    if kind.twin_of is not None:
+        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can tell them apart")
+    values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
+    lines += ["", f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"]
+    return "\n".join(lines)
+
+
+def _range(p: Parameter) -> str:
+    unit = f" {p.unit}" if p.unit else ""
+    shape = "" if p.amplitude else f"; {p.identity:g}{unit} if not given"
+    return f"typically {p.typical:g}{unit}, from {p.low:g} to {p.high:g}{shape}"

@@ -1,0 +1,238 @@
+"""Expressions of a user, parsed into numpy without ever running code: a small language and nothing else.
+
+    yaw += k * v * abs(omega); along += -c * where(a > 0, a, 0) * abs(v)
+
+Statements add a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s). There are numbers,
+the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`; no attributes,
+no items, no calls of anything else. Size and depth are bounded, and so are exponents.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.affine import affine, vanishes
+from odomcorrupt.errors import EffectError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from odomcorrupt.pose import Array
+
+    Term = Callable[[Mapping[str, Array]], Array]
+
+__all__ = ["CHANNELS", "FUNCTIONS", "TRUTH_VARIABLES", "VARIABLES", "Expression", "parse_expression"]
+
+CHANNELS = ("along", "across", "yaw")
+TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
+"""What is read from the true motion; the rest is the odometry's."""
+VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
+CONSTANTS = {"pi": np.pi}
+
+
+def _chosen(condition: Array, yes: Array, no: Array) -> Array:
+    chosen: Array = np.where(condition != 0.0, yes, no)
+    return chosen
+
+
+def _folded(function: Callable[[Array, Array], Array], values: tuple[Array, ...]) -> Array:
+    out = values[0]
+    for value in values[1:]:
+        out = function(out, value)
+    return out
+
+
+FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Array]]] = {
+    "sin": (1, 1, np.sin),
+    "cos": (1, 1, np.cos),
+    "tan": (1, 1, np.tan),
+    "exp": (1, 1, np.exp),
+    "log": (1, 1, np.log),
+    "sqrt": (1, 1, np.sqrt),
+    "tanh": (1, 1, np.tanh),
+    "abs": (1, 1, np.abs),
+    "sign": (1, 1, np.sign),
+    "atan2": (2, 2, np.arctan2),
+    "hypot": (2, 2, np.hypot),
+    "min": (2, 8, lambda *x: _folded(np.minimum, x)),
+    "max": (2, 8, lambda *x: _folded(np.maximum, x)),
+    "where": (3, 3, _chosen),
+}
+"""Names, the fewest and most arguments, and what they are."""
+
+_BINARY: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: np.divide,
+}
+_COMPARE: Mapping[type[ast.cmpop], Callable[[Array, Array], Array]] = {
+    ast.Lt: np.less,
+    ast.LtE: np.less_equal,
+    ast.Gt: np.greater,
+    ast.GtE: np.greater_equal,
+}
+_MOST_CHARACTERS, _MOST_NODES, _MOST_DEPTH, _HIGHEST_POWER, _LARGEST_NUMBER = 1000, 200, 60, 8.0, 1e12
+
+
+@dataclass(frozen=True, slots=True)
+class Expression:
+    """A parsed text.
+
+    text : as it was written
+    terms : the channel (0 along, 1 across, 2 yaw) and the function of each statement
+    names : all variables and parameters that it reads
+    linear : parameters that f is affine in
+    vanishes : whether f is zero where all of these are
+    """
+
+    text: str
+    terms: tuple[tuple[int, Term], ...]
+    names: frozenset[str]
+    linear: frozenset[str]
+    vanishes: bool
+
+    def rates(self, values: Mapping[str, Array]) -> Array:
+        """Return f (n, 3) from the values of its names, arrays (n,) or single numbers.
+
+        Raises
+        ------
+        EffectError
+            Where the result is not a finite number.
+
+        """
+        f = np.zeros((len(values["v"]), 3))
+        with np.errstate(all="ignore"):  # told below
+            for channel, term in self.terms:
+                f[:, channel] += term(values)
+        bad = ~np.isfinite(f).all(axis=1)
+        if bad.any():
+            i = int(np.argmax(bad))
+            place = ", ".join(f"{name} = {values[name][i]:g}" for name in VARIABLES if name in self.names)
+            raise EffectError(
+                f"expression {self.text!r}: not a finite number where {place or 'it is evaluated'}; guard it with "
+                "max(), abs() or where()"
+            )
+        return f
+
+
+def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
+    """Return the expression written in a text, with these parameters.
+
+    Raises
+    ------
+    EffectError
+        Where it is anything but statements of this language.
+
+    """
+    reader = _Reader(text, parameters)
+    if len(text) > _MOST_CHARACTERS:
+        raise reader.wrong(f"{len(text)} characters; {_MOST_CHARACTERS} at most")
+    try:
+        tree = ast.parse("\n".join(line.strip() for line in text.replace(";", "\n").splitlines()))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise reader.wrong("it cannot be read; write as in yaw += k * v * abs(omega)") from None
+    terms = tuple(reader.statement(node) for node in tree.body)
+    if not terms:
+        raise reader.wrong("there is nothing in it; write as in yaw += k * v * abs(omega)")
+    idle = [name for name in parameters if name not in reader.names]
+    if idle:
+        raise reader.wrong(f"parameter {idle[0]} does nothing in it")
+    linear: frozenset[str] = frozenset()
+    for name in parameters:
+        if all(affine(node.value, linear | {name}) for node in reader.statements):
+            linear |= {name}
+    zero = all(vanishes(node.value, linear) for node in reader.statements)
+    return Expression(text, terms, frozenset(reader.names), linear, zero)
+
+
+class _Reader:
+    """Turns the nodes of a syntax tree into functions, and refuses what it does not know."""
+
+    def __init__(self, text: str, parameters: tuple[str, ...]) -> None:
+        self._text, self._parameters = text, parameters
+        self._nodes = 0
+        self.names: set[str] = set()
+        self.statements: list[ast.AugAssign] = []
+
+    def wrong(self, why: str) -> EffectError:
+        text = self._text if len(self._text) <= 80 else f"{self._text[:77]}..."
+        return EffectError(f"expression {text!r}: {why}")
+
+    def statement(self, node: ast.stmt) -> tuple[int, Term]:
+        if not (isinstance(node, ast.AugAssign) and isinstance(node.op, ast.Add) and isinstance(node.target, ast.Name)):
+            raise self.wrong("each statement must add to one of along, across, yaw, as in yaw += k * v")
+        if node.target.id not in CHANNELS:
+            raise self.wrong(f"{node.target.id!r} cannot be added to; there are {', '.join(CHANNELS)}")
+        self.statements.append(node)
+        return CHANNELS.index(node.target.id), self._term(node.value, 0)
+
+    def _term(self, node: ast.expr, depth: int) -> Term:  # noqa: PLR0911 - one for each kind of term
+        self._nodes += 1
+        if self._nodes > _MOST_NODES or depth > _MOST_DEPTH:
+            raise self.wrong(f"too long or too deep; {_MOST_NODES} terms and {_MOST_DEPTH} levels at most")
+        match node:
+            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+                return self._number(value)
+            case ast.Name(id=name):
+                return self._name(name)
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=inner):
+                value_of = self._term(inner, depth + 1)
+                return (lambda names: -value_of(names)) if isinstance(sign, ast.USub) else value_of
+            case ast.BinOp(left=left, op=ast.Pow(), right=right):
+                return self._power(left, right, depth)
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+                return _two(_BINARY[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
+                both = _two(_COMPARE[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
+                return lambda names: np.where(both(names), 1.0, 0.0)
+            case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
+                return self._call(name, args, depth)
+        raise self.wrong(f"{ast.unparse(node)[:40]!r} is not of this language; see `odomcorrupt effects --help`")
+
+    def _number(self, value: float) -> Term:
+        if not abs(value) <= _LARGEST_NUMBER:
+            raise self.wrong(f"a number is larger than {_LARGEST_NUMBER:g}")
+        number = np.asarray(float(value))
+        return lambda _names: number
+
+    def _name(self, name: str) -> Term:
+        if name in CONSTANTS:
+            return self._number(CONSTANTS[name])
+        if name not in VARIABLES and name not in self._parameters:
+            known = ", ".join((*VARIABLES, *CONSTANTS, *self._parameters))
+            raise self.wrong(f"{name!r} is not known; there are {known}, and a parameter needs a value, as in k = 0.01")
+        self.names.add(name)
+        return lambda names: names[name]
+
+    def _power(self, left: ast.expr, right: ast.expr, depth: int) -> Term:
+        sign = 1.0
+        if isinstance(right, ast.UnaryOp) and isinstance(right.op, ast.USub):
+            sign, right = -1.0, right.operand
+        number = right.value if isinstance(right, ast.Constant) else None
+        if isinstance(number, bool) or not isinstance(number, (int, float)) or number > _HIGHEST_POWER:
+            raise self.wrong(f"an exponent must be a number of {_HIGHEST_POWER:g} at most")
+        base, exponent = self._term(left, depth + 1), sign * float(number)
+        return lambda names: np.power(base(names), exponent)
+
+    def _call(self, name: str, args: list[ast.expr], depth: int) -> Term:
+        if name not in FUNCTIONS:
+            raise self.wrong(f"there is no function {name!r}; there are {', '.join(FUNCTIONS)}")
+        fewest, most, function = FUNCTIONS[name]
+        if not fewest <= len(args) <= most:
+            raise self.wrong(f"{name} takes {fewest if fewest == most else f'{fewest} to {most}'} arguments")
+        terms = [self._term(arg, depth + 1) for arg in args]
+        return lambda names: function(*(term(names) for term in terms))
+
+
+def _two(
+    function: Callable[[Array, Array], Array],
+    left: Term,
+    right: Term,
+) -> Term:
+    return lambda names: function(left(names), right(names))

@@ -1,0 +1,270 @@
+"""The contract of an effect, for ours and for third parties': `check_effect(MyEffect)` in a test of their own.
+
+It needs nothing but odomcorrupt; a broken promise raises `ContractError` with a sentence that says which.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.effects.effect import Motion, amplitudes, check_bounds, choices, parameters
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.motion import corrected_increments, motion_of
+from odomcorrupt.rng import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect, State
+    from odomcorrupt.pose import Array
+
+__all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
+
+TRACK_M = 0.4
+_BACK_M = 1e-6
+_RUNS = 400
+_SIGMAS = 6.0
+"""A sample's moment may miss its expectation by this many of its own standard errors: never by chance."""
+
+
+class ContractError(AssertionError):
+    """An effect does not keep what effects promise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Stamps (n,) and poses (n, 3) of a clean drive."""
+
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+
+    @property
+    def motion(self) -> Motion:
+        """Its motion, as an odometry without error has it."""
+        return motion_of((self.stamps_ns - self.stamps_ns[0]) * 1e-9, self.xyt, track_m=TRACK_M)
+
+
+def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0) -> Drive:
+    """Return a drive with all that is hard: stops, reverse, turns on the spot, headings beyond pi, a repeated stamp."""
+    t_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    t_s += 0.2 / rate_hz * np.sin(7.0 * t_s)
+    phase = t_s[:-1] % 15.0
+    v = np.interp(phase, [0, 1, 4, 5, 6, 7, 9, 10, 12, 15], [0, 0.8, 0.8, 0, 0, -0.4, -0.4, 0, 0, 0])
+    omega = np.interp(phase, [0, 2, 3, 4, 5, 10, 11, 12, 13, 15], [0, 0, 0.9, 0.9, 0, 0, 1.2, -1.2, 0, 0])
+    dt = np.diff(t_s)
+    steps = Increments(v * dt, np.zeros_like(v), omega * dt + np.where(np.arange(len(v)) % 1000 < 500, 0.0, 0.5 * dt))
+    xyt = accumulate(np.array([0.3, -0.2, 3.0]), steps)
+    repeated = np.sort(np.append(np.arange(len(t_s)), len(t_s) // 3))
+    return Drive(100 * 10**9 + np.round(t_s * 1e9).astype(np.int64)[repeated], xyt[repeated])
+
+
+def check_effect(effect_class: type[Effect]) -> None:
+    """Check that an effect keeps all promises of `effects.effect.Effect`.
+
+    Raises
+    ------
+    ContractError
+        With what it does not keep.
+
+    """
+    _check_facts(effect_class)
+    still = effect_class()
+    for sample in _samples(effect_class):
+        _check_numbers(sample)
+        _check_cuts(sample)
+        if sample.kind == "noise":
+            _check_seeds(sample)
+            _check_moments(sample)
+        elif not sample.clock:
+            _check_round_trip(sample)
+    _check_identity(still)
+
+
+def _require(promise: object, effect: Effect | type[Effect], what: str) -> None:
+    if not promise:
+        raise ContractError(f"effect {effect.name}: {what}")
+
+
+def _samples(effect_class: type[Effect]) -> list[Effect]:
+    """Return the effect at its typical values, with every word it knows, and against its sign where it has one."""
+    sizes = {p.name: p.typical if p.amplitude else p.identity for p in parameters(effect_class)}
+    found = [effect_class(**sizes)]
+    for word, options in choices(effect_class).items():
+        found += [replace(found[0], **{word: option}) for option in options[1:]]  # type: ignore[type-var]
+    negative = {p.name: -p.typical for p in amplitudes(effect_class) if p.low < 0.0}
+    if negative:
+        found.append(replace(found[0], **negative))  # type: ignore[type-var]
+    return found
+
+
+def _check_facts(effect_class: type[Effect]) -> None:
+    _require(dataclasses.is_dataclass(effect_class), effect_class, "is no dataclass")
+    _require(effect_class.__dataclass_params__.frozen, effect_class, "is not frozen")  # type: ignore[attr-defined]
+    _require(effect_class.kind in ("effect", "setup", "noise"), effect_class, f"kind {effect_class.kind!r}")
+    _require(effect_class.summary and "\n" not in effect_class.summary, effect_class, "needs a summary of one line")
+    own = parameters(effect_class)
+    _require(amplitudes(effect_class), effect_class, "has no amplitude: nothing that could be zero")
+    declared = {p.name for p in own} | set(choices(effect_class))
+    fields = {f.name for f in dataclasses.fields(effect_class)}  # type: ignore[arg-type]
+    _require(fields == declared, effect_class, f"fields without unit and bounds: {', '.join(fields - declared)}")
+    for p in own:
+        _require(p.meaning, effect_class, f"{p.name} has no meaning")
+        _require(p.low <= p.identity <= p.high, effect_class, f"{p.name}: its identity lies out of bounds")
+        _require(p.low <= p.typical <= p.high, effect_class, f"{p.name}: its typical value lies out of bounds")
+        _require(np.isfinite([p.low, p.high]).all(), effect_class, f"{p.name}: its bounds are not finite")
+        _require(p.step > 0.0, effect_class, f"{p.name}: the step of a slope must be more than zero")
+    check_bounds(effect_class())
+
+
+def _check_identity(still: Effect) -> None:
+    drive = contract_drive()
+    _require(not still.acts, still, "acts at its identity")
+    f, _ = _error(still, drive.motion)
+    _require(not f.any(), still, "f is not zero at its identity")
+    steps = _steps(drive)
+    recorded = still.recorded(steps, TRACK_M, still.start(stream(1, 0, still.name))).steps
+    _require(np.array_equal(recorded, steps), still, "changes increments at its identity")
+    normals = np.random.default_rng(1).standard_normal((50, 4))
+    drawn = still.drawn(normals, still.start(stream(1, 0, still.name))).normals
+    _require(np.array_equal(drawn, normals), still, "changes draws at its identity")
+
+
+def _check_numbers(effect: Effect) -> None:
+    drive = contract_drive()
+    motion = drive.motion
+    before = copy.deepcopy(motion)
+    state = effect.start(stream(1, 0, effect.name))
+    kept = copy.deepcopy(state)
+    f = effect.twist_error(motion, state).f
+    _require(f.shape == (len(motion), 3), effect, f"f has the shape {f.shape}")
+    _require(np.isfinite(f).all(), effect, "f is not finite at rest, in reverse or where dt is zero")
+    _require(not np.shares_memory(f, motion.acceleration), effect, "f is a view of its input")
+    for field in dataclasses.fields(Motion):
+        same = np.array_equal(getattr(motion, field.name), getattr(before, field.name))
+        _require(same, effect, f"changes {field.name} of the motion it is given")
+    # a state is never used up: going on from a copy gives the same, and so does going on from it again
+    for again in (kept, state):
+        _require(np.array_equal(effect.twist_error(motion, again).f, f), effect, "changes the state it is given")
+    _require(effect.acts, effect, "does not act at its typical size")
+
+
+def _check_cuts(effect: Effect) -> None:
+    drive = contract_drive()
+    motion, steps = drive.motion, _steps(drive)
+    normals = np.random.default_rng(2).standard_normal((len(steps), 4))
+    f, _ = _error(effect, motion)
+    recorded = effect.recorded(steps, TRACK_M, effect.start(stream(1, 0, effect.name))).steps
+    drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
+    for size in (1, 7, 250):
+        states: list[State] = [effect.start(stream(1, 0, effect.name)) for _ in range(3)]
+        parts: list[tuple[Array, Array, Array]] = []
+        for i in range(0, len(motion), size):
+            rows = slice(i, i + size)
+            piece, states[0] = effect.twist_error(_rows(motion, rows), states[0])
+            report, states[1] = effect.recorded(steps[rows], TRACK_M, states[1])
+            draw, states[2] = effect.drawn(normals[rows], states[2])
+            parts.append((piece, report, draw))
+        for whole, pieces in zip((f, recorded, drawn), zip(*parts, strict=True), strict=True):
+            same = np.array_equal(np.concatenate(pieces), whole)
+            _require(same, effect, f"differs where a motion is cut into pieces of {size}: carry it in the state")
+    whole_path = _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
+    path = _path([effect])
+    cut = [
+        path.feed(drive.stamps_ns[i : i + 41], drive.xyt[i : i + 41]).error_xyt for i in range(0, len(drive.xyt), 41)
+    ]
+    _require(np.array_equal(np.concatenate(cut), whole_path), effect, "a bag's corruption depends on its blocks")
+
+
+def _check_seeds(effect: Effect) -> None:
+    drive = contract_drive()
+    errors = [_path([effect], seed, noise=0.02).feed(drive.stamps_ns, drive.xyt).error_xyt for seed in (1, 1, 2)]
+    _require(np.array_equal(errors[0], errors[1]), effect, "the same seed gives different numbers")
+    _require(not np.array_equal(errors[0], errors[2]), effect, "different seeds give the same numbers")
+
+
+def _check_round_trip(effect: Effect) -> None:
+    drive = contract_drive()
+    odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
+    _require(np.abs(odometry - drive.xyt).max() > 100.0 * _BACK_M or not effect.acts, effect, "corrupts nothing")
+    t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9
+    motion = motion_of(t_s, odometry, track_m=TRACK_M)
+    back = accumulate(odometry[0], corrected_increments([effect], motion))
+    off = float(np.abs(back - drive.xyt).max())
+    _require(off <= _BACK_M, effect, f"correcting what it corrupted is off by {off:.1e} m; is reads_truth set?")
+
+
+def _check_moments(effect: Effect) -> None:
+    if effect.layer == "draws":
+        normals = np.random.default_rng(3).standard_normal((20000, 4))
+        drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
+        _compare(effect, drawn, np.zeros(4), np.ones(4))
+        return
+    effect = _loud(effect)
+    drive = contract_drive(6.0, 100.0)
+    motion, steps = drive.motion, _steps(drive)
+    moments = effect.moments(motion)
+    _require(moments is not None, effect, "draws, but states no moments")
+    if moments is None:
+        return
+    samples = []
+    for run in range(_RUNS):
+        state = effect.start(stream(1, run, effect.name))
+        f = effect.twist_error(motion, state).f
+        reported = effect.recorded(steps, TRACK_M, state).steps
+        lost = steps - reported
+        dt = motion.dt_s[:, None]
+        samples.append(f + np.divide(lost, dt, out=np.zeros_like(lost), where=dt > 0.0))
+    # a few rows far from each other: what lies between them is hardly independent
+    rows = np.linspace(5, len(motion) - 1, 24).astype(int)
+    _compare(effect, np.array(samples)[:, rows], moments.mean[rows], moments.variance[rows])
+
+
+def _loud(effect: Effect) -> Effect:
+    """Return the effect so strong that what is rare happens often enough to be counted."""
+    sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
+    loud: Effect = replace(effect, **sizes)  # type: ignore[type-var]
+    return loud
+
+
+def _compare(effect: Effect, samples: Array, mean: Array, variance: Array) -> None:
+    """Require that samples (r, ...) have these moments, within what their number and their tails allow."""
+    count = len(samples)
+    off = np.abs(samples.mean(axis=0) - mean)
+    deviation = samples.std(axis=0)
+    allowed = _SIGMAS * deviation / np.sqrt(count)
+    # rare events: where hardly any sample saw one, their own spread says nothing, but the stated one does
+    allowed = np.maximum(allowed, _SIGMAS * np.sqrt(np.nan_to_num(variance) / count)) + 1e-12
+    _require((off <= allowed).all(), effect, "samples do not have the stated mean")
+    square = (samples - mean) ** 2
+    error = np.maximum(square.std(axis=0), np.nan_to_num(variance)) / np.sqrt(count)
+    wrong = np.abs(square.mean(axis=0) - variance) > _SIGMAS * error + 0.02 * variance + 1e-15
+    _require(not wrong[~np.isnan(variance)].any(), effect, "samples do not have the stated variance")
+
+
+def _error(effect: Effect, motion: Motion) -> tuple[Array, State]:
+    return effect.twist_error(motion, effect.start(stream(1, 0, effect.name)))
+
+
+def _steps(drive: Drive) -> Array:
+    m = drive.motion
+    return np.stack((m.v, m.vy, m.omega), axis=1) * m.dt_s[:, None]
+
+
+def _path(effects: Sequence[Effect], seed: int = 1, noise: float = 0.0) -> NoisyPath:
+    law = Noise("diffusion", Coefficients(noise, noise, noise, noise))
+    return NoisyPath(MotionModel(law, tuple(effects), TRACK_M), seed)
+
+
+def _rows(motion: Motion, rows: slice) -> Motion:
+    arrays = {f.name: getattr(motion, f.name)[rows] for f in dataclasses.fields(Motion) if f.name != "track_m"}
+    return replace(motion, **arrays)
