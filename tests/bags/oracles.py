@@ -4,6 +4,7 @@ import io
 import os
 import struct
 import threading
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,6 +35,11 @@ class Seen(NamedTuple):
 
 def mcap_messages(path, *, seek=False):
     """Return the messages of an MCAP as the mcap library reads them, straight or by indexes; checksums are checked."""
+    return list(_mcap_messages(path, path.stat().st_mtime_ns, seek))
+
+
+@lru_cache(maxsize=4)
+def _mcap_messages(path, _changed_ns, seek):
     with path.open("rb") as stream:
         reader = (SeekingReader if seek else NonSeekingReader)(stream, validate_crcs=True)
         return [

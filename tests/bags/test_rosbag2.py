@@ -238,6 +238,12 @@ def test_a_recording_with_a_live_log_is_read_whole(tmp_path):
         assert sorted(path.name for path in out.iterdir()) == ["live.db3", "metadata.yaml"]
         assert len(ros2_messages(out)) == 2488
         assert info_of(out)["message_count"] == 2488
+        # As a recorder that was killed leaves it: the log, without the file that says who reads it.
+        killed = tmp_path / "killed"
+        killed.mkdir()
+        for name in ("live.db3", "live.db3-wal"):
+            shutil.copy(live.with_name(name), killed)
+    assert len(ros2_messages(copy(killed, tmp_path / "saved"))) == 2488
 
 
 def test_all_versions_of_the_tables_are_read(tmp_path):

@@ -40,7 +40,8 @@ class SqliteWriter:
         self._partial = beside(path)
         self._reader = reader
         self._added: dict[int, str] = {}
-        self._connection = sqlite3.connect(":memory:")
+        self._open: sqlite3.Connection | None = None
+        self._journal = ""
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
@@ -111,6 +112,12 @@ class SqliteWriter:
         start_ns, end_ns = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
         return PartContents(self._path.name, {names[row[0]]: row[1] for row in rows}, start_ns, end_ns)
 
+    @property
+    def _connection(self) -> sqlite3.Connection:
+        if self._open is None:
+            raise BagError(f"{self._path}: is not open")
+        return self._open
+
     def _insert(self, table: str, values: Mapping[str, object]) -> None:
         known = [name for name in columns(self._connection, table) if name in values]
         marks = ", ".join("?" for _ in known)
@@ -139,7 +146,7 @@ class SqliteWriter:
                 source.backup(target)
         else:
             shutil.copyfile(self._reader.path, self._partial)
-        self._connection = sqlite3.connect(self._partial, isolation_level=None)
+        self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
         # No journal: on any failure the whole file goes.
         for pragma in ("journal_mode = DELETE", "journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
@@ -156,7 +163,8 @@ class SqliteWriter:
         self._partial.replace(self._path)
 
     def _discard(self) -> None:
-        self._connection.close()
+        if self._open is not None:
+            self._open.close()
         for leftover in self._path.parent.glob(f"{self._partial.name}*"):
             leftover.unlink()
 
