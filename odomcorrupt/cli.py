@@ -114,7 +114,7 @@ def cli() -> None:
 
 
 def run(args: Sequence[str]) -> int:
-    """Run the command line and return its exit code: 0 done, 1 failed, 2 wrong usage, 130 interrupted."""
+    """Run the command line and return its exit code: 0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted."""
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:

@@ -350,6 +350,18 @@ def test_a_terminal_is_not_fed_with_bytes(monkeypatch, capsys):
     assert "stdout is a terminal" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", ["truncated.mcap", "truncated.bag"])
+def test_what_is_whole_of_a_damaged_bag_is_recovered_with_exit_code_three(corrupt, tmp_path, kind):
+    code, said, target = corrupt(
+        "--seed", "1", "--recover", source=str(broken(tmp_path, kind)), name=f"out.{kind[-4:]}"
+    )
+    assert code == 3
+    assert said.startswith("Moved: ")
+    assert "Lost: " in said
+    assert target.exists()
+    assert corrupt("--seed", "1", "--recover", name="whole.mcap")[0] == 0
+
+
 def completed(words):
     """Return what the shell is offered behind these words."""
     done = subprocess.run(

@@ -43,7 +43,10 @@ __all__ = ["command"]
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
-def command(input_: str, output: str, **given: Any) -> None:
+@click.option(
+    "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
+)
+def command(input_: str, output: str, **given: Any) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
     INPUT and OUTPUT are bags of any kind; - is a pipe.
@@ -79,6 +82,7 @@ def command(input_: str, output: str, **given: Any) -> None:
             keep_localisation=given["keep_localisation"],
             new_odom_frame=given["new_odom_frame"],
         ),
-        container=Container(overwrite=given["overwrite"], compression=given["compression"], level=given["level"]),
+        container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
     )
     click.echo(summary(outcome, chosen.origin), err=True)
+    return 3 if outcome.losses else 0

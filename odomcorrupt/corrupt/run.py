@@ -28,16 +28,22 @@ __all__ = ["Container", "Outcome", "corrupt_bag"]
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """How the output is written: over an existing one, with which compression (None: as the input)."""
+    """How bags are read and written.
+
+    overwrite : replace an existing output
+    compression, level : of the output, None for those of the input
+    recover : read what is whole of a damaged input
+    """
 
     overwrite: bool = False
     compression: str | None = None
     level: int | None = None
+    recover: bool = False
 
     def as_it_was(self, source: Path, target: Path) -> bool:
         """Whether an output of unchanged messages is the input file itself."""
         same_kind = source.suffix.lower() == target.suffix.lower() and source.is_file()
-        return same_kind and self.compression is None and self.level is None
+        return same_kind and self.compression is None and self.level is None and not self.recover
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,7 @@ class Outcome:
     late : odometry messages too late to be put in order
     unusable : odometry poses that are not numbers
     added : how many messages were added, by what they are
+    losses : what could not be read of a damaged input, in sentences
     """
 
     model: MotionModel
@@ -63,6 +70,7 @@ class Outcome:
     late: int
     unusable: int
     added: Mapping[str, int]
+    losses: tuple[str, ...]
 
 
 def corrupt_bag(
@@ -89,7 +97,7 @@ def corrupt_bag(
     """
     transform = Transform(model, seed, run, options)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
-    with open_reader(source) as reader:
+    with open_reader(source, recover=container.recover) as reader:
         transform.driver.prepare(reader, reader.name)
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
@@ -109,11 +117,12 @@ def corrupt_bag(
         assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
         frames = transform.driver.frames
         assert frames is not None  # noqa: S101 - as above
+        losses = tuple(reader.losses)
         channels = tuple(reader.channels[number] for number in sorted(transform.seen))
     return Outcome(
         model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
         transform.order.restarts, transform.order.late, transform.unusable,
-        _added(transform),
+        _added(transform), losses,
     )  # fmt: skip
 
 

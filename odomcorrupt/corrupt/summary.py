@@ -134,6 +134,7 @@ def _oddities(outcome: Outcome) -> list[str]:
         f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
         for edge in sorted(outcome.changes.static)
     ]
+    said += [f"Lost: {loss}." for loss in outcome.losses]
     drift = outcome.drift
     if drift.sideways_m > SIDEWAYS * drift.distance_m and not outcome.model.noise.law.along_travel:
         said.append(
