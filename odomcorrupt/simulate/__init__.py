@@ -1,9 +1,9 @@
-"""A wheel-level simulator of a differential drive's recordings: an oracle that knows wheels, ground and clocks only.
+"""A wheel-level simulator of recordings: an oracle that knows wheels, ground and clocks only.
 
 The layers, each its own file and its own random streams::
 
-    route -> motor -> contact -> encoders + driver -> odometry
-                             `-> tracker           -> truth
+    route -> motor -> gear -> tyres, grip, contact -> encoders + driver -> odometry
+                                                  `-> tracker           -> truth
 
 A cause is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock, a marker); nothing in here knows how
 such a change looks as an error of the odometry. That is what makes it a judge of those who claim to know.
@@ -11,18 +11,26 @@ such a change looks as an error of the odometry. That is what makes it a judge o
 
 from odomcorrupt.simulate.bag import write_mcap
 from odomcorrupt.simulate.causes import CAUSES
+from odomcorrupt.simulate.commands import Commands, read_commands
 from odomcorrupt.simulate.encoders import Rig
+from odomcorrupt.simulate.outside import OUTSIDE
+from odomcorrupt.simulate.record import SimulatedRun
 from odomcorrupt.simulate.route import Segment
-from odomcorrupt.simulate.run import SimulatedRun, simulate, simulate_without
+from odomcorrupt.simulate.routes import ROUTES
+from odomcorrupt.simulate.run import simulate, simulate_without
 from odomcorrupt.simulate.tracker import TRACKERS, Tracker
 
 __all__ = [
     "CAUSES",
+    "OUTSIDE",
+    "ROUTES",
     "TRACKERS",
+    "Commands",
     "Rig",
     "Segment",
     "SimulatedRun",
     "Tracker",
+    "read_commands",
     "simulate",
     "simulate_without",
     "write_mcap",

@@ -1,14 +1,15 @@
 """Recordings as ROS 2 MCAP files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from struct import pack
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from odomcorrupt.simulate.run import SimulatedRun
+from odomcorrupt.simulate.record import SimulatedRun
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 TYPES = {
@@ -16,21 +17,19 @@ TYPES = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
 }
-
-
-class _Entry(NamedTuple):
-    stamp_ns: int
-    topic: str
-    message: object
+_MARKS = tuple(1.0 + i * np.pi for i in range(7))
+"""Numbers that stand where a message's numbers will."""
+_MARK_SEC, _MARK_NANOSEC = 0x5EC05EC, 0x2A205EC
 
 
 def write_mcap(
     run: SimulatedRun,
-    path: str | Path,
+    target: str | Path | BinaryIO,
     *,
     odom_topic: str = "/odom",
     truth_topic: str = "/ground_truth",
     tf: bool = True,
+    metadata: Mapping[str, str] | None = None,
 ) -> None:
     """Write a run as one MCAP file with zstd chunks, in order of the stamps (which are also the log times).
 
@@ -38,79 +37,125 @@ def write_mcap(
     ----------
     run : SimulatedRun
         The recording; its answer is not written.
-    path : str or Path
+    target : str, Path or binary stream
         The file to make.
     odom_topic, truth_topic : str
         Topics of the Odometry (odom to base_link) and of the PoseStamped (in world).
     tf : bool
         Whether /tf repeats the odometry as odom to base_link.
+    metadata : mapping of str, optional
+        What to say of the bag in its metadata record ``simulate``.
     """
-    entries = [*_odometry(run, odom_topic, tf=tf), *_truth(run, truth_topic)]
-    entries.sort(key=lambda entry: entry.stamp_ns)
-    with Path(path).open("wb") as file:
-        writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="wheelsim")
-        channels: dict[str, tuple[int, str]] = {}
-        for sequence, (stamp_ns, topic, message) in enumerate(entries):
-            if topic not in channels:
-                channels[topic] = _channel(writer, topic, message.__msgtype__)
-            channel_id, typename = channels[topic]
-            data = bytes(STORE.serialize_cdr(message, typename))
-            writer.add_message(channel_id, log_time=stamp_ns, publish_time=stamp_ns, sequence=sequence, data=data)
-        writer.finish()
+    if isinstance(target, str | Path):
+        with Path(target).open("wb") as file:
+            return write_mcap(run, file, odom_topic=odom_topic, truth_topic=truth_topic, tf=tf, metadata=metadata)
+    topics = [(odom_topic, TYPES["/odom"], run.odom_stamps_ns, _odometry(run))]
+    if tf:
+        topics.append(("/tf", TYPES["/tf"], run.odom_stamps_ns, _links(run)))
+    topics.append((truth_topic, TYPES["/ground_truth"], run.truth_stamps_ns, _truth(run)))
+    stamps_ns = np.concatenate([stamps for _, _, stamps, _ in topics])
+    sizes = [len(stamps) for _, _, stamps, _ in topics]
+    places = np.column_stack((np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])))
+    # of one stamp, odometry comes before its transform, and both before the truth
+    order = np.lexsort((places[:, 0], stamps_ns))
+    writer: Any = Writer(target, compression=CompressionType.ZSTD)
+    writer.start(profile="ros2", library="wheelsim")
+    if metadata is not None:
+        writer.add_metadata("simulate", dict(metadata))
+    channels: dict[int, int] = {}
+    pairs = zip(stamps_ns[order].tolist(), places[order].tolist(), strict=True)
+    for sequence, (stamp_ns, (topic, row)) in enumerate(pairs):
+        if topic not in channels:
+            channels[topic] = _channel(writer, *topics[topic][:2])
+        data = topics[topic][3][row].tobytes()
+        writer.add_message(channels[topic], log_time=stamp_ns, publish_time=stamp_ns, sequence=sequence, data=data)
+    writer.finish()
+    return None
 
 
-def _channel(writer: Writer, topic: str, typename: str) -> tuple[int, str]:
+def _channel(writer: Any, topic: str, typename: str) -> int:
     text, _ = STORE.generate_msgdef(typename, ros_version=2)
     schema_id = writer.register_schema(typename, "ros2msg", text.encode())
-    return writer.register_channel(topic, "cdr", schema_id), typename
+    return int(writer.register_channel(topic, "cdr", schema_id))
 
 
-def _odometry(run: SimulatedRun, topic: str, *, tf: bool) -> Iterator[_Entry]:
-    kinds = STORE.types
-    pose_covariance = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
-    twist_covariance = np.diag([1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-3]).ravel()
-    for stamp_ns, xyt, (forward, left, turn) in zip(
-        run.odom_stamps_ns.tolist(), run.odom_xyt.tolist(), run.odom_twist.tolist(), strict=True
-    ):
-        header = _header(stamp_ns, "odom")
-        pose = _pose(*xyt)
-        twist = kinds["geometry_msgs/msg/Twist"](linear=_vector(forward, left), angular=_vector(0.0, 0.0, turn))
-        message = kinds[TYPES["/odom"]](
-            header=header,
-            child_frame_id="base_link",
-            pose=kinds["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=pose_covariance),
-            twist=kinds["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=twist_covariance),
-        )
-        yield _Entry(stamp_ns, topic, message)
-        if tf:
-            link = kinds["geometry_msgs/msg/Transform"](
-                translation=_vector(pose.position.x, pose.position.y), rotation=pose.orientation
-            )
-            stamped = kinds["geometry_msgs/msg/TransformStamped"](
-                header=header, child_frame_id="base_link", transform=link
-            )
-            yield _Entry(stamp_ns, "/tf", kinds[TYPES["/tf"]](transforms=[stamped]))
+def _odometry(run: SimulatedRun) -> np.ndarray:
+    x, y, qz, qw, forward, left, turn = _MARKS
+    pose = _new("PoseWithCovariance", pose=_pose(x, y, qz, qw), covariance=_spread(1e-3, 1e-3, 1e-2))
+    twist = _new("Twist", linear=_vector(forward, left), angular=_vector(0.0, 0.0, turn))
+    stamped = STORE.types[TYPES["/odom"]](
+        header=_header("odom"),
+        child_frame_id="base_link",
+        pose=pose,
+        twist=_new("TwistWithCovariance", twist=twist, covariance=_spread(1e-4, 1e-4, 1e-3)),
+    )
+    numbers = np.column_stack((_planar(run.odom_xyt), run.odom_twist))
+    return _fill(stamped, TYPES["/odom"], run.odom_stamps_ns, numbers)
 
 
-def _truth(run: SimulatedRun, topic: str) -> Iterator[_Entry]:
-    kind = STORE.types[TYPES["/ground_truth"]]
-    for stamp_ns, xyt in zip(run.truth_stamps_ns.tolist(), run.truth_xyt.tolist(), strict=True):
-        yield _Entry(stamp_ns, topic, kind(header=_header(stamp_ns, "world"), pose=_pose(*xyt)))
+def _links(run: SimulatedRun) -> np.ndarray:
+    x, y, qz, qw = _MARKS[:4]
+    link = _new("Transform", translation=_vector(x, y), rotation=_turned(qz, qw))
+    stamped = _new("TransformStamped", header=_header("odom"), child_frame_id="base_link", transform=link)
+    message = STORE.types[TYPES["/tf"]](transforms=[stamped])
+    return _fill(message, TYPES["/tf"], run.odom_stamps_ns, _planar(run.odom_xyt))
 
 
-def _header(stamp_ns: int, frame_id: str) -> object:
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    stamp = STORE.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+def _truth(run: SimulatedRun) -> np.ndarray:
+    message = _new("PoseStamped", header=_header("world"), pose=_pose(*_MARKS[:4]))
+    return _fill(message, TYPES["/ground_truth"], run.truth_stamps_ns, _planar(run.truth_xyt))
+
+
+def _planar(xyt: np.ndarray) -> np.ndarray:
+    return np.column_stack((xyt[:, :2], np.sin(0.5 * xyt[:, 2]), np.cos(0.5 * xyt[:, 2])))
+
+
+def _fill(message: Any, typename: str, stamps_ns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """Return serialised messages, one a row: copies of one with marks, in which stamps and numbers are put.
+
+    Parameters
+    ----------
+    stamps_ns : ndarray of int64, shape (n,)
+        Stamps of the headers.
+    numbers : ndarray, shape (n, k)
+        What replaces the first k marks.
+    """
+    one = bytes(STORE.serialize_cdr(message, typename))
+    rows = np.tile(np.frombuffer(one, dtype=np.uint8), (len(stamps_ns), 1))
+    for mark, width, values in _marked(stamps_ns, numbers):
+        at = one.index(mark)
+        rows[:, at : at + width] = np.ascontiguousarray(values).view(np.uint8).reshape(-1, width)
+    return rows
+
+
+def _marked(stamps_ns: np.ndarray, numbers: np.ndarray) -> Iterator[tuple[bytes, int, np.ndarray]]:
+    sec, nanosec = np.divmod(stamps_ns, 1_000_000_000)
+    yield pack("<i", _MARK_SEC), 4, sec.astype("<i4")
+    yield pack("<I", _MARK_NANOSEC), 4, nanosec.astype("<u4")
+    for mark, column in zip(_MARKS, numbers.T, strict=False):
+        yield pack("<d", mark), 8, column.astype("<f8")
+
+
+def _new(kind: str, **fields: Any) -> Any:
+    return STORE.types[f"geometry_msgs/msg/{kind}"](**fields)
+
+
+def _header(frame_id: str) -> Any:
+    stamp = STORE.types["builtin_interfaces/msg/Time"](sec=_MARK_SEC, nanosec=_MARK_NANOSEC)
     return STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
 
-def _vector(x: float, y: float, z: float = 0.0) -> object:
-    return STORE.types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
+def _vector(x: float, y: float, z: float = 0.0) -> Any:
+    return _new("Vector3", x=x, y=y, z=z)
 
 
-def _pose(x: float, y: float, yaw_rad: float) -> object:
-    quaternion = STORE.types["geometry_msgs/msg/Quaternion"]
-    point = STORE.types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0)
-    turned = quaternion(x=0.0, y=0.0, z=float(np.sin(0.5 * yaw_rad)), w=float(np.cos(0.5 * yaw_rad)))
-    return STORE.types["geometry_msgs/msg/Pose"](position=point, orientation=turned)
+def _turned(qz: float, qw: float) -> Any:
+    return _new("Quaternion", x=0.0, y=0.0, z=qz, w=qw)
+
+
+def _pose(x: float, y: float, qz: float, qw: float) -> Any:
+    return _new("Pose", position=_new("Point", x=x, y=y, z=0.0), orientation=_turned(qz, qw))
+
+
+def _spread(x: float, y: float, yaw: float) -> np.ndarray:
+    return np.diag([x, y, 1e6, 1e6, 1e6, yaw]).ravel()

@@ -1,4 +1,4 @@
-"""The motors: wheels that follow their commands late and not quite evenly."""
+"""The controller and its motors: they follow their commands late and not quite evenly."""
 
 import numpy as np
 from scipy.signal import lfilter
@@ -17,7 +17,7 @@ def wheel_angles(
     ripple: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return how far each wheel has turned about its own axle.
+    """Return how far each motor has turned, in turns of its wheel's axle.
 
     The motor controller, like the driver, knows the nominal machine only: the angles do not depend on its flaws.
 
@@ -33,7 +33,7 @@ def wheel_angles(
     Returns
     -------
     ndarray, shape (n, 2)
-        Right and left wheel angle, rad.
+        Right and left motor angle, rad.
     """
     apart_mps = 0.5 * robot.nominal_track_m * command[:, 1]
     wanted_mps = np.column_stack((command[:, 0] + apart_mps, command[:, 0] - apart_mps))
@@ -46,4 +46,4 @@ def wheel_angles(
     cog_rad = COGS_PER_TURN * np.cumsum(rim_mps, axis=0) * (step_s / robot.nominal_radius_m)
     cogging_mps = rim_mps * np.sin(cog_rad + rng.uniform(0.0, 2.0 * np.pi, size=2))
     turning_mps = rim_mps + ripple * (cogging_mps + hunting_mps)
-    return np.cumsum(turning_mps, axis=0) * (step_s / robot.nominal_radius_m)
+    return np.asarray(np.cumsum(turning_mps, axis=0) * (step_s / robot.nominal_radius_m))

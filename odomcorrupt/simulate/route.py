@@ -1,4 +1,4 @@
-"""Where the robot is told to go: speeds and turn rates over time, planned blind (nothing steers on the truth)."""
+"""An office drive, and how any plan becomes speeds and turn rates over time. Nothing steers on the truth."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -126,4 +126,4 @@ def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
     now = np.searchsorted(starts_s, grid_s, side="right") - 1
     part = np.clip((grid_s - starts_s[now]) / ramps_s[now], 0.0, 1.0)
     eased = part * part * (3.0 - 2.0 * part)
-    return speeds[now] + (speeds[now + 1] - speeds[now]) * eased[:, None]
+    return np.asarray(speeds[now] + (speeds[now + 1] - speeds[now]) * eased[:, None])

@@ -1,68 +1,45 @@
 """One recording from a seed: all layers in a row."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulate.causes import CAUSES, draw_parameters
+from odomcorrupt.simulate.commands import Commands, obey
 from odomcorrupt.simulate.contact import drive
 from odomcorrupt.simulate.encoders import Rig, reckon
+from odomcorrupt.simulate.flaws import draw_flaw, is_placed, names_of, source_of_turns, spoil
 from odomcorrupt.simulate.motor import wheel_angles
-from odomcorrupt.simulate.planar import wrap
+from odomcorrupt.simulate.planar import add_up_steps
+from odomcorrupt.simulate.record import SimulatedRun, record
 from odomcorrupt.simulate.robot import build_robot
-from odomcorrupt.simulate.route import Segment, draw_route, follow
-from odomcorrupt.simulate.streams import stream
-from odomcorrupt.simulate.tracker import TRACKERS, Tracker, watch
+from odomcorrupt.simulate.route import Segment, follow
+from odomcorrupt.simulate.routes import ROUTES
+from odomcorrupt.simulate.streams import Streams, stream
+from odomcorrupt.simulate.tracker import TRACKERS, Tracker, dock, watch
 
 STEP_S = 0.002
-EPOCH_NS = 1_750_000_000_000_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class SimulatedRun:
-    """A recording and its secret. Poses are m, m, rad wrapped to (-pi, pi]; twists m/s, m/s, rad/s in the body.
-
-    Attributes
-    ----------
-    odom_stamps_ns : ndarray of int64, shape (n,)
-        By the odometry's clock.
-    odom_xyt, odom_twist : ndarray, shape (n, 3)
-        Base in the odometry frame; mean twist since the sample before.
-    truth_stamps_ns : ndarray of int64, shape (m,)
-        By the true clock.
-    truth_xyt : ndarray, shape (m, 3)
-        Tracked frame in the world.
-    answer : dict
-        ``cause`` (str or None), ``parameters`` (dict of float, names and units as in the effects' table) and
-        ``track_m`` (nominal).
-    track_m : float
-        Nominal track, which a user would know; m.
-    """
-
-    odom_stamps_ns: np.ndarray
-    odom_xyt: np.ndarray
-    odom_twist: np.ndarray
-    truth_stamps_ns: np.ndarray
-    truth_xyt: np.ndarray
-    answer: dict
-    track_m: float
+DAY_S = 600.0
+"""How long a round is considered when a flaw gets its place on it."""
 
 
 def simulate(
     seed: int,
-    cause: str | None,
+    cause: str | Sequence[str] | None,
     *,
     duration_s: float = 600.0,
     size: float = 1.0,
     truth: str | Tracker = "mocap",
-    parameters: Mapping[str, float] | None = None,
-    route: Sequence[Segment] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+    route: str | Sequence[Segment] | Commands | None = None,
     rig: Rig | None = None,
     yaw_from: str | None = None,
     robot_seed: int | None = None,
+    drive_type: str = "differential",
+    at_dock: bool | None = None,
+    home: str | None = None,
 ) -> SimulatedRun:
-    """Drive a robot with one flaw, or none, and record it.
+    """Drive a robot with one flaw, several or none, and record it.
 
     Every layer draws from its own stream of the seed, so runs that differ in `cause` share robot, drive and noise.
 
@@ -70,8 +47,8 @@ def simulate(
     ----------
     seed : int
         Seed of the drive and all noise.
-    cause : str or None
-        A key of `CAUSES`; None for a flawless robot.
+    cause : str, sequence of str, or None
+        Keys of `CAUSES` or `OUTSIDE`; None for a flawless robot.
     duration_s : float
         Length, s.
     size : float
@@ -79,54 +56,69 @@ def simulate(
     truth : {"mocap", "rtk"} or Tracker
         Who watches.
     parameters : mapping, optional
-        Parameters of the flaw instead of drawn ones.
-    route : sequence of Segment, optional
-        Manoeuvres instead of a random office drive.
+        Parameters of the flaw instead of drawn ones; where `cause` is a sequence, by its names.
+    route : str, sequence of Segment, or Commands, optional
+        A key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive.
     rig : Rig, optional
         Electronics and floor.
     yaw_from : {"encoders", "gyro"}, optional
         The driver's source of turns; by default what the cause needs. See `simulate_without`.
     robot_seed : int, optional
         Seed of the robot and its flaw, to meet the same robot in several drives; by default `seed`.
+    drive_type : {"differential", "skid"}
+        Kind of machine.
+    at_dock : bool, optional
+        Begin where the robot's own seed does, not the drive's; by default where a flaw has its place on the floor.
+    home : str, optional
+        A key of `ROUTES`: the robot's daily round, on which a flaw that has a place was drawn. By default `route`,
+        or the office where that is speed commands.
     """
     rig = Rig() if rig is None else rig
     tracker = TRACKERS[truth] if isinstance(truth, str) else truth
     robot_seed = seed if robot_seed is None else robot_seed
-    robot = build_robot(stream(robot_seed, "robot"))
-    drawn: dict[str, float] = {}
-    if cause is not None:
-        drawn = dict(parameters or draw_parameters(cause, size, stream(robot_seed, f"cause {cause}")))
-        robot = CAUSES[cause].spoil(robot, drawn)
-        yaw_from = yaw_from or CAUSES[cause].yaw_from
-
+    causes = names_of(cause)
+    yaw_from = yaw_from or source_of_turns(causes)
+    placed = is_placed(causes)
+    docked = placed if at_dock is None else at_dock
+    start_xyt = dock(stream(robot_seed if docked else seed, "world"))
     grid_s = np.arange(round(duration_s / STEP_S) + 1) * STEP_S
-    command = follow(route or draw_route(duration_s, stream(seed, "route")), grid_s)
-    angle_rad = wheel_angles(command, STEP_S, robot, rig.motor_ripple, stream(seed, "motor"))
-    driven = drive(grid_s, angle_rad, robot, rig.creep, stream(seed, "contact"))
-    own = {name: stream(seed, name) for name in ("odom_clock", "encoders", "gyro")}
-    odom = reckon(driven, robot, rig, yaw_from or "encoders", own)
-    outside = {name: stream(seed, name) for name in ("world", "tracker_clock", "tracker", "dropouts")}
-    track = watch(driven, robot, tracker, outside)
-    return SimulatedRun(
-        odom_stamps_ns=_to_ns(odom.stamps_s),
-        odom_xyt=_wrapped(odom.xyt),
-        odom_twist=odom.twist,
-        truth_stamps_ns=_to_ns(track.stamps_s),
-        truth_xyt=_wrapped(track.xyt),
-        answer={"cause": cause, "parameters": drawn, "track_m": robot.nominal_track_m},
-        track_m=robot.nominal_track_m,
-    )
+
+    given: Mapping[str, Any] = {cause: parameters} if isinstance(cause, str) else (parameters or {})
+    daily = home or ("office" if isinstance(route, Commands) else route)
+    path = _plan(daily, robot_seed, start_xyt) if placed else None
+    flaws = {name: draw_flaw(name, size, robot_seed, path, given.get(name)) for name in causes}
+    robot = spoil(build_robot(stream(robot_seed, "robot"), drive_type), flaws)
+
+    streams = Streams(seed)
+    speeds = _speeds(route, duration_s, seed, grid_s)
+    angle_rad = wheel_angles(speeds, STEP_S, robot, rig.motor_ripple, streams.open("motor"))
+    driven = drive(grid_s, angle_rad, robot, rig.creep, streams, start_xyt)
+    odom = reckon(driven, robot, rig, yaw_from, streams)
+    track = watch(driven, robot, tracker, streams)
+    return record(odom, track, flaws, robot.nominal_track_m)
 
 
-def simulate_without(seed: int, cause: str | None, **options: object) -> SimulatedRun:
+def simulate_without(seed: int, cause: str | Sequence[str] | None, **options: Any) -> SimulatedRun:
     """Simulate what `simulate` would with the same arguments, had the robot not the flaw (but the same sensors)."""
-    yaw_from = "encoders" if cause is None else CAUSES[cause].yaw_from
-    return simulate(seed, None, **{"yaw_from": yaw_from, **options, "parameters": None})
+    causes = names_of(cause)
+    same = {"yaw_from": source_of_turns(causes), "at_dock": is_placed(causes)}
+    return simulate(seed, None, **{**same, **options, "parameters": None})
 
 
-def _to_ns(times_s: np.ndarray) -> np.ndarray:
-    return EPOCH_NS + np.rint(times_s * 1e9).astype(np.int64)
+def _speeds(
+    route: str | Sequence[Segment] | Commands | None, duration_s: float, seed: int, grid_s: np.ndarray
+) -> np.ndarray:
+    if isinstance(route, Commands):
+        return obey(route, grid_s)
+    if route is None or isinstance(route, str):
+        route = ROUTES[route or "office"](duration_s, stream(seed, "route"))
+    return follow(route, grid_s)
 
 
-def _wrapped(xyt: np.ndarray) -> np.ndarray:
-    return np.column_stack((xyt[:, :2], wrap(xyt[:, 2])))
+def _plan(route: str | Sequence[Segment] | None, seed: int, start_xyt: np.ndarray) -> np.ndarray:
+    """Return where a perfect robot would go in `DAY_S`, every 0.1 s, x + iy in the truth frame, m."""
+    grid_s = np.arange(round(DAY_S / 0.1)) * 0.1
+    steps = _speeds(route, DAY_S, seed, grid_s) * 0.1
+    planned = add_up_steps(steps[:, 0], np.zeros(len(steps)), steps[:, 1])
+    way = planned[:, 0] + 1j * planned[:, 1]
+    return np.asarray(complex(start_xyt[0], start_xyt[1]) + way * np.exp(1j * start_xyt[2]))

@@ -1,8 +1,10 @@
 """One random stream per layer, so that changing one layer leaves every other draw as it was."""
 
 import zlib
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 
 def stream(seed: int, layer: str) -> np.random.Generator:
@@ -16,3 +18,22 @@ def stream(seed: int, layer: str) -> np.random.Generator:
         Name of what is drawn, such as ``"encoders"``.
     """
     return np.random.default_rng([seed, zlib.crc32(layer.encode())])
+
+
+@dataclass(frozen=True, slots=True)
+class Streams:
+    """The streams of one run. Opening a layer begins its stream anew, so each is opened once."""
+
+    seed: int
+
+    def open(self, layer: str) -> np.random.Generator:
+        """Return the generator of a layer, at its beginning."""
+        return stream(self.seed, layer)
+
+
+def wander(sigma: float, tau_s: float, step_s: float, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return a stationary Gauss-Markov sequence of deviation `sigma` and correlation time `tau_s`, shape (n,)."""
+    stay = np.exp(-step_s / tau_s)
+    draws = rng.normal(size=n)
+    draws[1:] *= np.sqrt(1.0 - stay**2)
+    return np.asarray(sigma * lfilter([1.0], [1.0, -stay], draws))

@@ -4,59 +4,50 @@ import dataclasses
 
 import numpy as np
 import pytest
+from manoeuvres import (
+    CIRCLE_LEFT,
+    CIRCLE_RIGHT,
+    FLAWLESS_RIG,
+    FLAWLESS_TRACKER,
+    REST,
+    SPIN_LEFT,
+    STRAIGHT,
+    both,
+    from_start,
+    same,
+    silent,
+    way_m,
+)
 from mcap.reader import make_reader
 
-from odomcorrupt.simulate import CAUSES, TRACKERS, Rig, Segment, Tracker, simulate, simulate_without, write_mcap
+from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
 from odomcorrupt.simulate.bag import STORE
+from odomcorrupt.simulate.flaws import draw_parameters
 
-FLAWLESS_RIG = Rig(
-    sampling_jitter_s=0.0,
-    stamp_jitter_s=0.0,
-    ticks_per_turn=None,
-    gyro_noise_rad_per_sqrt_s=0.0,
-    motor_ripple=0.0,
-    creep=0.0,
-)
-FLAWLESS_TRACKER = Tracker(sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
-REST = Segment(0.0, 0.0, 1.0, 1.0)
-STRAIGHT = (REST, Segment(0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
-SPIN_LEFT = (REST, Segment(0.0, 0.8, 19.0), Segment(0.0, 0.0, 5.0))
-CIRCLE_LEFT = (REST, Segment(0.6, 0.5, 40.0))
-CIRCLE_RIGHT = (REST, Segment(0.6, -0.5, 40.0))
-
-
-def silent(cause, parameters, route, duration_s=28.0, seed=5):
-    return simulate(
-        seed,
-        cause,
-        parameters=parameters,
-        route=route,
-        duration_s=duration_s,
-        rig=FLAWLESS_RIG,
-        truth=FLAWLESS_TRACKER,
-    )
-
-
-def from_start(stamps_ns, xyt, at_ns):
-    """Poses at other stamps, headings unwrapped, as seen from the first of them."""
-    seen = [np.interp(at_ns, stamps_ns, column) for column in (xyt[:, 0], xyt[:, 1], np.unwrap(xyt[:, 2]))]
-    place = (seen[0] - seen[0][0] + 1j * (seen[1] - seen[1][0])) * np.exp(-1j * seen[2][0])
-    return np.column_stack((place.real, place.imag, seen[2] - seen[2][0]))
-
-
-def both(run):
-    """Odometry and truth at the odometry's stamps, each from its own start."""
-    at_ns = run.odom_stamps_ns[(run.odom_stamps_ns > run.truth_stamps_ns[0])]
-    at_ns = at_ns[at_ns < run.truth_stamps_ns[-1]]
-    return from_start(run.odom_stamps_ns, run.odom_xyt, at_ns), from_start(run.truth_stamps_ns, run.truth_xyt, at_ns)
-
-
-def way_m(xyt):
-    return np.hypot(*np.diff(xyt[:, :2], axis=0).T).sum()
-
-
-def same(one, other):
-    return all(np.array_equal(getattr(one, f.name), getattr(other, f.name)) for f in dataclasses.fields(one))
+EVERY = {**CAUSES, **OUTSIDE}
+OF_THE_SENSORS = {
+    "gyro_bias",
+    "gyro_bias_walk",
+    "gyro_scale",
+    "magnetic_heading",
+    "quantization",
+    "lost_increments",
+}
+OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed} | {
+    "region_slip",
+    "wet_strip",
+    "slope",
+    "overspeed_slip",
+    "braking_drag",
+}
+SOON = {
+    "region_slip": {"radius": 100.0},
+    "wet_strip": {"width": 100.0},
+    "slip_burst": {"rate": 1.0},
+    "load_shift": {"time": 5.0},
+    "overspeed_slip": {"speed": 0.1},
+}
+"""Parameters with which a flaw shows in half a minute."""
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -149,39 +140,42 @@ def test_yawed_marker_looks_left_of_the_way_it_goes():
     assert np.abs(truth[:, 2] - odom[:, 2]).max() < 1e-9
 
 
-@pytest.mark.parametrize("cause", [None, *CAUSES])
+@pytest.mark.parametrize("cause", [None, *EVERY])
 def test_same_seed_same_bits(cause):
     assert same(simulate(7, cause, duration_s=20.0), simulate(7, cause, duration_s=20.0))
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("cause", EVERY)
 def test_flaw_of_no_size_is_the_run_without(cause):
-    nothing = simulate(8, cause, duration_s=30.0, parameters=dict.fromkeys(_names(cause), 0.0))
+    drawn = simulate(8, cause, duration_s=5.0).answer["parameters"]
+    sizes = ("x", "y") if cause == "lever_arm" else (next(iter(drawn)),)
+    nothing = simulate(8, cause, duration_s=30.0, parameters=dict.fromkeys(sizes, 0.0))
     without = simulate_without(8, cause, duration_s=30.0)
     assert np.array_equal(nothing.odom_xyt, without.odom_xyt)
     assert np.abs(nothing.truth_xyt - without.truth_xyt).max() < 1e-12
     assert without.answer["cause"] is None
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize("cause", EVERY)
 def test_flaw_leaves_the_draws_of_other_layers_alone(cause):
-    run, without = simulate(9, cause, duration_s=30.0), simulate_without(9, cause, duration_s=30.0)
+    run = simulate(9, cause, route="yard", duration_s=40.0, parameters=SOON.get(cause))
+    without = simulate_without(9, cause, route="yard", duration_s=40.0)
     assert np.array_equal(run.truth_stamps_ns, without.truth_stamps_ns)
     assert len(run.odom_xyt) == len(without.odom_xyt)
-    sensor_side = cause in {"gyro_bias", "time_offset"}
-    assert np.array_equal(run.truth_xyt, without.truth_xyt) == sensor_side
-    assert np.array_equal(run.odom_xyt, without.odom_xyt) == (cause != "gyro_bias")
-    assert np.array_equal(run.odom_stamps_ns, without.odom_stamps_ns) == (cause != "time_offset")
+    clock, sensor = cause in {"time_offset", "clock_skew"}, cause in OF_THE_SENSORS
+    assert np.array_equal(run.truth_xyt, without.truth_xyt) == (clock or sensor)
+    assert np.array_equal(run.odom_xyt, without.odom_xyt) == (not sensor)
+    assert np.array_equal(run.odom_stamps_ns, without.odom_stamps_ns) == (not clock)
 
 
-@pytest.mark.parametrize("cause", CAUSES)
-def test_draws_stay_in_their_range_and_take_both_signs(cause):
-    sizes = [simulate(seed, cause, duration_s=5.0).answer["parameters"] for seed in range(12)]
-    magnitudes = np.array([np.linalg.norm(list(p.values())) for p in sizes])
-    assert (magnitudes >= CAUSES[cause].low).all()
-    assert (magnitudes <= CAUSES[cause].high).all()
-    signs = {np.sign(next(iter(p.values()))) for p in sizes}
-    assert signs == ({1.0} if cause == "side_slip" else {-1.0, 1.0})
+@pytest.mark.parametrize("cause", EVERY)
+def test_draws_stay_in_their_range_and_take_both_signs_where_there_are_two(cause):
+    drawn = [list(draw_parameters(cause, 1.0, np.random.default_rng(seed)).values()) for seed in range(30)]
+    magnitudes = [np.hypot(*values) if cause == "lever_arm" else abs(values[0]) for values in drawn]
+    assert min(magnitudes) >= EVERY[cause].low * (1 - 1e-12)
+    assert max(magnitudes) <= EVERY[cause].high * (1 + 1e-12)
+    signs = {np.sign(values[0]) for values in drawn}
+    assert signs == ({1.0} if cause in OF_ONE_SIGN else {-1.0, 1.0})
 
 
 def test_robot_of_one_seed_drives_other_routes():
@@ -220,7 +214,7 @@ def test_truth_has_its_rate_noise_and_dropouts(kind, rate_hz):
     gaps_s = np.diff(run.truth_stamps_ns) * 1e-9
     assert np.median(gaps_s) == pytest.approx(1 / rate_hz, rel=1e-2)
     assert gaps_s.max() > 2 / rate_hz
-    assert np.std(run.truth_xyt[:, 0]) == pytest.approx(TRACKERS[kind].noise_m, rel=0.1)
+    assert np.std(np.diff(run.truth_xyt[:, 0])) / np.sqrt(2) == pytest.approx(TRACKERS[kind].noise_m, rel=0.1)
     assert np.std(np.unwrap(run.truth_xyt[:, 2])) == pytest.approx(TRACKERS[kind].noise_rad, rel=0.1)
 
 
@@ -249,7 +243,3 @@ def test_mcap_says_what_the_run_says(tmp_path):
         assert (odom.twist.twist.linear.x, odom.twist.twist.angular.z) == (twist[0], twist[2])
     first = found["/ground_truth"][0][1]
     assert (first.header.frame_id, first.pose.position.x) == ("world", run.truth_xyt[0, 0])
-
-
-def _names(cause):
-    return simulate(0, cause, duration_s=5.0).answer["parameters"]

@@ -1,0 +1,185 @@
+"""Each cause moves the truth against the odometry by what its definition says, in a manoeuvre that shows it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
+
+from odomcorrupt.simulate import Segment, Tracker, simulate
+
+SPIN_RIGHT = (REST, Segment(0.0, -0.8, 19.0), Segment(0.0, 0.0, 5.0))
+FASTER = (REST, Segment(1.0, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+BACK = (REST, Segment(-0.5, 0.0, 19.0), Segment(0.0, 0.0, 5.0))
+CRUISE = slice(500, 900)
+
+
+def cruising(run):
+    """Ways of odometry and truth between 10 s and 18 s, m."""
+    return [way_m(xyt[CRUISE]) for xyt in both(run)]
+
+
+def start(seed=5):
+    """Where a drive of this seed begins in the truth frame: place as x + iy, and heading."""
+    x, y, heading = silent(None, None, (REST,), duration_s=10.0, seed=seed).truth_xyt[0]
+    return x + 1j * y, heading
+
+
+def test_rotation_centre_behind_swings_the_base_as_a_lever_arm_would():
+    odom, truth = both(silent("icr_shift", {"x": 0.05}, SPIN_LEFT))
+    assert np.abs(truth[:, 0] + 1j * truth[:, 1] - 0.05 * (np.exp(1j * odom[:, 2]) - 1)).max() < 1e-4
+
+
+def test_gyro_that_feels_more_reports_more():
+    odom, truth = both(silent("gyro_scale", {"e": 0.02}, SPIN_LEFT))
+    assert odom[-1, 2] / truth[-1, 2] == pytest.approx(1.02, abs=1e-6)
+
+
+def test_gyro_bias_walks_with_the_root_of_time_even_at_rest():
+    ends = []
+    for seed in range(60):
+        run = silent("gyro_bias_walk", {"density": 1e-3}, (REST,), seed=seed, duration_s=20.0)
+        rate = np.diff(np.unwrap(run.odom_xyt[:, 2])) / np.diff(run.odom_stamps_ns) * 1e9
+        ends.append(rate[-1])
+        assert np.ptp(run.truth_xyt[:, 2]) < 1e-12
+    assert np.std(ends) == pytest.approx(1e-3 * np.sqrt(20.0), rel=0.3)
+
+
+@pytest.mark.parametrize(("route", "sign"), [(STRAIGHT, 1), (BACK, -1)])
+def test_traction_loses_way_while_speeding_up_and_gives_it_back_while_braking(route, sign):
+    odom, truth = both(silent("accel_slip", {"k": 0.04}, route))
+    behind = sign * (odom[:, 0] - truth[:, 0])
+    assert behind[700] == pytest.approx(0.04 * 0.5 * 0.5**2, rel=0.05)
+    assert abs(behind[-1]) < 0.06 * behind[700]  # what is left is of second order
+
+
+@pytest.mark.parametrize(("route", "v_mps"), [(STRAIGHT, 0.5), (FASTER, 1.0), (BACK, 0.5)])
+def test_tyres_grow_with_speed(route, v_mps):
+    odom_m, truth_m = cruising(silent("speed_scale", {"k": 0.02}, route))
+    assert truth_m / odom_m == pytest.approx(1 + 0.02 * v_mps, abs=1e-6)
+
+
+def test_patch_takes_its_part_of_the_way_rolled_in_it():
+    place, heading = start()
+    centre = place + 4.0 * np.exp(1j * heading)
+    patch = {"slip": 0.1, "x": centre.real, "y": centre.imag, "radius": 1.5}
+    run = silent("region_slip", patch, STRAIGHT)
+    odom, truth = both(run)
+    half_m = np.sqrt(1.5**2 - (0.5 * run.track_m) ** 2)
+    assert odom[-1, 0] - truth[-1, 0] == pytest.approx(0.1 / 0.9 * 2 * half_m, abs=0.003)
+    assert abs(truth[-1, 2]) < 0.03
+
+
+def test_patch_under_the_left_wheel_alone_turns_to_the_left():
+    place, heading = start()
+    centre = place + (4.0 + 0.65j) * np.exp(1j * heading)
+    odom, truth = both(
+        silent("region_slip", {"slip": 0.1, "x": centre.real, "y": centre.imag, "radius": 0.6}, STRAIGHT)
+    )
+    assert truth[-1, 2] > 0.05
+    assert abs(odom[-1, 2]) < 1e-9
+
+
+@pytest.mark.parametrize(("route", "side"), [(STRAIGHT, 1), (BACK, 1)])
+def test_slope_pulls_downhill_per_metre_driven_either_way(route, side):
+    _, heading = start()
+    odom, truth = both(silent("slope", {"creep": 0.02, "direction": heading + 0.5 * np.pi}, route))
+    assert truth[-1, 1] == pytest.approx(side * 0.02 * way_m(odom), rel=1e-3)
+    assert truth[-1, 0] == pytest.approx(odom[-1, 0], abs=1e-3)
+
+
+@pytest.mark.parametrize(("route", "gain"), [(SPIN_LEFT, 1.02), (SPIN_RIGHT, 0.98)])
+def test_left_turns_gain_what_right_turns_lose(route, gain):
+    odom, truth = both(silent("turn_asymmetry", {"k": 0.02}, route))
+    assert truth[-1, 2] / odom[-1, 2] == pytest.approx(gain, abs=1e-6)
+
+
+def test_warming_tyres_grow_with_time():
+    odom_m, truth_m = cruising(silent("scale_drift", {"rate": 1e-3}, STRAIGHT))
+    assert truth_m / odom_m == pytest.approx(1 + 1e-3 * 14.0, abs=3e-4)
+
+
+def test_gear_play_is_lost_at_each_reversal():
+    there, back = (Segment(v, 0.0, 5.0) for v in (0.4, -0.4))
+    rest = Segment(0.0, 0.0, 2.0)
+    odom, truth = both(silent("backlash", {"travel": 0.01}, (REST, there, rest, back, rest), 25.0))
+    assert truth[-1, 0] - odom[-1, 0] == pytest.approx(0.01, abs=1e-6)
+    odom, truth = both(silent("backlash", {"travel": 0.01}, (REST, there, rest, back, rest, there, rest), 30.0))
+    assert abs(truth[-1, 0] - odom[-1, 0]) < 1e-6
+    odom, truth = both(silent("backlash", {"travel": 0.01}, STRAIGHT))
+    assert np.abs(truth - odom).max() < 1e-5
+
+
+def test_bursts_take_their_mean_part_of_the_way_and_sometimes_turn_the_robot():
+    parts, turns = [], []
+    for seed in range(60):
+        run = silent("slip_burst", {"rate": 0.2, "slip": 0.5, "duration": 0.3}, STRAIGHT, seed=seed)
+        odom, truth = both(run)
+        parts.append(1 - way_m(truth) / way_m(odom))
+        turns.append(truth[-1, 2])
+    assert np.mean(parts) == pytest.approx(0.2 * 0.3 * 0.5, rel=0.25)
+    assert np.std(turns) > 0.02
+
+
+@pytest.mark.parametrize(("channel", "route"), [("along", STRAIGHT), ("yaw", SPIN_LEFT)])
+def test_gain_wanders_with_its_deviation_in_its_channel_only(channel, route):
+    gains = []
+    for seed in range(60):
+        run = silent("gauss_markov", {"sigma": 0.03, "tau": 20.0, "channel": channel}, route, seed=seed)
+        odom, truth = (xyt[600:625] for xyt in both(run))
+        column = 0 if channel == "along" else 2
+        gains.append((truth[-1, column] - truth[0, column]) / (odom[-1, column] - odom[0, column]) - 1)
+        assert np.abs(truth[:, 2 - column] - odom[:, 2 - column]).max() < 1e-3
+    assert np.std(gains) == pytest.approx(0.03, rel=0.3)
+
+
+def test_heavy_tails_are_heavy():
+    rig, route = dataclasses.replace(FLAWLESS_RIG, creep=1.0), (REST, Segment(0.5, 0.0, 900.0))
+    options = {"rig": rig, "truth": FLAWLESS_TRACKER, "route": route, "duration_s": 600.0}
+    kurtosis = []
+    for parameters in ({"inverse_dof": 0.0}, {"inverse_dof": 0.3}):
+        odom, truth = both(simulate(3, "heavy_tails", parameters=parameters, **options))
+        turns = np.diff((truth - odom)[500::25, 2])
+        kurtosis.append(np.mean(turns**4) / np.mean(turns**2) ** 2)
+    assert kurtosis[0] == pytest.approx(3.0, abs=0.4)
+    assert kurtosis[1] > 4.5
+
+
+def test_coarse_ticks_leave_a_lattice():
+    run = silent("quantization", {"step": 0.004}, STRAIGHT)
+    steps = np.hypot(*np.diff(run.odom_xyt[:, :2], axis=0).T)[np.abs(run.odom_twist[1:, 2]) < 1e-9] / 0.004
+    assert np.abs(steps - np.rint(steps)).max() < 1e-6
+    assert 3 <= len(set(np.rint(steps))) <= 5
+    assert run.odom_xyt[-1, 0] == pytest.approx(both(run)[1][-1, 0], abs=0.01)
+
+
+def test_lost_cycles_stand_still_between_moving_neighbours():
+    run = silent("lost_increments", {"fraction": 0.1}, FASTER)
+    odom, truth = both(run)
+    still = np.diff(odom[CRUISE, 0]) == 0.0
+    assert np.mean(still) == pytest.approx(0.1, abs=0.04)
+    assert odom[-1, 0] / truth[-1, 0] == pytest.approx(0.9, abs=0.02)
+
+
+def test_fast_clock_counts_more_seconds():
+    run, without = (silent("clock_skew", {"rate": rate}, STRAIGHT) for rate in (1e-3, 0.0))
+    elapsed_s, true_s = ((r.odom_stamps_ns[-1] - r.odom_stamps_ns[0]) * 1e-9 for r in (run, without))
+    assert elapsed_s / true_s == pytest.approx(1.001, abs=1e-9)
+
+
+def test_tracker_may_have_the_wrong_clock():
+    late = dataclasses.replace(FLAWLESS_TRACKER, clock_offset_s=0.5, clock_rate=1e-3)
+    assert isinstance(late, Tracker)
+    run = simulate(5, None, route=STRAIGHT, duration_s=28.0, truth=late, rig=FLAWLESS_RIG)
+    right = silent(None, None, STRAIGHT)
+    shift_ns = run.truth_stamps_ns - right.truth_stamps_ns
+    assert shift_ns[0] * 1e-9 == pytest.approx(0.5, abs=1e-3)
+    assert shift_ns[-1] * 1e-9 == pytest.approx(0.528, abs=1e-3)
+
+
+def test_satellites_wander_slowly():
+    run = simulate(13, None, route=(REST,), truth="rtk", duration_s=600.0)
+    far_m = run.truth_xyt[3000:, :2] - run.truth_xyt[:-3000, :2]
+    assert np.std(far_m) / np.sqrt(2) == pytest.approx(np.hypot(0.012, 0.01), rel=0.3)
+    slow = np.convolve(run.truth_xyt[:, 0], np.ones(50) / 50, "valid")
+    assert np.std(slow) > 0.004
