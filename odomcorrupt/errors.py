@@ -17,6 +17,10 @@ class TopicError(OdomCorruptError):
     """A topic or frame is missing, ambiguous or of a type that cannot be used."""
 
 
+class MapError(OdomCorruptError):
+    """A map cannot be read, or does not say what is asked of it."""
+
+
 class ModelError(OdomCorruptError, ValueError):
     """A model file, a law or its coefficients make no sense."""
 

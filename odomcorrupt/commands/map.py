@@ -1,0 +1,153 @@
+"""odomcorrupt map: what the laser sees through clean and through noisy odometry."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._move import MODEL_OPTIONS
+from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
+from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.mapping.survey import Survey
+
+__all__ = ["command"]
+
+
+@click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml.",
+)
+@model_options
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
+@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
+@click.option("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
+@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that places the scans.")
+@click.option("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
+@click.option("--laser-pose", type=POSE, help="Where the laser sits on the robot, where TF does not say.")
+@click.option(
+    "--max-yaw-rate",
+    type=click.FloatRange(min=0.0),
+    metavar="W",
+    help="Leave out rays shot while turning faster, rad/s.",
+)
+@click.option(
+    "--resolution",
+    type=click.FloatRange(min=0.0, min_open=True),
+    default=0.05,
+    help="Of the maps, metres. [default: 0.05]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> None:
+    r"""Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
+
+    Says how thick the walls are in both, as the robot goes on.
+
+    \b
+    odomcorrupt map drive.mcap -o map.png
+    odomcorrupt map drive.mcap --scan /scan --max-yaw-rate 0.1 --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
+    """
+    from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.mapping.thickness import WINDOW_M
+    from odomcorrupt.rng import draw_seed
+    from odomcorrupt.sampling.account import law_words
+
+    if str(bag) == "-":
+        raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
+    beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
+    if output is not None:
+        if picture_kind(output) is None:
+            raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
+        need_pictures()
+        for path in (output, *(p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml"))):
+            refuse_existing(path, overwrite=given["overwrite"])
+    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
+    chosen = choose_model(**options)
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    notes, surveys = _surveys(bag, chosen.model, seed, given)
+    if as_json:
+        click.echo(_json(surveys, notes, seed))
+    else:
+        origin = f" ({chosen.origin})" if chosen.origin else ""
+        click.echo(f"noise: {law_words(chosen.model.noise)}{origin}, seed {seed}, run {given['run']}")
+        click.echo("\n".join([*notes, _table(surveys)]))
+    if output is None:
+        return
+    from odomcorrupt.mapping.mapfile import format_map
+    from odomcorrupt.report.maps import draw_surveys
+
+    for survey, path in zip(surveys, beside.values(), strict=False):
+        image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
+        write_bytes(path.with_suffix(".pgm"), image)
+        write_text(path.with_suffix(".yaml"), text)
+        click.echo(f"wrote {path.with_suffix('.yaml')}", err=True)
+    save_picture(output, draw_surveys(surveys, WINDOW_M))
+
+
+def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:
+    import numpy as np
+
+    from odomcorrupt.corrupt.path import NoisyPath
+    from odomcorrupt.drive.read import read_drive, read_poses
+    from odomcorrupt.mapping.frames import mount_at
+    from odomcorrupt.mapping.raycast import canvas_for
+    from odomcorrupt.mapping.scans import read_rays
+    from odomcorrupt.mapping.survey import place, slow_rays, survey
+    from odomcorrupt.study.trajectory import Trajectory
+
+    drive = read_drive(bag, given["odom_topic"])
+    mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))
+    rays = read_rays(bag, given["scan"], drive.child_frame_id, mount)
+    slow = slow_rays(rays, drive, given["max_yaw_rate"])
+    knots = NoisyPath(model, seed, given["run"]).feed(drive.stamps_ns, drive.xyt)
+    paths = {
+        "clean odometry": drive.trajectory,
+        "noisy odometry": Trajectory(drive.stamps_ns, drive.xyt + knots.error_xyt),
+    }
+    if given["truth"] is not None:
+        paths[f"truth ({given['truth']})"] = read_poses(bag, given["truth"])
+    views = {name: place(slow.rays, path) for name, path in paths.items()}
+    every = [part for view in views.values() for part in (view.from_xy, view.to_xy)]
+    canvas = canvas_for(np.concatenate(every), given["resolution"])
+    notes = (*drive.notes, f"{len(slow.rays)} rays of {rays.scans} scans from {rays.frame_id}", *slow.notes)
+    return notes, [survey(n, paths[n].xyt, view, slow.travelled_m, canvas) for n, view in views.items()]
+
+
+def _table(surveys: Sequence[Survey]) -> str:
+    from odomcorrupt.mapping.thickness import WINDOW_M
+
+    lines = [
+        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; neighbours in {WINDOW_M:g} m)",
+        "  after      " + "  ".join(f"{s.name:>20}" for s in surveys),
+    ]
+    for i, mark in enumerate(surveys[0].marks_m):
+        lines.append(f"  {mark:7.2f} m  " + "  ".join(f"{100.0 * s.thickness_m[i]:20.2f}" for s in surveys))
+    clean, noisy = (s.thickness_m[-1] for s in surveys[:2])
+    added = max(noisy**2 - clean**2, 0.0) ** 0.5
+    return "\n".join(
+        [*lines, f"walls became {noisy / clean:.2f} times as thick: {100.0 * added:.2f} cm were added to them"]
+    )
+
+
+def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
+    import json
+
+    content = {
+        "seed": seed,
+        "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
+        "travelled_m": surveys[0].marks_m.tolist(),
+        "thickness_m": {s.name: s.thickness_m.tolist() for s in surveys},
+        "notes": list(notes),
+    }
+    return json.dumps(content, indent=1)

@@ -1,0 +1,101 @@
+"""Where frames sit on a robot, and a map in the odom frame: TF read without ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.corrupt.targets import TRANSFORMS, plain
+from odomcorrupt.errors import TopicError
+from odomcorrupt.pose import rotate
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.pose import Array
+
+__all__ = ["FrameTree", "Mount", "mount_at"]
+
+
+@dataclass(frozen=True, slots=True)
+class Mount:
+    """How a laser sits on a robot.
+
+    position_xy : (2,) in the robot's frame, metres
+    plane : (2, 2) what turns directions in the laser's plane into the robot's; a laser hung upside down mirrors
+    """
+
+    position_xy: Array
+    plane: Array
+
+
+def mount_at(xyt: Array) -> Mount:
+    """Return an upright mount at a pose (3,)."""
+    return Mount(xyt[:2].copy(), rotate(np.eye(2), xyt[2]).T)
+
+
+class FrameTree:
+    """The first transform of every edge, those of static topics before others."""
+
+    def __init__(self) -> None:
+        self._static: dict[str, tuple[str, Array]] = {}
+        self._moving: dict[str, tuple[str, Array]] = {}
+
+    def take(self, block: Block, channels: Iterable[Channel]) -> None:
+        """Take what a block says."""
+        for channel in channels:
+            if channel.msgtype not in TRANSFORMS:
+                continue
+            edges = self._static if plain(channel.topic).endswith("tf_static") else self._moving
+            for layout in locate(block, channel):
+                for item in layout.items:
+                    child, parent = plain(item.child_frame_id), plain(item.frame_id)
+                    if child in edges:
+                        continue
+                    first = int(np.argmin(gather_stamps_ns(block, layout, item)))
+                    position = gather(block, layout, item, "position")[first]
+                    quat = gather(block, layout, item, "orientation")[first]
+                    edges[child] = (parent, _matrix(position, quat))
+
+    def mount(self, base: str, laser: str, bag: str) -> Mount:
+        """Return how a laser sits on the robot; TopicError where TF does not say."""
+        base, laser = plain(base), plain(laser)
+        up_base, up_laser = self._ancestors(base), self._ancestors(laser)
+        shared = next((frame for frame in up_laser if frame in up_base), None)
+        if shared is None:
+            known = ", ".join(sorted({*self._static, *self._moving})) or "nothing"
+            raise TopicError(
+                f"{bag}: TF does not lead from {base!r} to the laser's frame {laser!r} (it knows {known}); say where "
+                "the laser sits with --laser-pose x,y,yaw"
+            )
+        whole = np.linalg.inv(up_base[shared]) @ up_laser[shared]
+        return Mount(whole[:2, 3].copy(), whole[:2, :2].copy())
+
+    def _ancestors(self, frame: str) -> dict[str, Array]:
+        """Return every frame above one, the nearest first, and the one seen from each (4, 4)."""
+        pose: Array = np.eye(4)
+        found = {frame: pose}
+        while (edge := self._static.get(frame, self._moving.get(frame))) is not None:
+            frame = edge[0]
+            if frame in found:
+                break
+            pose = edge[1] @ pose
+            found[frame] = pose
+        return found
+
+
+def _matrix(position: Array, quat_xyzw: Array) -> Array:
+    norm = float(np.sqrt(quat_xyzw @ quat_xyzw))
+    x, y, z, w = quat_xyzw / norm if norm > 0.0 else np.array([0.0, 0.0, 0.0, 1.0])
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), position[0]],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), position[1]],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), position[2]],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )

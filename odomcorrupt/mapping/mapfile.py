@@ -1,0 +1,134 @@
+"""Maps as nav2's and ROS 1's map_server keep them: a .yaml that names a .pgm."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import MapError
+from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN, Grid
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+__all__ = ["format_map", "read_map"]
+
+SAVED_UNKNOWN = 205
+"""What every map_saver writes for unknown: with nav2's own free_thresh of 0.25 it would load as free."""
+
+_YAML_BYTES = 65_536
+_LINE = re.compile(r"\s*([A-Za-z_]+)\s*:\s*(.*?)\s*(?:#.*)?\Z")
+_GAP = rb"(?:\s|#[^\n]{0,200}\n)+"
+_HEADER = re.compile(rb"P5" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,9})" + _GAP + rb"(\d{1,5})\s")
+
+
+def read_map(path: Path) -> Grid:
+    """Read a map by its .yaml.
+
+    Cells darker than `occupied_thresh` are occupied, lighter than `free_thresh` free, all others unknown; in mode
+    `raw` a value of 0 to 100 is a probability in percent.
+
+    Raises
+    ------
+    MapError
+        Where the .yaml or the image it names cannot be read or makes no sense.
+
+    """
+    keys = _keys(path)
+    missing = [key for key in ("image", "resolution", "origin") if key not in keys]
+    if missing:
+        raise MapError(f"{path}: no {', '.join(missing)}; a map_server .yaml has image, resolution and origin")
+    resolution = _number(path, keys, "resolution", 0.0)
+    origin = [_float(path, "origin", part) for part in keys["origin"].strip("[] ").split(",")]
+    if len(origin) != 3 or not resolution > 0.0:
+        raise MapError(
+            f"{path}: resolution {keys['resolution']}, origin {keys['origin']}; they are metres and [x, y, yaw]"
+        )
+    value = _read_pgm(path.parent / keys["image"].strip("\"'"))
+    mode = keys.get("mode", "trinary").strip("\"'")
+    if mode not in ("trinary", "scale", "raw"):
+        raise MapError(f"{path}: mode {mode}; there are trinary, scale and raw")
+    dark = value / 100.0 if mode == "raw" else value / 255.0
+    if mode != "raw" and not _number(path, keys, "negate", 0.0):
+        dark = 1.0 - dark
+    cells = np.full(value.shape, UNKNOWN, dtype=np.uint8)
+    cells[dark < _number(path, keys, "free_thresh", 0.25)] = FREE
+    cells[(dark > _number(path, keys, "occupied_thresh", 0.65)) & (dark <= 1.0)] = OCCUPIED
+    if mode == "trinary":
+        cells[value == SAVED_UNKNOWN] = UNKNOWN
+    # an image's first row is the top one
+    return Grid(np.ascontiguousarray(cells[::-1]), resolution, np.array(origin))
+
+
+def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
+    """Return a map's .pgm and the .yaml that names it."""
+    value = np.array([254, 0, SAVED_UNKNOWN], dtype=np.uint8)[grid.cells[::-1]]
+    rows, columns = value.shape
+    x, y, yaw = grid.origin_xyt
+    text = (
+        f"image: {image_name}\nmode: trinary\nresolution: {grid.resolution_m:.6g}\n"
+        f"origin: [{x:.6f}, {y:.6f}, {yaw:.6f}]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return f"P5\n{columns} {rows}\n255\n".encode() + value.tobytes(), text
+
+
+def _keys(path: Path) -> dict[str, str]:
+    """Return the keys of a flat .yaml as text: a map needs no more, and no more can go wrong."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_YAML_BYTES + 1)
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
+    if len(raw) > _YAML_BYTES or b"\0" in raw:
+        raise MapError(f"{path}: is no map's .yaml; name the .yaml that comes with the image")
+    found: dict[str, str] = {}
+    lines = raw.decode(errors="replace").splitlines()
+    for i, line in enumerate(lines):
+        match = _LINE.match(line)
+        if match is None:
+            continue
+        key, value = match.groups()
+        if not value:
+            # a list may stand below its key, one item a line
+            items = [entry.strip() for entry in lines[i + 1 : i + 4]]
+            value = ",".join(entry[1:] for entry in items if entry.startswith("-"))
+        found[key] = value
+    return found
+
+
+def _number(path: Path, keys: dict[str, str], key: str, default: float) -> float:
+    return _float(path, key, keys[key]) if key in keys else default
+
+
+def _float(path: Path, key: str, text: str) -> float:
+    words = {"true": "1", "false": "0"}
+    try:
+        value = float(words.get(text.strip().lower(), text))
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise MapError(f"{path}: {key} is {text!r}; it must be a number")
+    return value
+
+
+def _read_pgm(path: Path) -> NDArray[np.uint8]:
+    """Read a binary .pgm (rows, columns); nothing is made of a size before the bytes for it are there."""
+    try:
+        if not path.is_file():
+            raise MapError(f"{path}: is no file; the map's .yaml names it as its image")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
+    match = _HEADER.match(raw[:4096])
+    if match is None:
+        raise MapError(f"{path}: begins with {raw[:8]!r}, which is no binary PGM (P5); convert the image to that")
+    columns, rows, most = (int(number) for number in match.groups())
+    pixels = raw[match.end() :]
+    if not (0 < most <= 255 and columns > 0 and rows > 0 and len(pixels) >= columns * rows):
+        raise MapError(f"{path}: {columns} x {rows} pixels up to {most}, {len(pixels)} bytes of them; it is damaged")
+    value = np.frombuffer(pixels, dtype=np.uint8, count=columns * rows).reshape(rows, columns)
+    return value if most == 255 else (value * (255.0 / most)).astype(np.uint8)

@@ -1,0 +1,134 @@
+"""Read laser scans and occupancy grids from serialised messages.
+
+A message is untrusted: every count is held against the bytes that are there before anything is made of it.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import BagError
+from odomcorrupt.pose import yaw_from_quaternion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.pose import Array
+
+__all__ = ["GRID", "SCAN", "GridMessage", "ScanMessage", "read_grid", "read_scan"]
+
+SCAN = "sensor_msgs/msg/LaserScan"
+GRID = "nav_msgs/msg/OccupancyGrid"
+
+_LITTLE_CDR, _BIG_CDR = (0x01, 0x07, 0x11), (0x00, 0x06, 0x10)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanMessage:
+    """A sensor_msgs/LaserScan: angles in radians, distances in metres, times in seconds; ranges_m (n,)."""
+
+    stamp_ns: int
+    frame_id: str
+    angle_min: float
+    angle_step: float
+    time_step_s: float
+    range_min_m: float
+    range_max_m: float
+    ranges_m: Array
+
+
+@dataclass(frozen=True, slots=True)
+class GridMessage:
+    """A nav_msgs/OccupancyGrid: cells (rows, columns) of -1 or 0..100, the first row at the origin."""
+
+    frame_id: str
+    resolution_m: float
+    origin_xyt: Array
+    cells: NDArray[np.int8]
+
+
+class _Cursor:
+    """Walks over one message."""
+
+    def __init__(self, data: bytes, topic: str, encoding: str) -> None:
+        self._data, self._topic = data, topic
+        self._cdr = encoding == "cdr"
+        self._at, self._order, self._align = 0, "<", 1
+        if encoding not in ("cdr", "ros1"):
+            raise BagError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
+        if self._cdr:
+            kind = self._take(4)[1]
+            if kind not in (*_LITTLE_CDR, *_BIG_CDR):
+                raise BagError(f"{topic}: CDR representation 0x{kind:02x} is not a plain one; it cannot be read")
+            self._order = "<" if kind in _LITTLE_CDR else ">"
+            # XCDR2 aligns to four bytes at most
+            self._align = 8 if kind in (0x00, 0x01) else 4
+
+    def _take(self, size: int) -> bytes:
+        piece = self._data[self._at : self._at + size]
+        if len(piece) < size:
+            raise BagError(
+                f"{self._topic}: a message of {len(self._data)} bytes ends before byte {self._at + size}, where its "
+                "counts say a field lies; the bag is damaged or the topic's type is not what it says"
+            )
+        self._at += size
+        return piece
+
+    def numbers(self, kind: str, count: int = 1) -> list[float]:
+        """Read so many numbers of one struct kind."""
+        size = struct.calcsize(kind)
+        if self._cdr:
+            self._take((4 - self._at) % min(size, self._align))
+        values = struct.unpack(f"{self._order}{count}{kind}", self._take(size * count))
+        return list(values)
+
+    def whole(self, kind: str = "I") -> int:
+        """Read one whole number."""
+        return int(self.numbers(kind)[0])
+
+    def text(self) -> str:
+        """Read a string; CDR ends it with a zero byte."""
+        return self._take(self.whole()).removesuffix(b"\0").decode(errors="replace")
+
+    def sequence(self, kind: str) -> NDArray[np.generic]:
+        """Read a sequence of numbers of one numpy kind."""
+        dtype = np.dtype(self._order + kind)
+        count = self.whole()
+        return np.frombuffer(self._take(count * dtype.itemsize), dtype)
+
+    def header(self) -> tuple[int, str]:
+        """Read a std_msgs/Header: stamp and frame."""
+        if not self._cdr:
+            self.whole()
+        seconds, nanoseconds = self.whole("i" if self._cdr else "I"), self.whole()
+        return seconds * 1_000_000_000 + nanoseconds, self.text()
+
+
+def read_scan(data: bytes, topic: str, encoding: str) -> ScanMessage:
+    """Read a laser scan."""
+    cursor = _Cursor(data, topic, encoding)
+    stamp, frame = cursor.header()
+    first, _, step, time_step, _, nearest, farthest = cursor.numbers("f", 7)
+    ranges = cursor.sequence("f4").astype(np.float64)
+    return ScanMessage(stamp, frame, first, step, time_step, nearest, farthest, ranges)
+
+
+def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:
+    """Read an occupancy grid."""
+    cursor = _Cursor(data, topic, encoding)
+    _, frame = cursor.header()
+    cursor.numbers("I", 2)  # when it was loaded
+    resolution = cursor.numbers("f")[0]
+    width, height = cursor.whole(), cursor.whole()
+    pose = np.array(cursor.numbers("d", 7))
+    cells = cursor.sequence("i1").astype(np.int8)
+    if cells.size != width * height:
+        raise BagError(f"{topic}: a grid of {width} x {height} cells carries {cells.size}; the message is damaged")
+    if not (np.isfinite(pose).all() and np.isfinite(resolution) and resolution > 0.0 and np.any(pose[3:])):
+        raise BagError(f"{topic}: a grid with resolution {resolution} and origin {pose[:2]}; the message is damaged")
+    origin = np.array([pose[0], pose[1], float(yaw_from_quaternion(pose[3:]))])
+    return GridMessage(frame, float(resolution), origin, cells.reshape(height, width))

@@ -1,0 +1,65 @@
+"""The picture of what a laser sees through clean and through noisy odometry."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+
+from odomcorrupt.report.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.mapping.grid import Grid
+    from odomcorrupt.mapping.survey import Survey
+
+__all__ = ["draw_grid", "draw_surveys"]
+
+PATHS = (BLUE, RED, GREEN)
+
+
+def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
+    """Draw maps side by side on the same canvas, and below how thick their walls are after so many metres."""
+    left, right, bottom, top = surveys[0].grid.extent
+    width = 11.0
+    panel = float(np.clip(width / len(surveys) * (top - bottom) / (right - left), 2.5, 7.0))
+    with drawing():
+        figure = new_figure(width, panel + 3.6)
+        places = figure.add_gridspec(2, len(surveys), height_ratios=(panel, 2.2))
+        for i, survey in enumerate(surveys):
+            axes = figure.add_subplot(places[0, i])
+            draw_grid(axes, survey.grid)
+            axes.plot(*survey.path_xyt[:, :2].T, color=PATHS[i], linewidth=1.4)
+            axes.plot(*survey.path_xyt[0, :2], "s", color=PATHS[i], markersize=6, markeredgecolor="white")
+            thick = 100.0 * survey.thickness_m[-1]
+            axes.set_title(f"{survey.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
+            axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
+            axes.locator_params(axis="x", nbins=5)
+        _thickness(figure.add_subplot(places[1, :]), surveys, window_m)
+    return figure
+
+
+def draw_grid(axes: Axes, grid: Grid) -> None:
+    """Draw a map as maps are drawn: free white, occupied black, unknown grey."""
+    axes.imshow(
+        grid.cells, origin="lower", extent=grid.extent, cmap=ListedColormap(["white", BLACK, "#D0D0D0"]), vmin=0,
+        vmax=2, interpolation="nearest",
+    )  # fmt: skip
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:
+    for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
+        axes.plot(
+            survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
+            label=survey.name,
+        )  # fmt: skip
+    axes.set(xlabel="distance travelled (m)", ylabel="wall thickness (cm)", ylim=(0.0, None), xlim=(0.0, None))
+    axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), neighbours within {window_m / 2:g} m")
+    axes.grid(visible=True, color="0.92")
+    axes.legend(loc="lower right", ncols=len(surveys))

@@ -1,0 +1,104 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.drive.read import read_drive, read_poses
+from odomcorrupt.mapping.frames import mount_at
+from odomcorrupt.mapping.grid import OCCUPIED
+from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.scans import read_rays
+from odomcorrupt.mapping.survey import place, slow_rays
+from odomcorrupt.mapping.thickness import wall_thickness
+from odomcorrupt.model import MotionModel
+from odomcorrupt.presets import preset_named
+from odomcorrupt.study.trajectory import Trajectory
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+GAZEBO = SHARED / "real" / "rob521_gazebo.mcap"
+OLIN = SHARED / "bags" / "olin_tb4" / "macfirst_floor_take_2"
+OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
+
+needs_gazebo = pytest.mark.skipif(not GAZEBO.exists(), reason="shared data absent: no rob521_gazebo.mcap")
+needs_olin = pytest.mark.skipif(not OLIN.exists(), reason="shared data absent: no olin_tb4")
+
+
+@needs_gazebo
+def test_rays_placed_by_the_truth_end_in_the_walls_of_the_real_map():
+    truth = read_poses(GAZEBO, "/ground_truth")
+    rays = slow_rays(read_rays(GAZEBO, "/scan", "base_link", None), read_drive(GAZEBO, None), 0.1).rays
+    ends = place(rays, truth).to_xy[::50]
+    real = read_map(SHARED / "bags" / "maps" / "rob521_gazebo.yaml")
+    near = np.zeros(len(ends), dtype=bool)
+    for dx in (-0.05, 0.0, 0.05):
+        for dy in (-0.05, 0.0, 0.05):
+            near |= real.states(ends + np.array([dx, dy])) == OCCUPIED
+    assert near.mean() > 0.98
+
+
+@needs_gazebo
+def test_walls_thicken_with_distance_through_noisy_odometry_and_stay_crisp_through_the_truth():
+    drive, truth = read_drive(GAZEBO, None), read_poses(GAZEBO, "/ground_truth")
+    slow = slow_rays(read_rays(GAZEBO, "/scan", "base_link", None), drive, 0.1)
+    some = np.arange(len(slow.rays)) % 7 == 0
+    rays = replace(slow.rays, stamps_ns=slow.rays.stamps_ns[some], to_xy=slow.rays.to_xy[some])
+    travelled = slow.travelled_m[some]
+    # the first rooms, all rooms but the start seen again, everything
+    marks = travelled.max() * np.array([1 / 6, 1 / 2, 1.0])
+
+    def thickness(path):
+        ends = place(rays, path).to_xy
+        return np.array([wall_thickness(ends[travelled <= mark], cell_m=0.04) for mark in marks])
+
+    clean = thickness(drive.trajectory)
+    np.testing.assert_allclose(thickness(truth), clean, atol=5e-4)
+    model = MotionModel(preset_named("typical").noise)
+    added = []
+    for run_number in range(10):
+        error = NoisyPath(model, 1, run_number).feed(drive.stamps_ns, drive.xyt).error_xyt
+        added.append(thickness(Trajectory(drive.stamps_ns, drive.xyt + error)) ** 2 - clean**2)
+    grown = np.sqrt(np.mean(added, axis=0))
+    assert grown[0] < grown[1] < grown[2]
+    assert grown[2] > clean[2]
+
+
+@needs_olin
+def test_turtlebot_recorded_as_sqlite_is_mapped(tmp_path):
+    out = tmp_path / "olin.png"
+    assert run(["map", str(OLIN), "-o", str(out), "--seed", "1", "--resolution", "0.1"]) == 0
+    names = sorted(p.name for p in tmp_path.iterdir())
+    assert names == ["olin.png", "olin_clean.pgm", "olin_clean.yaml", "olin_noisy.pgm", "olin_noisy.yaml"]
+    assert (read_map(tmp_path / "olin_clean.yaml").cells == OCCUPIED).sum() > 300
+
+
+def test_zero_noise_makes_the_same_map(tmp_path):
+    out = tmp_path / "m.png"
+    assert run(["map", str(OFFICE), "-o", str(out), "--alpha", "0", "0", "0", "0", "--seed", "1"]) == 0
+    assert (tmp_path / "m_clean.pgm").read_bytes() == (tmp_path / "m_noisy.pgm").read_bytes()
+
+
+def test_laser_pose_replaces_tf():
+    drive = read_drive(OFFICE, None)
+    by_tf = read_rays(OFFICE, None, drive.child_frame_id, None)
+    by_hand = read_rays(OFFICE, None, "nowhere", mount_at(np.array([*by_tf.from_xy, 0.0])))
+    np.testing.assert_allclose(by_hand.to_xy, by_tf.to_xy, atol=1e-9)
+    turned = read_rays(OFFICE, None, "nowhere", mount_at(np.array([0.0, 0.0, np.pi / 2])))
+    np.testing.assert_allclose(turned.to_xy[:, 1], by_tf.to_xy[:, 0] - by_tf.from_xy[0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["--scan", "/nope"], "/scan"),
+        (["--resolution", "0.0001"], "--resolution"),
+        (["--truth", "/imu"], "Imu"),
+    ],
+)
+def test_what_cannot_be_mapped_is_told_in_one_line(arguments, word, capsys):
+    assert run(["map", str(OFFICE), "--seed", "1", *arguments]) == 1
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert word in lines[0]
