@@ -37,6 +37,9 @@ _SHORTLIST = 4
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
+"""Free beside the clocks while these are estimated, and then forgotten."""
+RIVALS = ("accel_slip", "backlash")
+"""What looks like a clock at starts and stops: a clock is believed only if it stays when these are free, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +63,20 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
 def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
     """Return the clock, which of its numbers are real, and their errors: both, the offset alone, or nothing."""
     kinds = registry()
+    rivals = [kinds[name]() for name in RIVALS if recording.track_m is not None or not kinds[name].needs_track]
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(recording)
     for free in ((True, True), (True, False)):
-        start = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
-        best = fit([recording], nuisance, clocks=[start], free_clocks=[free], approach=approach)
-        clock, nuisance = best.problem.clocks[0], best.effects
-        errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
-        last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
-        if abs(last) > _CLOCK_LIMIT * error > 0.0:
+        clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
+        for beside in ((), rivals):
+            best = fit([recording], (*nuisance, *beside), clocks=[clock], free_clocks=[free], approach=approach)
+            clock = best.problem.clocks[0]
+            errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
+            last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
+            if not abs(last) > _CLOCK_LIMIT * error > 0.0:
+                break
+            nuisance = best.effects[: len(nuisance)]
+        else:
             return clock, free, errors
     return Clock(), (False, False), (0.0, 0.0)
 
