@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +18,54 @@ if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.study.trajectory import Recording
 
-__all__ = ["describe", "need_study", "read_all", "recording_options", "split_arguments"]
+__all__ = ["describe", "need_study", "read_all", "recording_options", "source_words", "split_arguments"]
+
+_TRUTH_BAGS, _TRUTH_SHIFT, _USED = (f"odomcorrupt.{name}" for name in ("truth_bags", "truth_shift", "truth_bags_used"))
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say where odometry and truth are."""
+    """Add the options that say where odometry and truth are.
+
+    --truth-bag and --truth-shift concern reading alone: they are kept for `read_all` and not passed to the command.
+    """
     for option in (
         click.option(
             "--track", type=float, help="Nominal distance between the wheels, metres (for two-wheel effects)."
         ),
-        click.option("--truth", help="Topic of the truth. [default: the only one it can be]"),
-        click.option("--odom", help="Topic of the odometry. [default: the only Odometry]"),
+        click.option(
+            "--truth-shift",
+            type=float,
+            default=0.0,
+            metavar="SECONDS",
+            expose_value=False,
+            callback=_remember(_TRUTH_SHIFT),
+            help="Added to the truth's stamps, where its clock is far off (seconds are enough; the rest is fitted).",
+        ),
+        click.option(
+            "--truth-bag",
+            "--truth-file",
+            type=click.Path(path_type=Path),
+            multiple=True,
+            expose_value=False,
+            callback=_remember(_TRUTH_BAGS),
+            help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
+        ),
+        click.option(
+            "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
+        ),
+        click.option(
+            "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
+        ),
     ):
         command = option(command)
     return command
+
+
+def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], None]:
+    def callback(ctx: click.Context, _: click.Parameter, value: Any) -> None:
+        ctx.meta[key] = value
+
+    return callback
 
 
 def need_study() -> None:
@@ -53,15 +90,38 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], dict[str, Mot
 
 
 def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: float | None) -> list[Recording]:
-    """Return the recordings, and say on stderr what reading them left out."""
-    from odomcorrupt.study.sources import read_recording
+    """Return the recordings, several for a path with resets, and say on stderr what reading them left out."""
+    from odomcorrupt.study.sources import Source, need_headings, read_runs
 
-    recordings = [read_recording(path, odom, truth, track_m=track) for path in paths]
-    for recording in recordings:
-        click.echo(describe(recording), err=True)
-        for note in recording.notes:
-            click.echo(f"  {note}", err=True)
+    meta = click.get_current_context().meta
+    recordings = []
+    for path, truth_path in zip(paths, _truth_bags(len(paths)), strict=True):
+        source = Source(
+            path=_spooled(path) if str(path) == "-" else path,
+            odom=odom,
+            truth=truth,
+            truth_path=truth_path,
+            truth_shift_s=meta.get(_TRUTH_SHIFT, 0.0),
+            track_m=track,
+            name="stdin" if str(path) == "-" else "",
+        )
+        for recording in read_runs(source):
+            click.echo(describe(recording), err=True)
+            for note in recording.notes:
+                click.echo(f"  {note}", err=True)
+            need_headings(recording)
+            recordings.append(recording)
     return recordings
+
+
+def source_words(odom: str | None, truth: str | None, track: float | None) -> list[str]:
+    """Return the words of a command line that read the same recordings again."""
+    meta = click.get_current_context().meta
+    words = [w for flag, value in (("--odom", odom), ("--truth", truth)) if value for w in (flag, value)]
+    words += [w for path in meta.get(_TRUTH_BAGS, ()) for w in ("--truth-bag", str(path))]
+    if shift := meta.get(_TRUTH_SHIFT, 0.0):
+        words += ["--truth-shift", repr(shift)]
+    return words + (["--track", f"{track:g}"] if track is not None else [])
 
 
 def describe(recording: Recording) -> str:
@@ -75,3 +135,27 @@ def describe(recording: Recording) -> str:
         f"{recording.name}: odometry {len(odometry)} poses in {spans[0]:.1f} s ({travelled:.1f} m), "
         f"truth {len(truth)} poses in {spans[1]:.1f} s"
     )
+
+
+def _truth_bags(count: int) -> list[Path | None]:
+    """Return the truth's file of each of the next recordings: a command may read twice (learn and its judges)."""
+    ctx = click.get_current_context()
+    given: tuple[Path, ...] = ctx.meta.get(_TRUTH_BAGS, ())
+    if len(given) < 2:
+        return [given[0] if given else None] * count
+    used = ctx.meta.get(_USED, 0)
+    total = count + len(ctx.params.get("judge") or ()) if not used else len(given)
+    if total != len(given):
+        raise click.UsageError(f"{len(given)} --truth-bag for {total} recordings; name one for all, or one for each")
+    ctx.meta[_USED] = used + count
+    return list(given[used : used + count])
+
+
+def _spooled(path: Path) -> Path:
+    """Return a file with what comes through the pipe, gone when the command ends: reading may take two passes."""
+    folder = Path(tempfile.mkdtemp(prefix="odomcorrupt-"))
+    click.get_current_context().call_on_close(lambda: shutil.rmtree(folder, ignore_errors=True))
+    target = folder / f"stdin{path.suffix}"
+    with target.open("wb") as stream:
+        shutil.copyfileobj(sys.stdin.buffer, stream)
+    return target

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.study.sources.address import Address
 
-__all__ = ["EDGES", "ODOMETRY", "POSITIONS", "Role", "choose", "named", "near", "truth_like"]
+__all__ = ["EDGES", "FLAGS", "TRANSFORM", "Role", "choose", "named", "near"]
 
 Role = Literal["odometry", "truth"]
 
@@ -36,7 +36,7 @@ FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth"}
 _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|mocap|vicon|optitrack|motion_capture|qualisys")
 
 
-def truth_like(name: str) -> bool:
+def _truth_like(name: str) -> bool:
     """Tell whether a topic's name says that it is the truth."""
     return bool(_TRUTH.search(name.lower()))
 
@@ -93,14 +93,16 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
     fitting = {c.topic for c in free if c.msgtype in types}
     if len(fitting) > 1:
         # a truth is no odometry, and of several truths the one that says so is meant
-        said = {topic for topic in fitting if truth_like(topic) is (role == "truth")}
+        said = {topic for topic in fitting if _truth_like(topic) is (role == "truth")}
         fitting = said or fitting
     if len(fitting) == 1:
         topic = fitting.pop()
         return [c for c in free if c.topic == topic and c.msgtype in types]
     flag = FLAGS[role]
     if fitting:
-        raise TopicError(f"{place}: several topics could be {role}: {', '.join(sorted(fitting))}. Name one with {flag}.")
+        raise TopicError(
+            f"{place}: several topics could be {role}: {', '.join(sorted(fitting))}. Name one with {flag}."
+        )
     there = ", ".join(sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in free})) or "nothing else"
     way_out = f"Name one with {flag}"
     if any(c.msgtype in EDGES for c in free):

@@ -87,13 +87,13 @@ def in_order(samples: Samples) -> Samples:
     found = len(samples)
     if not found:
         raise RecordingError(f"{samples.place} holds no message; name another topic")
-    good = np.isfinite(samples.xyz).all(axis=1)
-    good &= np.where(good[:, None], np.abs(samples.xyz) < _FAR_M, False).all(axis=1)
+    # a comparison with what is no number is false
+    good = np.asarray((np.abs(samples.xyz) < _FAR_M).all(axis=1))
     if not good.any():
         raise RecordingError(f"{samples.place}: none of its {found} positions is a number; name another source")
     if not good.all():
         samples = samples.only(good, f"{np.sum(~good)} positions that are no numbers left out")
-    headless = ~np.isfinite(samples.yaw_rad)
+    headless: NDArray[np.bool_] = ~np.isfinite(samples.yaw_rad)
     if headless.any() and not headless.all():
         samples = samples.only(~headless, f"{np.sum(headless)} poses without a heading left out")
     order = order_of(samples.stamps_ns, samples.log_ns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -64,9 +64,14 @@ class Samples:
 
     def only(self, rows: NDArray[np.bool_] | NDArray[np.int64], *notes: str) -> Samples:
         """Return some of the samples, by mask or by index, with notes that say why."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        chosen = {name: value[rows] for name, value in arrays.items() if isinstance(value, np.ndarray) and len(value)}
-        return replace(self, **chosen, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[rows],
+            xyz=self.xyz[rows],
+            yaw_rad=self.yaw_rad[rows],
+            log_ns=self.log_ns[rows] if len(self.log_ns) else self.log_ns,
+            variance_m2=self.variance_m2[rows] if len(self.variance_m2) else self.variance_m2,
+        ).noted(*notes)
 
     def stamped(self, stamps_ns: NDArray[np.int64]) -> Samples:
         """Return the same poses with other stamps (n,)."""

@@ -1,0 +1,148 @@
+"""What looks odd about odometry and truth, but may be meant: it is said, not refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.pose import between, wrap
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.sources.samples import Samples
+
+__all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_heading"]
+
+_FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
+_WORLD = frozenset({"map", "world", "earth", "utm"})
+_SAME = 1e-6
+_MOVES = 1e-4
+_FEW = 10
+_SHRINKS = 0.7
+_CORRECTIONS = 5
+
+
+def check_identity(odometry: Samples, truth: Samples) -> list[str]:
+    """Refuse a truth that says what the odometry says, and notice one that mostly does.
+
+    Raises
+    ------
+    RecordingError
+        Where all steps of the truth are steps of the odometry.
+
+    """
+    if not truth.headed:
+        return []
+    pairs = _steps(odometry, truth)
+    step, own = pairs
+    moving = np.abs(own).max(axis=1) > _MOVES
+    if moving.sum() < _FEW:
+        return []
+    same = np.abs(step - own).max(axis=1)[moving] < _SAME
+    share = float(same.mean())
+    if share > 0.99:
+        raise RecordingError(
+            f"{truth.place}: says what {odometry.name} says, step by step ({np.sum(same)} of {len(same)} steps): it is "
+            "the same odometry; name a truth that does not come from it"
+        )
+    if share > 0.5:
+        what = "localisation on top of it, or a simulation without noise"
+        return [f"{truth.name}: {share:.0%} of its steps are those of the odometry: {what}"]
+    if _FUSED.search(truth.name.lower()):
+        return [f"{truth.name}: its name says localisation, which may have used this odometry and repeat its errors"]
+    return []
+
+
+def heading_signs(odometry: Samples, truth: Samples) -> list[str]:
+    """Notice headings of a truth that were made from the odometry: positions may be true, headings repeat it."""
+    if not truth.headed:
+        return []
+    step, own = _steps(odometry, truth)
+    turning = np.abs(own[:, 2]) > _MOVES
+    if turning.sum() < _FEW:
+        return []
+    same = np.abs(step[:, 2] - own[:, 2])[turning] < _SAME
+    if same.mean() > 0.5 and np.abs(step[:, :2] - own[:, :2]).max(axis=1)[turning].mean() > _SAME:
+        what = "they were made from it, so that errors of heading cannot be seen"
+        return [f"{truth.name}: {same.mean():.0%} of its headings turn exactly as the odometry does: {what}"]
+    return []
+
+
+def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth as positions alone where its headings never change although the odometry turns."""
+    if not truth.headed or np.ptp(truth.yaw_rad) > _SAME or np.ptp(np.unwrap(odometry.yaw_rad)) < 0.5:
+        return truth
+    bare = replace(truth, yaw_rad=np.full(len(truth), np.nan))
+    return bare.noted("its headings never change while the odometry turns: taken as positions alone")
+
+
+def filter_signs(odometry: Samples, truth: Samples) -> list[str]:
+    """Notice odometry that corrects itself by other sensors: its errors are then not those of a motion model."""
+    signs = []
+    last = odometry.frame.rsplit("/", 1)[-1]
+    if last in _WORLD:
+        signs.append(f"its frame is {odometry.frame}")
+    if _FUSED.search(odometry.name.lower()):
+        signs.append("its name says so")
+    shrinks = _shrinks(odometry.variance_m2)
+    if shrinks:
+        signs.append(f"its covariance shrinks {shrinks} times")
+    jumps = _jumps_to_truth(odometry, truth)
+    if jumps:
+        signs.append(f"it jumps towards the truth {jumps} times")
+    if not signs:
+        return []
+    what = "a motion model describes what no other sensor has corrected"
+    return [f"{odometry.name}: looks like a filter's output, not like wheel odometry ({', '.join(signs)}); {what}"]
+
+
+def _shrinks(variance: Array) -> int:
+    """Count the times at which a growing variance falls back for good by a good part."""
+    if len(variance) < _FEW:
+        return 0
+    falls = variance[1:] < _SHRINKS * variance[:-1]
+    return int(falls.sum())
+
+
+def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
+    """Count the sudden steps of the odometry that bring it closer to the truth, where nearly all of them do."""
+    t_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    own = truth.seconds_since(int(odometry.stamps_ns[0]))
+    inside = (t_s >= own[0]) & (t_s <= own[-1])
+    t_s, xy = t_s[inside], odometry.xyz[inside, :2]
+    if len(t_s) < _FEW:
+        return 0
+    real = np.stack([np.interp(t_s, own, truth.xyz[:, i]) for i in (0, 1)], axis=1)
+    # the turn and shift that lay the odometry onto the truth best
+    p, q = (x[:, 0] + 1j * x[:, 1] for x in (xy, real))
+    p, q = p - p.mean(), q - q.mean()
+    turn = np.exp(1j * np.angle(np.vdot(p, q)))
+    error = np.abs(p * turn - q)
+    velocity = np.diff(p) / np.diff(t_s)
+    sudden = np.abs(velocity[1:-1] - (velocity[:-2] + velocity[2:]) / 2.0) * np.diff(t_s)[1:-1]
+    size = max(0.02, 20.0 * float(np.median(sudden)))
+    at = np.flatnonzero(sudden > size) + 1
+    if len(at) < _CORRECTIONS:
+        return 0
+    closer = error[at + 1] < error[at]
+    return len(at) if closer.mean() > 0.8 else 0
+
+
+def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
+    """Return the steps (k, 3) of the truth between its samples, and those of the odometry between the same times."""
+    origin = int(odometry.stamps_ns[0])
+    path, real = odometry.trajectory(), truth.trajectory()
+    times = real.seconds_since(origin)
+    inside: NDArray[np.int64] = np.flatnonzero(
+        (real.stamps_ns >= path.stamps_ns[0]) & (real.stamps_ns <= path.stamps_ns[-1])
+    )
+    at = path.at(times[inside], origin)
+    step, own = between(real.xyt[inside[:-1]], real.xyt[inside[1:]]), between(at[:-1], at[1:])
+    step[:, 2], own[:, 2] = wrap(step[:, 2]), wrap(own[:, 2])
+    return step, own

@@ -1,0 +1,134 @@
+"""Bags by other people's writers, with any of the messages that odometry and truth come in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
+STORES[1].register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+SHORT = {
+    "Odometry": "nav_msgs/msg/Odometry",
+    "PoseStamped": "geometry_msgs/msg/PoseStamped",
+    "PoseWithCovarianceStamped": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "TransformStamped": "geometry_msgs/msg/TransformStamped",
+    "PointStamped": "geometry_msgs/msg/PointStamped",
+    "NavSatFix": "sensor_msgs/msg/NavSatFix",
+    "TFMessage": "tf2_msgs/msg/TFMessage",
+}
+
+
+class Sent(NamedTuple):
+    """A message before it is written; `value` makes it in either version of ROS."""
+
+    log_ns: int
+    topic: str
+    kind: str
+    value: object
+
+
+def topic(name, kind, rows, *, frame="odom", child="base_link", variance=1e-3, log_ns=None, stamps=True):
+    """The messages of a topic; NavSatFix takes latitude, longitude, height for positions."""
+    variances = np.broadcast_to(variance, len(rows))
+    logs = rows.stamps_ns if log_ns is None else log_ns
+    out = []
+    for i, stamp in enumerate(rows.stamps_ns.tolist()):
+        value = (kind, stamp if stamps else 0, frame, child, rows.xyz[i], rows.quat[i], float(variances[i]))
+        out.append(Sent(int(logs[i]), name, kind, value))
+    return out
+
+
+def edges(rows, parent, child, *, name="/tf", log_ns=None):
+    """The messages of an edge of TF, one in each."""
+    logs = rows.stamps_ns if log_ns is None else log_ns
+    return [
+        Sent(int(logs[i]), name, "TFMessage", ("TFMessage", stamp, parent, child, rows.xyz[i], rows.quat[i], 0.0))
+        for i, stamp in enumerate(rows.stamps_ns.tolist())
+    ]
+
+
+def write(path, *sent, order=True):
+    """Write a bag of the kind that its name says: .mcap, .bag, or a rosbag2 directory."""
+    messages = [message for group in sent for message in group]
+    if order:
+        messages.sort(key=lambda message: message.log_ns)
+    {".mcap": _mcap, ".bag": _ros1}.get(path.suffix, _ros2)(path, messages)
+    return path
+
+
+def _mcap(path, messages):
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start(profile="ros2")
+        channels = {}
+        for message in messages:
+            if message.topic not in channels:
+                text, _ = STORES[2].generate_msgdef(SHORT[message.kind], ros_version=2)
+                schema = writer.register_schema(SHORT[message.kind], "ros2msg", text.encode())
+                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
+            data = bytes(STORES[2].serialize_cdr(make(2, *message.value), SHORT[message.kind]))
+            writer.add_message(channels[message.topic], message.log_ns, data, message.log_ns)
+        writer.finish()
+
+
+def _ros1(path, messages):
+    with Ros1Writer(path) as writer:
+        connections = {}
+        for message in messages:
+            kind = SHORT[message.kind]
+            if message.topic not in connections:
+                connections[message.topic] = writer.add_connection(message.topic, kind, typestore=STORES[1])
+            data = STORES[1].serialize_ros1(make(1, *message.value), kind)
+            writer.write(connections[message.topic], message.log_ns, data)
+
+
+def _ros2(path, messages):
+    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connections = {}
+        for message in messages:
+            kind = SHORT[message.kind]
+            if message.topic not in connections:
+                connections[message.topic] = writer.add_connection(message.topic, kind, typestore=STORES[2])
+            data = STORES[2].serialize_cdr(make(2, *message.value), kind)
+            writer.write(connections[message.topic], message.log_ns, data)
+
+
+def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance):
+    """Make a message object."""
+    store = STORES[ros]
+
+    def new(name, *fields):
+        return store.types[name](*fields)
+
+    stamp = new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
+    header = new("std_msgs/msg/Header", *((0,) if ros == 1 else ()), stamp, frame)
+    point = new("geometry_msgs/msg/Point", *map(float, xyz))
+    rotation = new("geometry_msgs/msg/Quaternion", *map(float, quat))
+    pose = new("geometry_msgs/msg/Pose", point, rotation)
+    covariance = np.diag([variance / 2, variance / 2, 0.0, 0.0, 0.0, variance]).ravel()
+    claimed = new("geometry_msgs/msg/PoseWithCovariance", pose, covariance)
+    if kind == "Odometry":
+        still = new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        twist = new(
+            "geometry_msgs/msg/TwistWithCovariance", new("geometry_msgs/msg/Twist", still, still), 0.0 * covariance
+        )
+        return new(SHORT[kind], header, child, claimed, twist)
+    if kind == "PoseWithCovarianceStamped":
+        return new(SHORT[kind], header, claimed)
+    if kind == "PoseStamped":
+        return new(SHORT[kind], header, pose)
+    if kind == "PointStamped":
+        return new(SHORT[kind], header, point)
+    if kind == "NavSatFix":
+        status = new("sensor_msgs/msg/NavSatStatus", 0, 1)
+        return new(SHORT[kind], header, status, *map(float, xyz), np.zeros(9), 0)
+    shift = new("geometry_msgs/msg/Vector3", *map(float, xyz))
+    transform = new("geometry_msgs/msg/Transform", shift, rotation)
+    stamped = new("geometry_msgs/msg/TransformStamped", header, child, transform)
+    return stamped if kind == "TransformStamped" else new(SHORT[kind], [stamped])
