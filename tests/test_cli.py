@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import subprocess
@@ -379,3 +380,25 @@ def test_the_shell_completes_commands_options_and_files():
     assert "plain,--odom-topic" in completed("odomcorrupt in.bag --odom")
     assert "file,in" in completed("odomcorrupt in")
     assert "plain,keep" in completed("odomcorrupt in.bag out.bag --twist k")
+
+
+def test_progress_is_told_on_terminals_only_and_wiped_away(tmp_path):
+    """Run under a pseudo-terminal: the last thing on it is the folded summary."""
+    import pty
+
+    master, slave = pty.openpty()
+    done = subprocess.run(
+        [sys.executable, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1"],
+        stdin=slave, stdout=slave, stderr=slave, check=False,
+    )  # fmt: skip
+    os.close(slave)
+    said = b""
+    with contextlib.suppress(OSError):
+        while piece := os.read(master, 65536):
+            said += piece
+    os.close(master)
+    assert done.returncode == 0
+    assert b"\r\x1b[K" in said
+    lines = said.rsplit(b"\x1b[K", 1)[1].decode().splitlines()
+    assert lines[0].startswith("Moved: ")
+    assert max(map(len, lines)) <= 100

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._progress import Progress, say
 
 __all__ = ["command"]
 
@@ -66,23 +67,25 @@ def command(input_: str, output: str, **given: Any) -> int:
     if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
         raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    outcome = corrupt_bag(
-        None if input_ == "-" else Path(input_),
-        None if output == "-" else Path(output),
-        chosen.model,
-        seed=seed,
-        run=given["run"],
-        options=Options(
-            odom_topic=given["odom_topic"],
-            odom_frame=given["odom_frame"],
-            base_frame=given["base_frame"],
-            keep_twist=given["twist"] == "keep",
-            keep_covariance=given["covariance"] == "keep",
-            keep_truth=given["keep_truth"],
-            keep_localisation=given["keep_localisation"],
-            new_odom_frame=given["new_odom_frame"],
-        ),
-        container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
-    )
-    click.echo(summary(outcome, chosen.origin), err=True)
+    with Progress() as progress:
+        outcome = corrupt_bag(
+            None if input_ == "-" else Path(input_),
+            None if output == "-" else Path(output),
+            chosen.model,
+            seed=seed,
+            run=given["run"],
+            options=Options(
+                odom_topic=given["odom_topic"],
+                odom_frame=given["odom_frame"],
+                base_frame=given["base_frame"],
+                keep_twist=given["twist"] == "keep",
+                keep_covariance=given["covariance"] == "keep",
+                keep_truth=given["keep_truth"],
+                keep_localisation=given["keep_localisation"],
+                new_odom_frame=given["new_odom_frame"],
+            ),
+            container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
+            watch=progress,
+        )
+    say(summary(outcome, chosen.origin))
     return 3 if outcome.losses else 0

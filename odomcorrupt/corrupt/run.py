@@ -13,10 +13,10 @@ from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Channel
+    from odomcorrupt.bags.block import Block, Channel
     from odomcorrupt.corrupt.drift import Drift
     from odomcorrupt.corrupt.patch import Changes
     from odomcorrupt.corrupt.targets import Frames
@@ -82,8 +82,11 @@ def corrupt_bag(
     run: int,
     options: Options,
     container: Container,
+    watch: Callable[[Block], None] = lambda _: None,
 ) -> Outcome:
     """Corrupt a bag; None is a pipe. The output appears when it is complete, or not at all.
+
+    watch : told of every block written
 
     Raises
     ------
@@ -111,6 +114,7 @@ def corrupt_bag(
             with writer:
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
+                    watch(block)
                 if not silent:
                     writer.provenance("odomcorrupt", _provenance(model, seed, run))
         drift = transform.drift.result()

@@ -23,6 +23,7 @@ from bagged import (
 from drives import model, office, silent
 
 from odomcorrupt.bags.block import Channel
+from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
@@ -441,3 +442,12 @@ def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
     for given, _ in enumerate(Transform(model(), 1).blocks(bag, "test")):
         held = max(held, len(read_blocks) - given)
     assert held < 20
+
+
+def test_covariances_in_messages_are_those_of_the_path():
+    out, _ = run(robot(*DRIVE))
+    knots = NoisyPath(model(), 1).feed(*DRIVE)
+    noisy = (knots.clean_xyt + knots.error_xyt)[:, :2] - knots.origin_xy
+    expected = pose_covariance(knots.sums, noisy.T)
+    values = read(out, ODOM, "pose_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+    assert values == pytest.approx(expected, rel=1e-9, abs=1e-15)
