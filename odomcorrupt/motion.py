@@ -39,6 +39,8 @@ TOLERANCE = 1e-12
 """A correction is found when no increment moves by more between two rounds, metres or radians."""
 
 MAX_ROUNDS = 400
+_RUNAWAY = 1e6
+"""An increment that is changed by more than this many metres will not settle."""
 
 
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
@@ -81,9 +83,15 @@ class SpeedMemory:
 
 @dataclass(frozen=True, slots=True)
 class Accelerations:
-    """Accelerations (n, 3), m/s^2 and rad/s^2, and the memory to go on with; None before time has gone on."""
+    """Accelerations, and speeds in step with them.
+
+    rate : (n, 3) m/s^2 and rad/s^2
+    trail : (n, 3) the speeds that change at this rate, in the middle of each interval, m/s and rad/s
+    memory : what to go on with; None before time has gone on
+    """
 
     rate: Array
+    trail: Array
     memory: SpeedMemory | None
 
 
@@ -100,7 +108,7 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     if memory is None:
         first = int(np.argmax(dt_s > 0.0)) if n else 0
         if not n or dt_s[first] <= 0.0:
-            return Accelerations(rate, None)
+            return Accelerations(rate, twist.copy(), None)
         before = 2.0 * TRAIL_S
         memory = SpeedMemory(np.array([-before, 0.0]), np.stack((-before * twist[first], np.zeros(3))))
     clock = np.cumsum(np.concatenate((memory.clock_s[-1:], dt_s)))
@@ -108,10 +116,10 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     clock_s = np.concatenate((memory.clock_s, clock[1:]))
     way = np.concatenate((memory.travel, travel[1:]))
     earlier = np.stack([np.interp(clock - TRAIL_S, clock_s, way[:, i]) for i in range(3)], axis=1)
-    change = np.diff((travel - earlier) / TRAIL_S, axis=0)
-    np.divide(change, dt_s[:, None], out=rate, where=(dt_s > 0.0)[:, None])
+    speed = (travel - earlier) / TRAIL_S
+    np.divide(np.diff(speed, axis=0), dt_s[:, None], out=rate, where=(dt_s > 0.0)[:, None])
     kept = max(int(np.searchsorted(clock_s, clock[-1] - TRAIL_S, side="right")) - 1, 0)
-    return Accelerations(rate, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
+    return Accelerations(rate, (speed[1:] + speed[:-1]) / 2.0, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
@@ -124,18 +132,20 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
     rate = np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0.0)
     twist = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1) * rate[:, None]
     travel = np.hypot(steps.ds_m, steps.dl_m)
+    faster = accelerations(twist, dt)
     return Motion(
         t_s=t_s[1:],
         dt_s=dt,
         v=twist[:, 0],
         vy=twist[:, 1],
         omega=twist[:, 2],
-        acceleration=accelerations(twist, dt).rate,
+        acceleration=faster.rate,
         x=xyt[:-1, 0],
         y=xyt[:-1, 1],
         theta=xyt[:-1, 2],
         distance=np.cumsum(travel),
         track_m=track_m,
+        trail=faster.trail,
     )
 
 
@@ -187,28 +197,34 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
     """
     dt = motion.dt_s[:, None]
     start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
-    stiff = _stiffness(effects, motion)
+    stiff = np.ones_like(known)
     truth = known
-    for _ in range(MAX_ROUNDS):
+    for number in range(MAX_ROUNDS):
         steps = truth * dt
         path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
+        faster = accelerations(truth, motion.dt_s)
         seen = replace(
             motion,
-            acceleration=accelerations(truth, motion.dt_s).rate,
+            acceleration=faster.rate,
+            trail=faster.trail,
             x=np.ascontiguousarray(path[:, 0]),
             y=np.ascontiguousarray(path[:, 1]),
             theta=np.ascontiguousarray(path[:, 2]),
             distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
         )
         with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+            if number & (number - 1) == 0:  # less and less often, for the truth is better and better known
+                stiff = _stiffness(effects, seen)
             change = (sum((error_of(e, seen) for e in effects), start=known) - truth) / stiff
             truth = truth + change
-            if np.abs(change * dt).max(initial=0.0) <= TOLERANCE:
-                return truth
+        largest = np.abs(change * dt).max(initial=0.0)
+        if largest <= TOLERANCE:
+            return truth
+        if not largest < _RUNAWAY:
+            break
     names = ", ".join(effect.name for effect in effects)
     raise EffectError(
-        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle after {MAX_ROUNDS} "
-        "rounds; make them weaker"
+        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them weaker"
     )
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, State
     from odomcorrupt.increments import Increments
     from odomcorrupt.model import MotionModel
-    from odomcorrupt.motion import SpeedMemory
+    from odomcorrupt.motion import Accelerations, SpeedMemory
     from odomcorrupt.pose import Array
 
 __all__ = ["Drive", "EffectInverse", "acts"]
@@ -119,7 +119,7 @@ class EffectInverse:
         open_ = np.ones(n, dtype=bool)
         states = self._states
         for _ in range(MAX_ROUNDS):
-            motion = _motion(clean - f, drive, faster.rate, distance[1:], self._track_m)
+            motion = _motion(clean - f, drive, faster, distance[1:], self._track_m)
             f_next = np.zeros((n, 3))
             states = []
             for effect, state in zip(self._effects, self._states, strict=True):
@@ -146,14 +146,15 @@ class EffectInverse:
         return -f * dt
 
 
-def _motion(twist: Array, drive: Drive, acceleration: Array, distance_m: Array, track_m: float | None) -> Motion:
+def _motion(twist: Array, drive: Drive, faster: Accelerations, distance_m: Array, track_m: float | None) -> Motion:
     return Motion(
         t_s=drive.t_s,
         dt_s=drive.dt_s,
         v=np.ascontiguousarray(twist[:, 0]),
         vy=np.ascontiguousarray(twist[:, 1]),
         omega=np.ascontiguousarray(twist[:, 2]),
-        acceleration=acceleration,
+        acceleration=faster.rate,
+        trail=faster.trail,
         x=np.ascontiguousarray(drive.start_xyt[:, 0]),
         y=np.ascontiguousarray(drive.start_xyt[:, 1]),
         theta=np.ascontiguousarray(drive.start_xyt[:, 2]),

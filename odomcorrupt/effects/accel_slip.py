@@ -14,7 +14,8 @@ from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, Twist
 class AccelSlip(Effect):
     """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body.
 
-    It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop.
+    It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop; that is why v is the speed that a is the
+    rate of, the body's own. Whatever its strength, it can be put in and taken out.
     """
 
     name: ClassVar[str] = "accel_slip"
@@ -29,8 +30,8 @@ class AccelSlip(Effect):
         drive="speed up and brake hard, at two speeds, with turns on the spot between: a late clock delays these too",
     )
 
-    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.2, typical=0.02)
+    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.1, typical=0.02)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: behind while speeding up, ahead while braking."""
-        return TwistError(stacked(-self.k * np.abs(motion.v) * motion.a, 0.0, 0.0, motion.v), state)
+        return TwistError(stacked(-self.k * np.abs(motion.steady_v) * motion.a, 0.0, 0.0, motion.v), state)

@@ -56,6 +56,7 @@ class Motion:
     x, y, theta : the pose where the interval begins, metres and radians
     distance : travelled so far, metres
     track_m : the robot's nominal track, or None where it is not known
+    trail : (n, 3) mean true speeds that `acceleration` is the rate of, None where speeds are smooth already
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
     the corrected one in correction, of the smoothest estimate in the study. A force accelerates the body and a floor is
@@ -73,6 +74,12 @@ class Motion:
     theta: Array
     distance: Array
     track_m: float | None = None
+    trail: Array | None = None
+
+    @property
+    def steady_v(self) -> Array:
+        """Forward speed (n,), m/s, in step with `a`: their product is the rate of half its square."""
+        return self.v if self.trail is None else self.trail[:, 0]
 
     @property
     def a(self) -> Array:

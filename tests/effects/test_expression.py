@@ -1,0 +1,171 @@
+"""Effects as expressions: what they mean, and everything that they refuse."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from manoeuvres import motion
+
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.expression import parse_expression
+from odomcorrupt.effects.user import user_effect
+from odomcorrupt.errors import EffectError, ModelError
+from odomcorrupt.modelfile import format_model, parse_model
+from odomcorrupt.motion import error_of
+
+HEAD = (
+    'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n[[effect]]\n'
+)
+
+
+def rates(text, **values):
+    drive = motion(np.linspace(-0.5, 0.7, 50), np.linspace(-1.0, 1.0, 50))
+    return drive, error_of(user_effect("mine", text, values), drive)
+
+
+@pytest.mark.parametrize(
+    ("text", "column", "expected"),
+    [
+        ("yaw += k * v * abs(omega)", 2, lambda m, k: k * m.v * np.abs(m.omega)),
+        ("along += -k * abs(v) * a", 0, lambda m, k: -k * np.abs(m.v) * m.a),
+        ("across += k*alpha", 1, lambda m, k: k * m.alpha),
+        ("along += k * v**2 / 2 - 3*k*v", 0, lambda m, k: k * m.v**2 / 2 - 3 * k * m.v),
+        ("yaw += k * where(v < 0, 1, 2 * omega)", 2, lambda m, k: k * np.where(m.v < 0, 1.0, 2 * m.omega)),
+        ("yaw += k * min(v, 0.2, omega)", 2, lambda m, k: k * np.minimum(np.minimum(m.v, 0.2), m.omega)),
+        ("yaw += k * max(v, t)", 2, lambda m, k: k * np.maximum(m.v, m.t_s)),
+        ("along += k * sqrt(abs(v)) * sign(v)", 0, lambda m, k: k * np.sqrt(np.abs(m.v)) * np.sign(m.v)),
+        ("along += k * exp(-t) * tanh(x)", 0, lambda m, k: k * np.exp(-m.t_s) * np.tanh(m.x)),
+        ("along += k*cos(theta - pi/4)*(y > 0.01)", 0, lambda m, k: k * np.cos(m.theta - np.pi / 4) * (m.y > 0.01)),
+        ("yaw += k * sin(2 * pi * distance / 0.63)", 2, lambda m, k: k * np.sin(2 * np.pi * m.distance / 0.63)),
+        ("along += k * hypot(v, vy) * +omega", 0, lambda m, k: k * np.abs(m.v) * m.omega),
+        ("along += k * (2 + atan2(omega, 1)) ** -1", 0, lambda m, k: k / (2.0 + np.arctan2(m.omega, 1.0))),
+    ],
+)  # fmt: skip
+def test_an_expression_means_what_it_says(text, column, expected):
+    drive, f = rates(text, k=0.3)
+    assert f[:, column] == pytest.approx(expected(drive, 0.3), abs=1e-15)
+    assert not np.delete(f, column, axis=1).any()
+
+
+def test_statements_add_up():
+    _, once = rates("yaw += k * v; along += c * omega; yaw += 2 * k * v", k=0.1, c=0.2)
+    drive, lines = rates("\n  yaw += 3 * k * v\n  along += c * omega\n", k=0.1, c=0.2)
+    assert once == pytest.approx(lines)
+    assert once[:, 0] == pytest.approx(0.2 * drive.omega)
+
+
+@pytest.mark.parametrize(
+    ("text", "linear", "vanishes"),
+    [
+        ("yaw += k * v * sin(w * distance)", {"k"}, True),
+        ("yaw += k * w * v", {"k"}, True),
+        ("yaw += k * v + w * omega; along += -w * v", {"k", "w"}, True),
+        ("yaw += (k + w) * v / 2", {"k", "w"}, True),
+        ("yaw += v / k + w * v", {"w"}, False),
+        ("yaw += k * v + 0.1 * abs(v) * w ** 2", {"k"}, False),
+        ("yaw += where(v > w, k * v, 0 * k)", {"k"}, True),
+        ("yaw += where(v > w, k * v, 1)", {"k"}, False),
+    ],
+)
+def test_parameters_that_a_linear_fit_may_move_are_told_from_shapes(text, linear, vanishes):
+    names = tuple(n for n in ("k", "w") if n in text.replace("where", ""))
+    parsed = parse_expression(text, names)
+    assert parsed.linear == linear
+    assert parsed.vanishes == vanishes
+    effect = user_effect("mine", text, dict.fromkeys(names, 0.5))
+    assert {p.name for p in amplitudes(effect)} == linear
+    assert type(effect)().acts == (not vanishes)
+    # its identity keeps the shapes
+    assert all(getattr(type(effect)(), p.name) == (0.0 if p.amplitude else 0.5) for p in parameters(effect))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", ";", "yaw = v", "yaw -= v", "v += 1", "yaw += q", "yaw", "import os", "yaw += v.real", "yaw += v[0]",
+        "yaw += (lambda: 1)()", "yaw += [1]", "yaw += 'a'", "yaw += f'{v}'", "yaw += __import__('os')",
+        "yaw += sinn(v)", "yaw += sin(v, v)", "yaw += sin()", "yaw += min(v)", "yaw += sin(x=v)", "yaw += sin(*v)",
+        "yaw += eval(v)",
+        "yaw += v if v else 1", "yaw += v < 1 < 2", "yaw += v and t", "yaw += not v", "yaw += ~v", "yaw += v % 2",
+        "yaw += v // 2", "yaw += v @ v", "yaw += True", "yaw += None", "yaw += 1j", "yaw += (yaw := 1)", "yaw += yaw",
+        "yaw += v ** 9", "yaw += v ** -9", "yaw += v ** omega", "yaw += 9 ** 9 ** 9", "yaw += 1e999",
+        "yaw += 1" + "0" * 400,
+        "yaw += " + "(" * 300 + "v" + ")" * 300, "yaw += " + "-" * 300 + "v", "yaw += v" + "+v" * 150,
+        "yaw += v" + " " * 1000,
+        "yaw += v\x00", "async def f(): pass", "yaw += v; exec('1')",
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused_in_one_line(text):
+    with pytest.raises(EffectError) as caught:
+        parse_expression(text, ())
+    assert "\n" not in str(caught.value).replace(repr(text), "")
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "values", "complaint"),
+    [
+        ("Bumps", "yaw += k * v", {"k": 1.0}, "cannot be a name"),
+        ("class", "yaw += k * v", {"k": 1.0}, "cannot be a name"),
+        ("bumps", "yaw += sin * v", {"sin": 1.0}, "name of something else"),
+        ("bumps", "yaw += v * t", {"t": 1.0}, "name of something else"),
+        ("bumps", "yaw += k * v", {"k": 1.0, "j": 2.0}, "parameter j does nothing"),
+        ("bumps", "yaw += k * v", {"k": float("nan")}, "must lie in"),
+    ],
+)
+def test_names_and_values_are_checked(name, text, values, complaint):
+    with pytest.raises(EffectError, match=complaint):
+        user_effect(name, text, values)
+
+
+def test_what_is_not_finite_is_told_with_its_place():
+    with pytest.raises(EffectError, match=r"not a finite number where v = 0, omega = 1.*where\(\)"):
+        error_of(user_effect("mine", "yaw += k * omega / v", {"k": 0.1}), motion(0.0, 1.0))
+
+
+def test_a_model_file_carries_it_and_runs_it():
+    text = 'name = "bumps"\nexpression = "yaw += k * v * sin(w * distance)"\n'
+    text += 'k = "0.02 +- 0.001"\nw = { value = 3.0, unit = "1/m" }\n'
+    model = parse_model(HEAD + text)
+    again = parse_model(format_model(model))
+    assert again.effects == model.effects
+    assert again.standard_errors == {"bumps.k": 0.001}
+    n = 500
+    poses = np.column_stack((np.arange(n) * 0.01, np.zeros(n), np.zeros(n)))
+    yaw = NoisyPath(again, 1).feed(10**11 + np.arange(n) * 20_000_000, poses).error_xyt[:, 2]
+    s = np.arange(1, n) * 0.01
+    assert yaw[1:] == pytest.approx(-np.cumsum(0.02 * 0.01 * np.sin(3.0 * s)), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ('name = "wheelbase"\nexpression = "yaw += v"', "library has an effect of that name"),
+        ('name = "mine"\nexpression = 3', "write text"),
+        ('name = "mine"\nexpression = "yaw += open(1)"', "no function 'open'"),
+        ('name = "mine"\nexpression = "yaw += k * v"\nk = "x"', "write a number"),
+        ('name = "mine"\nexpression = "yaw += k * v"', "'k' is not known"),
+        ('name = "gauss_markov"\nsigma = 0.1\nchannel = "up"', "along or yaw"),
+        ('name = "gauss_markov"\nsigma = 0.1\nchannel = 3', "along or yaw"),
+        ('name = "wheel_scale"\ne = "wide"', "write a number"),
+    ],
+)
+def test_model_files_complain_in_one_line(text, complaint):
+    with pytest.raises(ModelError, match=complaint):
+        parse_model(HEAD + text)
+
+
+def test_a_word_goes_through_a_model_file():
+    model = parse_model(HEAD + 'name = "gauss_markov"\nsigma = 0.1\nchannel = "yaw"')
+    assert model.effects[0].channel == "yaw"
+    assert parse_model(format_model(model)).effects == model.effects
+
+
+def test_it_travels_between_processes_and_equals_itself():
+    effect = user_effect("bumps", "yaw += k * v", {"k": 0.02}, {"k": "rad/m"})
+    assert pickle.loads(pickle.dumps(effect)) == effect  # noqa: S301 - our own bytes
+    assert effect == user_effect("bumps", "yaw += k * v", {"k": 0.02}, {"k": "rad/m"})
+    assert parameters(effect)[0].unit == "rad/m"
