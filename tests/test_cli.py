@@ -289,12 +289,13 @@ def console(*args, stdin):
     return subprocess.run([sys.executable, "-m", "odomcorrupt", *args], stdin=stdin, capture_output=True, check=False)
 
 
-def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path):
-    with Path(OFFICE).open("rb") as file:
+@pytest.mark.parametrize("source", [OFFICE, OFFICE1])
+def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path, source):
+    with Path(source).open("rb") as file:
         done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file)
     assert done.returncode == 0
     assert done.stderr.startswith(b"Moved: ")
-    assert run([OFFICE, str(tmp_path / "out.mcap"), "--seed", "5"]) == 0
+    assert run([source, str(tmp_path / "out.mcap"), "--seed", "5"]) == 0
     assert done.stdout == (tmp_path / "out.mcap").read_bytes()
 
 
