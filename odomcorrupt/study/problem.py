@@ -42,7 +42,8 @@ def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
     raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     smooth = driving_motion(recording, "odometry")
     known = ("acceleration", "x", "y", "theta", "distance")
-    motion = replace(raw, **{name: getattr(smooth, name) for name in known})
+    steady = np.stack((smooth.v, smooth.vy, smooth.omega), axis=1)
+    motion = replace(raw, trail=steady, **{name: getattr(smooth, name) for name in known})
     steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
     more = np.zeros((len(motion), 3))
     for effect in effects:
