@@ -10,7 +10,10 @@ import click
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
 
-__all__ = ["command"]
+__all__ = ["REJECTED", "command"]
+
+REJECTED = 4
+"""Exit code of --fail-if-rejected."""
 
 
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
@@ -18,6 +21,7 @@ __all__ = ["command"]
 @recording_options
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture of error against distance.")
+@click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the data reject the last model.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 def command(
     arguments: tuple[str, ...],
@@ -26,15 +30,17 @@ def command(
     track: float | None,
     as_json: bool,  # noqa: FBT001 - click passes flags so
     plot: Path | None,
+    fail_if_rejected: bool,  # noqa: FBT001 - as above
     overwrite: bool,  # noqa: FBT001 - as above
-) -> None:
+) -> int:
     """Print the error measured and expected by length of path, and the ladder of the models on these recordings.
 
     Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
     """
     need_study()
-    from odomcorrupt.report.json import comparison_json
-    from odomcorrupt.report.tables import clock_lines, comparison_text
+    from odomcorrupt.report.comparison import comparison_text
+    from odomcorrupt.report.comparison_json import comparison_json
+    from odomcorrupt.report.tables import clock_lines
     from odomcorrupt.study.compare import compare
 
     paths, models = split_arguments(arguments)
@@ -55,3 +61,4 @@ def command(
 
         draw_ladder(result, plot)
         click.echo(f"wrote {plot}", err=True)
+    return REJECTED if fail_if_rejected and result.judgements[-1].verdict.rejected else 0

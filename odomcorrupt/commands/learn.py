@@ -38,8 +38,10 @@ def command(
     """
     need_study()
     from odomcorrupt.modelfile import format_model
-    from odomcorrupt.report.json import comparison_json, learned_json
-    from odomcorrupt.report.tables import clock_lines, comparison_text, fit_text, ladder_text
+    from odomcorrupt.report.comparison import comparison_text
+    from odomcorrupt.report.comparison_json import comparison_json
+    from odomcorrupt.report.json import learned_json
+    from odomcorrupt.report.tables import clock_lines, fit_text, ladder_text
     from odomcorrupt.study.compare import compare
     from odomcorrupt.study.learn import learn
     from odomcorrupt.study.robot import fit_robot

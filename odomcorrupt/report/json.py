@@ -6,64 +6,18 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import amplitudes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.compare import Comparison, Horizon, Judgement
     from odomcorrupt.study.learn import Learned, Round
     from odomcorrupt.study.search import Candidate
 
-__all__ = ["comparison_json", "learned_json"]
+__all__ = ["learned_json"]
 
 SCHEMA = 1
-
-
-def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return a comparison: errors in metres and radians."""
-    return {
-        "schema": SCHEMA,
-        "recordings": list(comparison.recordings),
-        "clocks": [
-            {"recording": name, "offset_s": clock.offset_s, "skew": clock.rate}
-            for name, clock in zip(comparison.recordings, comparison.clocks.clocks, strict=True)
-        ],
-        "raw_ten_second_error_m": _number(comparison.raw_error_m),
-        "aligned_ten_second_error_m": _number(comparison.clock_error_m),
-        "models": [_judgement(j) for j in comparison.judgements],
-    }
-
-
-def _judgement(judgement: Judgement) -> dict[str, Any]:
-    return {
-        "name": judgement.name,
-        "held_out": "halves" if judgement.refitted else "recordings",
-        "ten_second_error_m": _number(judgement.ten_second_error_m),
-        "nats_per_m": _number(judgement.nats_per_m),
-        "horizons": [_horizon(h) for h in judgement.horizons],
-        "fails": [
-            {"channel": f.channel, "motion": f.motion, "rate": f.rate, "rate_error": f.rate_error, "p": f.p,
-             "sentence": f.sentence}
-            for f in judgement.failures
-        ],
-    }  # fmt: skip
-
-
-def _horizon(h: Horizon) -> dict[str, Any]:
-    channels = ("along_m", "across_m", "yaw_rad")
-    return {
-        "distance_m": h.distance_m,
-        "windows": h.windows,
-        "measured": dict(zip(channels, map(_number, h.measured), strict=True)),
-        "expected": dict(zip(channels, map(_number, h.expected), strict=True)),
-        "position_measured_m": _number(h.position_measured),
-        "position_expected_m": _number(h.position_expected),
-        "nees_per_dof": _number(h.nees),
-        "nees_95": [_number(b) for b in h.nees_bounds],
-        "coverage_90": dict(zip(channels, map(_number, h.coverage), strict=True)),
-    }
 
 
 def learned_json(learned: Learned) -> dict[str, Any]:

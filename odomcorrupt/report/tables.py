@@ -11,13 +11,12 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.compare import Comparison, Horizon, Judgement
     from odomcorrupt.study.intervals import Interval
     from odomcorrupt.study.learn import Learned, Round
     from odomcorrupt.study.robot import RobotFit
     from odomcorrupt.study.search import Candidate, Clocks
 
-__all__ = ["candidates_table", "clock_lines", "comparison_text", "fit_text", "ladder_text", "value_text"]
+__all__ = ["candidates_table", "clock_lines", "fit_text", "ladder_text", "value_text"]
 
 _AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "rad", "across_trans": "m"}
 
@@ -126,68 +125,3 @@ def ladder_text(learned: Learned) -> str:
                 f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s{rivals}"
             )
     return "\n".join(lines)
-
-
-def comparison_text(comparison: Comparison) -> str:
-    """Return horizons of every model, the ladder, and where the last model fails."""
-    lines = []
-    for judgement in comparison.judgements:
-        how = (
-            "refitted on the other half of each recording it was fitted on" if judgement.refitted else "not fitted here"
-        )
-        lines += [f"{judgement.name} ({how})", *_horizon_lines(judgement.horizons), ""]
-    lines += _ladder_lines(comparison)
-    for judgement in comparison.judgements:
-        lines += ["", *_failure_lines(judgement)]
-    return "\n".join(lines)
-
-
-def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
-    heads = (
-        ("path", 6),
-        ("windows", 9),
-        ("position error (expected)", 28),
-        ("yaw error (expected)", 24),
-        ("NEES/3", 9),
-        ("by chance", 15),
-    )
-    lines = ["  " + "".join(f"{head:>{width}}" for head, width in (*heads, ("inside 90 % band", 24)))]
-    for h in horizons:
-        position = f"{_length(h.position_measured)} ({_length(h.position_expected)})"
-        yaw = f"{degrees(h.measured[2]):.2f} ({degrees(h.expected[2]):.2f}) deg"
-        chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
-        inside = " ".join(f"{100 * c:.0f}%" for c in h.coverage)
-        lines.append(
-            f"  {h.distance_m:>4g} m{h.windows:>9}{position:>28}{yaw:>24}{h.nees:>9.2f}{chance:>15}{inside:>24}"
-        )
-    return lines
-
-
-def _length(metres: float) -> str:
-    return f"{metres * 1e3:.1f} mm" if metres < 1.0 else f"{metres:.2f} m"
-
-
-def _ladder_lines(comparison: Comparison) -> list[str]:
-    held = not any(j.refitted for j in comparison.judgements)
-    title = "held-out" if held else "cross-validated"
-    lines = [f"{title} position error after 10 s:"]
-    steps: list[tuple[str, float, float | None]] = [("odometry as it came", comparison.raw_error_m, None)]
-    if comparison.clock_error_m != comparison.raw_error_m:
-        steps.append(("its clock set right", comparison.clock_error_m, None))
-    steps += [(j.name, j.ten_second_error_m, j.nats_per_m) for j in comparison.judgements]
-    worst = max(error for _, error, _ in steps)
-    for name, error, nats in steps:
-        bar = "#" * round(40.0 * error / worst) if worst > 0.0 else ""
-        score = "" if nats is None else f"{nats:9.2f} nats/m"
-        lines.append(f"  {name:<28}{error * 1e3:9.1f} mm{score}  {bar}")
-    first, last = comparison.judgements[0], comparison.judgements[-1]
-    if held and len(comparison.judgements) > 1 and last.ten_second_error_m < first.ten_second_error_m:
-        ratio = last.ten_second_error_m / first.ten_second_error_m
-        lines.append(f"  the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}")
-    return lines
-
-
-def _failure_lines(judgement: Judgement) -> list[str]:
-    if not judgement.failures:
-        return [f"{judgement.name}: no kind of motion in which it fails"]
-    return [f"{judgement.name} fails:", *(f"  {f.sentence}" for f in judgement.failures[:5])]

@@ -1,8 +1,8 @@
 """Compare models with measurements: what they expect, what was measured, where they fail, which one is best.
 
 A model is judged on recordings it was not fitted on. Where a recording was fitted, it is cut in two and the model is
-fitted again on one half and judged on the other, both ways. Clocks belong to a recording, not to a robot: they are
-estimated on each one, the same for every model.
+fitted again on one half and judged on the other, both ways (and every model beside it is judged on the same halves).
+Clocks belong to a recording, not to a robot: they are estimated on each one, the same for every model.
 """
 
 from __future__ import annotations
@@ -10,57 +10,30 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-from scipy.stats import chi2
-
-from odomcorrupt.model import TruthNoise
 from odomcorrupt.study.approach import choose_approach
+from odomcorrupt.study.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.clock import aligned
-from odomcorrupt.study.failures import Failure, failures
+from odomcorrupt.study.failures import Failure, drift_failures, failures, sudden_failures
 from odomcorrupt.study.fit import fit
-from odomcorrupt.study.headings import UNKNOWN_RAD
-from odomcorrupt.study.likelihood import whitener
+from odomcorrupt.study.judged import Judged, horizons_of, judge_stretch
+from odomcorrupt.study.nats import Nats, nats_of
 from odomcorrupt.study.nodes import join
-from odomcorrupt.study.problem import pose_problem, undo
 from odomcorrupt.study.search import Clocks, find_clocks
 from odomcorrupt.study.trajectory import Trajectory
-from odomcorrupt.study.windows import WindowErrors, distance_windows, rmse, time_windows, window_errors
+from odomcorrupt.study.trajectory_error import TrajectoryError, trajectory_error
+from odomcorrupt.study.verdict import Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.windows import rmse, time_windows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.model import MotionModel
-    from odomcorrupt.pose import Array
     from odomcorrupt.study.approach import Approach
+    from odomcorrupt.study.pit import Pit
     from odomcorrupt.study.trajectory import Recording
+    from odomcorrupt.study.whiteness import Whiteness
 
-__all__ = ["Comparison", "Horizon", "Judgement", "compare"]
-
-HORIZONS_M = (1.0, 5.0, 10.0, 50.0)
-CURVE_M = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 70.0, 100.0)
-_FEWEST = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Horizon:
-    """Errors over one length of path, windows not overlapping.
-
-    measured, expected : (3,) root mean square along, across (m) and yaw (rad)
-    position_measured, position_expected : root mean square of the position error, m
-    nees : mean normalised squared error per degree of freedom, 1 where the model is right
-    nees_bounds : where 95 % of such means lie by chance
-    coverage : (3,) part of the errors inside the model's 90 % interval
-    """
-
-    distance_m: float
-    windows: int
-    measured: Array
-    expected: Array
-    position_measured: float
-    position_expected: float
-    nees: float
-    nees_bounds: tuple[float, float]
-    coverage: Array
+__all__ = ["Comparison", "Judgement", "compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,17 +42,33 @@ class Judgement:
 
     refitted : whether it had been fitted on them, so that it was refitted on halves to be judged on the others
     ten_second_error_m : root mean square position error after 10 s
-    nats_per_m : log likelihood per metre driven; nats_error its standard error over blocks
+    nats : log likelihood per metre driven, with its error, and what it gains over the first model
     horizons : for the table; curve : more of them, for the picture
+    pits, whiteness : of the whitened innovations, by channel
+    failures : the plainest first; the drifts that they add up to before them
+    trajectory : ATE and RPE
+    notes : what this judgement leaves out, in words
+    pieces : the stretches it was judged on, for pictures
     """
 
     name: str
     refitted: bool
     ten_second_error_m: float
-    nats_per_m: float
+    nats: Nats
     horizons: tuple[Horizon, ...]
     curve: tuple[Horizon, ...]
+    pits: Mapping[str, Pit]
+    whiteness: Mapping[str, Whiteness]
+    verdict: Verdict
     failures: tuple[Failure, ...]
+    trajectory: TrajectoryError
+    notes: tuple[str, ...]
+    pieces: tuple[Judged, ...]
+
+    @property
+    def nats_per_m(self) -> float:
+        """Log likelihood per metre driven."""
+        return self.nats.per_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +79,7 @@ class Comparison:
     clocks: Clocks
     raw_error_m: float
     clock_error_m: float
+    clock_trajectory: TrajectoryError
     judgements: tuple[Judgement, ...]
 
 
@@ -98,96 +88,90 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     approach = choose_approach(recordings)
     found = find_clocks(recordings, approach)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
+    fitted = {r.name for r in recordings for model in models.values() if r.name in _fitted_on(model)}
+    judged = {name: _stretches(model, on_time, fitted, approach) for name, model in models.items()}
+    first = next(iter(judged.values()))
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
         raw_error_m=_ten_seconds(recordings),
         clock_error_m=_ten_seconds(on_time),
-        judgements=tuple(_judge(name, model, on_time, approach) for name, model in models.items()),
+        clock_trajectory=trajectory_error(on_time),
+        judgements=tuple(_judgement(name, models[name], pieces, first) for name, pieces in judged.items()),
     )
 
 
-def _judge(name: str, model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> Judgement:
-    fitted_on = model.source.get("recordings", [])
-    known = fitted_on if isinstance(fitted_on, list) else []
-    parts: list[tuple[Recording, MotionModel]] = []
+def _fitted_on(model: MotionModel) -> list[str]:
+    named = model.source.get("recordings", [])
+    return named if isinstance(named, list) else []
+
+
+def _stretches(
+    model: MotionModel, recordings: Sequence[Recording], fitted: set[str], approach: Approach
+) -> list[Judged]:
+    """Return what a model is judged on; recordings that any model was fitted on come in halves."""
+    pieces = []
     for recording in recordings:
-        if recording.name in known:
-            first, second = _halves(recording)
-            parts += [(first, _refit(model, second, approach)), (second, _refit(model, first, approach))]
-        else:
-            parts.append((recording, model))
-    pieces = [_Judged(recording, own, approach) for recording, own in parts]
-    metres = sum(p.metres for p in pieces)
+        if recording.name not in fitted:
+            pieces.append(judge_stretch(recording, model, approach))
+            continue
+        first, second = _halves(recording)
+        for half, other in ((first, second), (second, first)):
+            known = recording.name in _fitted_on(model)
+            own = _refit(model, other, approach) if known else model
+            pieces.append(judge_stretch(half, own, approach, refitted=known))
+    return pieces
+
+
+def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: Sequence[Judged]) -> Judgement:
+    every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
+    horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
+    width = 3 if all(piece.headed for piece in pieces) else 2
+    chains = [chain[:, :width] for piece in pieces for chain in piece.chains()]
+    pits, whiteness = pits_of(chains), whiteness_of(chains)
     return Judgement(
         name=name,
-        refitted=any(r.name in known for r in recordings),
-        ten_second_error_m=_ten_seconds([p.left for p in pieces]),
-        nats_per_m=sum(p.log_likelihood for p in pieces) / metres,
-        horizons=_horizons(pieces, HORIZONS_M),
-        curve=_horizons(pieces, CURVE_M),
-        failures=tuple(f for p in pieces[:1] for f in p.failures()) if len(pieces) == 1 else _common(pieces),
+        refitted=any(piece.recording.name in _fitted_on(model) for piece in pieces),
+        ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
+        nats=nats_of(pieces, first),
+        horizons=horizons,
+        curve=tuple(h for h in every if h.distance_m in CURVE_M),
+        pits=pits,
+        whiteness=whiteness,
+        verdict=verdict_of(horizons, pits, whiteness),
+        failures=(*drift_failures(horizons), *_patterns(pieces)),
+        trajectory=trajectory_error([piece.left for piece in pieces]),
+        notes=_notes(model, pieces),
+        pieces=tuple(pieces),
     )
 
 
-class _Judged:
-    """One stretch of a recording under one model."""
-
-    def __init__(self, recording: Recording, model: MotionModel, approach: Approach) -> None:
-        effects = (*model.effects, *model.setup.effects)
-        self.model, self.truth = model, model.setup.truth or TruthNoise()
-        flat = self.truth
-        if recording.heading_error_rad is not None:
-            flat = replace(self.truth, yaw_rad=UNKNOWN_RAD)
-            self.truth = replace(self.truth, yaw_rad=recording.heading_error_rad)
-        self.problem = pose_problem([recording], effects, approach=approach)
-        self.left = undo(recording, effects)
-        nodes = self.problem.nodes
-        q = nodes.covariance(model.noise.law, model.noise.coefficients, self.problem.steps)
-        self.whitener = whitener(nodes, q, flat)
-        self.log_likelihood = self.whitener.log_likelihood(self.whitener.whiten(nodes.residual))
-        self.metres = float(nodes.distance_m.sum())
-
-    def failures(self) -> list[Failure]:
-        return failures(self.problem, self.whitener)
-
-    def windows(self, distance_m: float) -> WindowErrors | None:
-        windows = distance_windows(self.left, distance_m)
-        if not len(windows):
-            return None
-        return window_errors(windows, self.model.noise, self.truth, self.problem.steps)
+def _patterns(pieces: Sequence[Judged]) -> list[Failure]:
+    """Return failures of all pieces, each told with its recording where there are several."""
+    found = []
+    for piece in pieces:
+        name = piece.recording.name if len(pieces) > 1 else ""
+        found += failures(piece.problem, piece.whitener, piece.innovations, headed=piece.headed, name=name)
+        found += sudden_failures(piece.problem, piece.covariance, piece.innovations, headed=piece.headed, name=name)
+    return sorted(found, key=lambda f: f.log_p)
 
 
-def _horizons(pieces: Sequence[_Judged], distances_m: Sequence[float]) -> tuple[Horizon, ...]:
-    horizons = []
-    for distance in distances_m:
-        parts = [w for p in pieces if (w := p.windows(distance)) is not None]
-        if sum(len(w.error) for w in parts) < _FEWEST:
-            continue
-        both = WindowErrors(np.concatenate([w.error for w in parts]), np.concatenate([w.covariance for w in parts]))
-        n = len(both.error)
-        bounds = chi2.ppf([0.025, 0.975], 3 * n) / (3 * n)
-        measured, expected = both.measured, both.expected
-        horizons.append(
-            Horizon(
-                distance_m=distance,
-                windows=n,
-                measured=measured,
-                expected=expected,
-                position_measured=float(np.hypot(*measured[:2])),
-                position_expected=float(np.hypot(*expected[:2])),
-                nees=float(both.nees.mean() / 3.0),
-                nees_bounds=(float(bounds[0]), float(bounds[1])),
-                coverage=both.coverage(1.6449),
-            )
+def _notes(model: MotionModel, pieces: Sequence[Judged]) -> tuple[str, ...]:
+    notes = []
+    random = [effect.name for effect in model.effects if effect.kind == "noise"]
+    if random:
+        notes.append(f"corruption draws {', '.join(random)}, but what is expected here does not count it")
+    k = model.noise.coefficients
+    if k.white_v or k.white_omega:
+        notes.append("corruption draws white noise on twists, but what is expected here does not count it")
+    if model.setup.truth is None:
+        truth = pieces[0].truth
+        notes.append(
+            f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
         )
-    return tuple(horizons)
-
-
-def _common(pieces: Sequence[_Judged]) -> tuple[Failure, ...]:
-    """Return what fails on the longest stretch: sentences about one drive, not a blend of several."""
-    longest = max(pieces, key=lambda p: p.metres)
-    return tuple(longest.failures())
+    if not all(piece.headed for piece in pieces):
+        notes.append("the truth has positions only: nothing is said of yaw")
+    return tuple(notes)
 
 
 def _halves(recording: Recording) -> tuple[Recording, Recording]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import norm
 
 from odomcorrupt.study.likelihood import interval_covariance
 from odomcorrupt.study.nodes import intervals, pick_nodes
@@ -62,42 +63,68 @@ def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> 
 
 @dataclass(frozen=True, slots=True)
 class WindowErrors:
-    """Errors at the ends of n windows against what the model expects.
+    """Errors at the ends of n windows against what the model expects: odometry minus truth.
 
-    error : (n, 3) along, across (m), yaw (rad), in the frame of the window's end
-    covariance : (n, 3, 3) what the model expects of it, truth noise included
+    error : (n, c) along, across (m), and yaw (rad) where the truth has headings, in the frame of the window's end
+    covariance : (n, c, c) what the model expects of it, truth noise included
     """
 
     error: Array
     covariance: Array
 
+    def __len__(self) -> int:
+        return len(self.error)
+
     @property
     def nees(self) -> Array:
-        """Normalised estimation error squared (n,), chi-square with 3 degrees where the model is right."""
+        """Normalised estimation error squared (n,), chi-square with c degrees where the model is right."""
         solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
         squared: Array = np.sum(solved * self.error, axis=1)
         return squared
 
     @property
+    def deviation(self) -> Array:
+        """Expected standard deviation (n, c) of each error."""
+        sigma: Array = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return sigma
+
+    @property
     def expected(self) -> Array:
-        """Expected root mean square (3,) of along, across (m), yaw (rad)."""
-        deviation: Array = np.sqrt(np.mean(np.diagonal(self.covariance, axis1=1, axis2=2), axis=0))
-        return deviation
+        """Expected root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.deviation**2, axis=0))
+        return rms
 
     @property
     def measured(self) -> Array:
-        """Measured root mean square (3,)."""
-        deviation: Array = np.sqrt(np.mean(self.error**2, axis=0))
-        return deviation
+        """Measured root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.error**2, axis=0))
+        return rms
 
-    def coverage(self, quantile: float) -> Array:
-        """Return which part (3,) of the errors lies within +- quantile standard deviations."""
-        deviation = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
-        inside: Array = np.mean(np.abs(self.error) <= quantile * deviation, axis=0)
+    def coverage(self, part: float) -> Array:
+        """Return which part (c,) of the errors lies inside the central interval that should hold `part` of them."""
+        inside: Array = np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
         return inside
 
+    @property
+    def crps(self) -> Array:
+        """Mean continuous ranked probability score (c,), m and rad; the smaller, the better and sharper the model.
 
-def window_errors(windows: Nodes, noise: Noise, truth: TruthNoise, steps: Increments) -> WindowErrors:
-    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them."""
+        Closed form for a normal forecast: Gneiting & Raftery, JASA 102, 2007, section 4.2.
+        """
+        sigma = self.deviation
+        z = self.error / sigma
+        score = sigma * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+        mean: Array = np.mean(score, axis=0)
+        return mean
+
+
+def window_errors(
+    windows: Nodes, noise: Noise, truth: TruthNoise, steps: Increments, *, headed: bool = True
+) -> WindowErrors:
+    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them.
+
+    Without headings in the truth, yaw is left out: those that were made for it come from the odometry.
+    """
     q = windows.covariance(noise.law, noise.coefficients, steps)
-    return WindowErrors(windows.residual, interval_covariance(windows, q, truth))
+    count = 3 if headed else 2
+    return WindowErrors(windows.residual[:, :count], interval_covariance(windows, q, truth)[:, :count, :count])

@@ -1,0 +1,171 @@
+"""What `compare` says of a right model: it is right. NEES, coverage, PIT, whiteness and verdict keep their levels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.study.approach import Approach
+from odomcorrupt.study.calibration import horizon_of
+from odomcorrupt.study.doubt import Doubt
+from odomcorrupt.study.failures import drift_failures, failures, sudden_failures
+from odomcorrupt.study.judged import horizons_of, judge_stretch
+from odomcorrupt.study.nats import nats_of
+from odomcorrupt.study.pit import pit_of
+from odomcorrupt.study.verdict import Look, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.whiteness import ljung_box
+from odomcorrupt.study.windows import WindowErrors
+
+PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
+RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
+SURE = Doubt(np.zeros(0), np.zeros((0, 0)))
+
+
+def judged(seed: int, seconds: float, model: MotionModel = RIGHT):
+    steps = wander(seed, seconds)
+    run = recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)
+    return judge_stretch(run, model, Approach("truth"))
+
+
+def outside(horizon) -> bool:
+    low, high = horizon.nees_bounds
+    return not low <= horizon.nees <= high
+
+
+def gaussian_windows(seed: int, count: int, scale: float = 1.0) -> WindowErrors:
+    rng = np.random.default_rng((4, seed))
+    roots = np.tril(rng.uniform(-1.0, 1.0, (count, 3, 3))) + 1.5 * np.eye(3)
+    error = np.einsum("nij,nj->ni", roots, rng.standard_normal((count, 3)))
+    return WindowErrors(scale * error, roots @ np.swapaxes(roots, 1, 2))
+
+
+def test_nees_rejects_the_true_model_in_2_to_8_percent_of_clean_runs():
+    looks, inside = [], []
+    for seed in range(100):
+        horizons = horizons_of([judged(seed, 60.0)], (1.0, 2.0, 5.0))
+        looks += [outside(h) for h in horizons]
+        inside += [h.coverage_90 for h in horizons[:1]]
+    assert len(looks) >= 250
+    assert 0.02 <= np.mean(looks) <= 0.08
+    np.testing.assert_allclose(np.mean(inside, axis=0), 0.9, atol=0.025)
+
+
+@pytest.mark.slow
+def test_at_every_length_of_path_and_in_every_look_a_right_model_keeps_its_level():
+    looks, rejected, told = {}, [], []
+    for seed in range(120):
+        piece = judged(seed, 300.0)
+        horizons = horizons_of([piece], (1.0, 2.0, 5.0, 10.0, 20.0))
+        pits, whiteness = pits_of(piece.chains()), whiteness_of(piece.chains())
+        for h in horizons:
+            looks.setdefault(h.distance_m, []).append(outside(h))
+        for kind in (pits, whiteness):
+            for name, result in kind.items():
+                looks.setdefault((type(result).__name__, name), []).append(result.p < 0.05)
+        rejected.append(verdict_of(horizons, pits, whiteness).rejected)
+        found = failures(piece.problem, piece.whitener, piece.innovations)
+        found += sudden_failures(piece.problem, piece.covariance, piece.innovations)
+        told.append(bool(found) or bool(drift_failures(horizons)))
+    for look, results in looks.items():
+        assert 0.01 <= np.mean(results) <= 0.1, f"{look}: {np.mean(results)}"
+    assert np.mean(rejected) <= 0.1
+    assert np.mean(told) <= 0.08
+
+
+def test_chance_alone_leaves_the_bounds_in_one_of_twenty_and_a_wrong_scale_in_most():
+    chance = [outside(horizon_of(1.0, [(gaussian_windows(seed, 40), SURE)])) for seed in range(400)]
+    assert 0.025 <= np.mean(chance) <= 0.08
+    wrong = [outside(horizon_of(1.0, [(gaussian_windows(seed, 40, 1.5), SURE)])) for seed in range(40)]
+    assert np.mean(wrong) > 0.95
+
+
+def test_bounds_widen_by_what_the_model_does_not_know_of_itself():
+    errors = gaussian_windows(0, 400)
+    sure = horizon_of(1.0, [(errors, SURE)])
+    unsure = horizon_of(1.0, [(errors, Doubt(np.array([0.2]), np.zeros((0, 0))))])
+    assert np.ptp(unsure.nees_bounds) > 3.0 * np.ptp(sure.nees_bounds)
+    shifted = horizon_of(1.0, [(errors, Doubt(np.zeros(0), np.array([[0.3]])))])
+    assert shifted.nees_bounds[1] > sure.nees_bounds[1] + 0.5
+    assert shifted.nees_bounds[0] > 0.95 * sure.nees_bounds[0]
+
+
+def test_doubt_is_what_one_standard_error_does_to_the_nees():
+    off = 0.1
+    known = judged(1, 120.0, replace(RIGHT, standard_errors={"trans_trans": off * PLANTED.trans_trans}))
+    errors, doubt = known.windows(2.0)
+    more = replace(PLANTED, trans_trans=PLANTED.trans_trans * (1.0 + off))
+    larger, _ = judged(1, 120.0, replace(RIGHT, noise=Noise("diffusion", more))).windows(2.0)
+    grown = np.trace(np.linalg.solve(errors.covariance, larger.covariance), axis1=1, axis2=2).mean() / 3.0
+    assert 1.0 + doubt.scale[0] == pytest.approx(grown, rel=0.02)
+    assert doubt.scale[0] > 0.05
+
+
+def test_doubt_of_an_effect_is_what_its_standard_error_does_to_the_windows():
+    off = 0.005
+    track = effect_from_values("wheelbase", {"e": 0.0})
+    piece = judged(2, 120.0, replace(RIGHT, effects=(track,), standard_errors={"wheelbase.e": off}))
+    errors, doubt = piece.windows(5.0)
+    other, _ = judged(2, 120.0, replace(RIGHT, effects=(replace(track, e=off),))).windows(5.0)
+    shift = other.error - errors.error
+    expected = np.mean([s @ np.linalg.solve(c, s) for s, c in zip(shift, errors.covariance, strict=True)]) / 3.0
+    assert doubt.gram[0, 0] == pytest.approx(expected, rel=0.1)
+
+
+def test_crps_is_the_integral_of_squared_differences_of_distributions():
+    errors = gaussian_windows(5, 3)
+    direct = np.zeros(3)
+    for e, s in zip(errors.error, errors.deviation, strict=True):
+        for c in range(3):
+            x = np.linspace(-30.0, 30.0, 200_001)
+            direct[c] += np.trapezoid((norm.cdf(x / s[c]) - (x >= e[c])) ** 2, x) / 3.0
+    np.testing.assert_allclose(errors.crps, direct, rtol=1e-3)
+
+
+def test_pit_keeps_its_level_and_sees_wrong_widths_and_means():
+    rng = np.random.default_rng(11)
+    right = [pit_of(rng.standard_normal(300)) for _ in range(300)]
+    assert 0.02 <= np.mean([p.p < 0.05 for p in right]) <= 0.08
+    assert 0.02 <= np.mean([not p.inside for p in right]) <= 0.08
+    assert pit_of(0.7 * rng.standard_normal(300)).p < 0.01
+    assert not pit_of(0.5 + rng.standard_normal(300)).inside
+
+
+def test_ljung_box_is_the_textbook_sum_and_knows_no_pairs_across_breaks():
+    rng = np.random.default_rng(12)
+    x = rng.standard_normal(200)
+    c = x - x.mean()
+    rho = [np.sum(c[k:] * c[:-k]) / np.sum(c**2) for k in range(1, 6)]
+    expected = 200 * 202 * sum(r**2 / (200 - k) for k, r in enumerate(rho, start=1))
+    assert ljung_box([x], 5).statistic == pytest.approx(expected)
+    # alternating runs: a strong memory within chains, none if their ends were glued
+    chains = [np.array([1.0, 1.0]), np.array([-1.0, -1.0])] * 60
+    assert ljung_box(chains, 1).correlation[0] == pytest.approx(0.5)
+    walk = np.cumsum(rng.standard_normal(300))
+    assert ljung_box([walk]).p < 1e-6
+
+
+def test_a_verdict_is_one_level_for_all_looks_together():
+    looks = tuple(Look(f"look {i}", p) for i, p in enumerate((0.006, 0.2, 0.3, 0.9, 0.01)))
+    verdict = Verdict(0.05, looks)
+    assert verdict.threshold == pytest.approx(0.01)
+    assert [look.question for look in verdict.against] == ["look 0"]
+    assert not Verdict(0.05, looks[1:4]).rejected
+
+
+def test_the_right_model_gains_nats_over_a_wrong_one_by_more_than_the_paired_error():
+    right = judged(3, 300.0)
+    wrong = judged(3, 300.0, replace(RIGHT, noise=Noise("diffusion", Coefficients(0.1, 0.02, 0.05, 0.01))))
+    paired = nats_of([right], [wrong])
+    assert paired.gain_per_m > 3.0 * paired.gain_error
+    assert paired.gain_error < 0.5 * paired.error, "pairing takes out what the drive itself varies by"
+    assert paired.per_m * right.node_metres.sum() == pytest.approx(
+        right.whitener.log_likelihood(right.innovations), rel=1e-12
+    )
+    assert nats_of([right], [right]).gain_error == 0.0
