@@ -93,34 +93,51 @@ def _crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
     Its place is bounded by half the play and the sway on both sides; what it does in the middle part moves nothing.
     """
     half = 0.5 * width
-    place, side = gear
-    out = [0.0] * len(travel)
-    for i, step in enumerate(travel.tolist()):
-        before = min(max(place, -half), half) if side else 0.0
-        place += step
-        if side:
-            place = min(max(place, -half - SWAY_M), half + SWAY_M)
-            out[i] = min(max(place, -half), half) - before
-        elif abs(place) >= SWAY_M:
-            # the first move finds the gear in touch: nothing is lost
-            side = 1.0 if place > 0.0 else -1.0
-            place = side * (half + SWAY_M)
-    return np.array(out), _Gear(place, side)
+    before, first, side = _first_touch(travel, gear)
+    if not side:
+        return np.zeros(len(travel)), _Gear(before, 0.0)
+    # the first move finds the gear in touch: nothing is lost
+    start = gear.place if gear.side else side * (half + SWAY_M)
+    places = _bounded(start, travel[first:], half + SWAY_M)
+    inside = np.zeros(len(travel))
+    inside[first:] = np.diff(np.clip(places, -half, half))
+    return inside, _Gear(float(places[-1]), side)
 
 
 def _sides(travel: Array, gear: _Gear) -> tuple[Array, _Gear]:
     """Return on which side of their play (n + 1,) a wheel's gears touch, 1 or -1, first before the first increment."""
-    place, side = gear
-    out = [side] * (len(travel) + 1)
-    for i, step in enumerate(travel.tolist()):
+    before, first, side = _first_touch(travel, gear)
+    if not side:
+        return np.zeros(len(travel) + 1), _Gear(before, 0.0)
+    start = gear.place if gear.side else side * SWAY_M
+    places = _bounded(start, travel[first:], SWAY_M)
+    # at the very middle the gears stay as they were
+    known = np.flatnonzero(np.concatenate(([True], places[1:] != 0.0)))
+    signs = np.concatenate(([side], np.sign(places[1:])))
+    touched = signs[known[np.searchsorted(known, np.arange(len(places)), side="right") - 1]]
+    return np.concatenate((np.full(first, side), touched)), _Gear(float(places[-1]), float(touched[-1]))
+
+
+def _first_touch(travel: Array, gear: _Gear) -> tuple[float, int, float]:
+    """Return the place so far, from which increment on the gears touch, and on which side (0: not yet)."""
+    if gear.side:
+        return gear.place, 0, gear.side
+    places = np.cumsum(np.concatenate(([gear.place], travel)))
+    moved = np.abs(places) >= SWAY_M
+    if not moved.any():
+        return float(places[-1]), len(travel), 0.0
+    first = int(np.argmax(moved))
+    return float(places[first]), first, float(np.sign(places[first]))
+
+
+def _bounded(start: float, travel: Array, top: float) -> Array:
+    """Return the places (n + 1,) of something that is carried along but held within +- top, one after the other."""
+    place, places = start, [start]
+    for step in travel.tolist():
         place += step
-        if side:
-            place = min(max(place, -SWAY_M), SWAY_M)
-            if place * side < 0.0:
-                side = -side
-        elif abs(place) >= SWAY_M:
-            side = 1.0 if place > 0.0 else -1.0
-            place = side * SWAY_M
-            out[: i + 1] = [side] * (i + 1)
-        out[i + 1] = side
-    return np.array(out), _Gear(place, side)
+        if place > top:
+            place = top
+        elif place < -top:
+            place = -top
+        places.append(place)
+    return np.array(places)
