@@ -16,6 +16,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.noise_fit import LawPieces, NoiseFit, fit_noise
 from odomcorrupt.study.problem import pose_problem
+from odomcorrupt.study.random_gain import with_random
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -39,6 +40,7 @@ class Fit:
 
     pieces : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
+    random : wandering gains that are believed
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
@@ -47,6 +49,7 @@ class Fit:
     problem: Problem
     pieces: LawPieces
     noise: NoiseFit
+    random: tuple[Effect, ...]
     standard_errors: Array
     clock_errors: Array
 
@@ -70,9 +73,11 @@ def fit(
     approach: Approach,
     start: Array | None = None,
     weights: Array | None = None,
+    random: Sequence[Effect] = (),
 ) -> Fit:
     """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
 
+    random : wandering gains that are believed, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
     """
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
@@ -84,6 +89,7 @@ def fit(
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
         noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights, headings=problem.headings)
         start = noise.free
+        noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         effects, clocks = _moved(effects, clocks, free, noise.theta)
         if not np.any(np.abs(noise.theta) > _SMALL * errors):
@@ -91,7 +97,7 @@ def fit(
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[free] = errors[own:]
-    return Fit(problem, pieces, noise, errors[:own], clock_errors)
+    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors)
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:

@@ -10,18 +10,22 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.approach import choose_approach
-from odomcorrupt.study.fit import Fit, fit
+from odomcorrupt.study.fit import Fit, believed_columns, fit
+from odomcorrupt.study.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search import Candidate, Clocks, find_clocks, next_effect, ten_second_error
+from odomcorrupt.study.unknown import Unknown, unknown_dependences
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
     from odomcorrupt.study.trajectory import Recording
 
 __all__ = ["Learned", "Round", "learn"]
 
 _MOST = 6
+_MOST_NOISE = 2
 _DROP_NATS = 3.3
 ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
@@ -49,10 +53,20 @@ class Round:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Clocks, the rounds in order (the last one added nothing, or the limit was reached), and the final fit."""
+    """What a search found.
+
+    clocks : those of the recordings
+    rounds : looks in order; the last one added nothing, or the limit was reached
+    noise : wandering gains that were named and believed
+    unknown : what no known effect explains
+    fit : the final fit
+    error_m : its position error after 10 s on the fitted data
+    """
 
     clocks: Clocks
     rounds: tuple[Round, ...]
+    noise: tuple[RandomGain, ...]
+    unknown: tuple[Unknown, ...]
     fit: Fit
     error_m: float
 
@@ -69,43 +83,69 @@ def learn(
     """Search from a model with the given effects; `most` bounds how many are added."""
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
-    fitted = fit(recordings, start, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
+    fitted = fit(
+        recordings,
+        [e for e in start if e.kind != "noise"],
+        clocks=clocks.clocks,
+        free_clocks=clocks.free,
+        approach=approach,
+        random=[e for e in start if e.kind == "noise"],
+    )
     rounds: list[Round] = []
+    noise: list[RandomGain] = []
     while True:
         candidates = next_effect(fitted, clocks.free)
         best = candidates[0] if candidates and not candidates[0].refused else None
+        believed = believed_columns(fitted.problem, clocks.free)
+        unknown = unknown_dependences(fitted, believed) if best is None else []
+        gain = _wandering(fitted, believed, best, unknown)
+        if gain is not None and len(noise) < _MOST_NOISE:
+            noise.append(gain)
+            fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
+            continue
         full = len(rounds) >= most
         rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
         if best is None or best.fit is None or full:
             break
         # believe it: robust weights are taken anew, because what looked like outliers may be explained now
-        fitted = fit(
-            recordings,
-            best.fit.effects,
-            clocks=best.fit.problem.clocks,
-            free_clocks=clocks.free,
-            approach=approach,
-            start=best.fit.noise.free,
-        )
+        fitted = _again(best.fit, clocks, best.fit.effects, random=best.fit.random)
     fitted = _without_idlers(fitted, clocks, {e.name for e in start})
-    return Learned(clocks, tuple(rounds), fitted, ten_second_error(fitted))
+    return Learned(clocks, tuple(rounds), tuple(noise), tuple(unknown), fitted, ten_second_error(fitted))
+
+
+def _wandering(fitted: Fit, believed: Array, best: Candidate | None, unknown: Sequence[Unknown]) -> RandomGain | None:
+    """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one."""
+    gains = random_gains(fitted, believed)
+    if not gains:
+        return None
+    price = 0.5 * float(np.log(len(fitted.problem.nodes)))
+    rivals = [best.gain] if best is not None else []
+    rivals += [u.nats - price * len(u.curve) for u in unknown]
+    return gains[0] if gains[0].nats > max(rivals, default=0.0) + ALTERNATIVE_NATS else None
+
+
+def _again(fitted: Fit, clocks: Clocks, effects: Sequence[Effect], random: Sequence[Effect]) -> Fit:
+    """Fit the same recordings again, from where a fit has come to."""
+    problem = fitted.problem
+    return fit(
+        problem.recordings,
+        effects,
+        clocks=problem.clocks,
+        free_clocks=clocks.free,
+        approach=problem.approach,
+        start=fitted.noise.free,
+        random=random,
+    )
 
 
 def _without_idlers(fitted: Fit, clocks: Clocks, keep: set[str]) -> Fit:
     """Drop effects that the later ones have made idle: a Wald test first, because refits cost time."""
-    while len(fitted.effects) > 1:
+    while fitted.effects:
         idle = [name for name, gain in _wald(fitted).items() if gain < _DROP_NATS and name not in keep]
         if not idle:
             return fitted
-        problem = fitted.problem
-        fitted = fit(
-            problem.recordings,
-            [e for e in problem.effects if e.name != idle[0]],
-            clocks=problem.clocks,
-            free_clocks=clocks.free,
-            approach=problem.approach,
-            start=fitted.noise.free,
-        )
+        kept = [e for e in fitted.effects if e.name != idle[0]]
+        fitted = _again(fitted, clocks, kept, random=fitted.random)
     return fitted
 
 

@@ -44,10 +44,14 @@ class Whitener:
 
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
+    directions, shrink : (3 K, m) orthonormal, and (m,) factors by which whitened data shrink along them: what a
+        process spread over all residuals adds to the covariance; none by default
     """
 
     factor: Array
     log_det: float
+    directions: Array | None = None
+    shrink: Array | None = None
 
     def whiten(self, columns: Array) -> Array:
         """Return L^-1 x for x of shape (K, 3) or (K, 3, c), as (3 K,) or (3 K, c): standardised innovations."""
@@ -55,6 +59,8 @@ class Whitener:
         solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
+        if self.directions is not None and self.shrink is not None:
+            solved = solved - self.directions @ ((1.0 - self.shrink)[:, None] * (self.directions.T @ solved))
         white: Array = solved[:, 0] if columns.ndim == 2 else solved
         return white
 

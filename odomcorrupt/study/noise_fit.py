@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.nodes import Nodes
 
-__all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "fit_noise"]
+__all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "estimated", "fit_noise"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
@@ -156,16 +156,10 @@ class NoiseTask:
         coefficients, truth = self._unpack(free)
         shares = np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
         white = factored((shares @ self._bands).reshape(self._floor.shape) + self._floor)
-        stacked = white.whiten(self._stacked)
-        r, b = stacked[:, 0], stacked[:, 1:]
-        theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
-        if b.shape[1]:
-            covariance = _inverse(b.T @ b)
-            theta = covariance @ (b.T @ r)
-            r = r - b @ theta
-        likelihood = white.log_likelihood(r)
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
-        return NoiseFit(k, truth, likelihood, theta, covariance, self._weights, r, white, free)
+        nothing = np.zeros(0)
+        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        return estimated(blank, white, self._stacked)
 
     def climb(self, free: Array, *, fixed: int | None = None) -> Array:
         """Return the noise parameters of largest likelihood; one of them may be held where it is."""
@@ -194,6 +188,25 @@ class NoiseTask:
         coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
         xy, yaw, wander = np.exp(free[len(active) :])
         return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
+    """Return a fit with its linear part estimated anew; stacked (K, 3, 1 + m) is the residual and the columns."""
+    whitened = white.whiten(stacked)
+    r, b = whitened[:, 0], whitened[:, 1:]
+    theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
+    if b.shape[1]:
+        covariance = _inverse(b.T @ b)
+        theta = covariance @ (b.T @ r)
+        r = r - b @ theta
+    return replace(
+        noise,
+        log_likelihood=white.log_likelihood(r),
+        theta=theta,
+        theta_covariance=covariance,
+        innovations=r,
+        whitener=white,
+    )
 
 
 def _inverse(normal: Array) -> Array:

@@ -178,6 +178,7 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
         approach=problem.approach,
         start=fitted.noise.free,
         weights=fitted.noise.weights,
+        random=fitted.random,
     )
     gain = again.log_likelihood - fitted.log_likelihood - _price(score.effect, trials, len(problem.nodes))
     before, after = ten_second_error(fitted), ten_second_error(again)
