@@ -105,10 +105,11 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     """
     n = len(dt_s)
     rate = np.zeros((n, 3))
+    first = 0
     if memory is None:
         first = int(np.argmax(dt_s > 0.0)) if n else 0
         if not n or dt_s[first] <= 0.0:
-            return Accelerations(rate, twist.copy(), None)
+            return Accelerations(rate, np.zeros((n, 3)), None)
         before = 2.0 * TRAIL_S
         memory = SpeedMemory(np.array([-before, 0.0]), np.stack((-before * twist[first], np.zeros(3))))
     clock = np.cumsum(np.concatenate((memory.clock_s[-1:], dt_s)))
@@ -119,7 +120,9 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     speed = (travel - earlier) / TRAIL_S
     np.divide(np.diff(speed, axis=0), dt_s[:, None], out=rate, where=(dt_s > 0.0)[:, None])
     kept = max(int(np.searchsorted(clock_s, clock[-1] - TRAIL_S, side="right")) - 1, 0)
-    return Accelerations(rate, (speed[1:] + speed[:-1]) / 2.0, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
+    trail = (speed[1:] + speed[:-1]) / 2.0
+    trail[:first] = 0.0
+    return Accelerations(rate, trail, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from odomcorrupt.corrupt.drift import LEG_M
 from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.targets import ODOMETRY
-from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.effect import choices, parameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -95,8 +95,9 @@ def model_words(model: MotionModel, origin: str) -> str:
 
 
 def _effect(effect: Effect) -> str:
-    values = ", ".join(f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect))
-    return f"{effect.name} ({values})"
+    values = [f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect)]
+    values += [f"{word} {getattr(effect, word)}" for word in choices(effect)]
+    return f"{effect.name} ({', '.join(values)})"
 
 
 def _drift(drift: Drift) -> str:

@@ -55,14 +55,15 @@ def test_any_cut_gives_the_same_bits():
     rng = np.random.default_rng(4)
     twist, dt = rng.normal(size=(500, 3)), rng.uniform(0.0, 0.04, 500)
     dt[[0, 1, 90, 300]] = 0.0
-    whole = accelerations(twist, dt).rate
+    whole = accelerations(twist, dt)
     for size in (1, 3, 64):
         memory, parts = None, []
         for i in range(0, 500, size):
             part = accelerations(twist[i : i + size], dt[i : i + size], memory)
             memory = part.memory
-            parts.append(part.rate)
-        assert np.array_equal(np.concatenate(parts), whole)
+            parts.append(part)
+        assert np.array_equal(np.concatenate([p.rate for p in parts]), whole.rate)
+        assert np.array_equal(np.concatenate([p.trail for p in parts]), whole.trail)
     assert accelerations(twist[:0], dt[:0]).rate.shape == (0, 3)
 
 
