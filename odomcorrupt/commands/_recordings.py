@@ -91,7 +91,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], dict[str, Mot
 
 def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: float | None) -> list[Recording]:
     """Return the recordings, several for a path with resets, and say on stderr what reading them left out."""
-    from odomcorrupt.study.sources import Source, need_headings, read_runs
+    from odomcorrupt.study.sources import Source, read_runs
 
     meta = click.get_current_context().meta
     recordings = []
@@ -109,7 +109,6 @@ def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: 
             click.echo(describe(recording), err=True)
             for note in recording.notes:
                 click.echo(f"  {note}", err=True)
-            need_headings(recording)
             recordings.append(recording)
     return recordings
 

@@ -22,24 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["TUM", "Columns", "find_columns", "guess_tick"]
 
-_FILLERS = frozenset(
-    [
-        "field",
-        "header",
-        "msg",
-        "pose",
-        "position",
-        "pos",
-        "p",
-        "translation",
-        "odom",
-        "odometry",
-        "truth",
-        "gt",
-        "rs",
-        "r",
-    ]
-)
+_ROS = ("field", "header", "msg", "pose", "position", "pos", "p", "translation")
+_WHOSE = ("odom", "odometry", "truth", "gt", "rs", "r")
+_FILLERS = frozenset((*_ROS, *_WHOSE))
 """Words that say nothing about which number it is."""
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "metres": 1.0, "meters": 1.0}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0, "radians": 1.0, "degrees": np.pi / 180.0}

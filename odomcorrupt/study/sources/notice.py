@@ -12,8 +12,6 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.pose import between, wrap
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from odomcorrupt.pose import Array
     from odomcorrupt.study.sources.samples import Samples
 
@@ -22,6 +20,7 @@ __all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_
 _FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
 _WORLD = frozenset({"map", "world", "earth", "utm"})
 _SAME = 1e-6
+_SAME_M = 2e-3
 _MOVES = 1e-4
 _FEW = 10
 _SHRINKS = 0.7
@@ -39,17 +38,16 @@ def check_identity(odometry: Samples, truth: Samples) -> list[str]:
     """
     if not truth.headed:
         return []
-    pairs = _steps(odometry, truth)
-    step, own = pairs
+    step, own = _steps(odometry, truth)
     moving = np.abs(own).max(axis=1) > _MOVES
     if moving.sum() < _FEW:
         return []
     same = np.abs(step - own).max(axis=1)[moving] < _SAME
     share = float(same.mean())
-    if share > 0.99:
+    if share > 0.99 or (share > 0.5 and _apart(odometry, truth) < _SAME_M):
         raise RecordingError(
-            f"{truth.place}: says what {odometry.name} says, step by step ({np.sum(same)} of {len(same)} steps): it is "
-            "the same odometry; name a truth that does not come from it"
+            f"{truth.place}: says what {odometry.name} says ({np.sum(same)} of {len(same)} steps are equal): it is the "
+            "same odometry; name a truth that does not come from it"
         )
     if share > 0.5:
         what = "localisation on top of it, or a simulation without noise"
@@ -134,15 +132,25 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     return len(at) if closer.mean() > 0.8 else 0
 
 
+def _apart(odometry: Samples, truth: Samples) -> float:
+    """Return how far (m or rad) the two are ever apart, laid on each other at their first common time."""
+    real, path = _common(odometry, truth)
+    difference = between(real[:1], real) - between(path[:1], path)
+    difference[:, 2] = wrap(difference[:, 2])
+    return float(np.abs(difference).max())
+
+
 def _steps(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
     """Return the steps (k, 3) of the truth between its samples, and those of the odometry between the same times."""
-    origin = int(odometry.stamps_ns[0])
-    path, real = odometry.trajectory(), truth.trajectory()
-    times = real.seconds_since(origin)
-    inside: NDArray[np.int64] = np.flatnonzero(
-        (real.stamps_ns >= path.stamps_ns[0]) & (real.stamps_ns <= path.stamps_ns[-1])
-    )
-    at = path.at(times[inside], origin)
-    step, own = between(real.xyt[inside[:-1]], real.xyt[inside[1:]]), between(at[:-1], at[1:])
+    real, path = _common(odometry, truth)
+    step, own = between(real[:-1], real[1:]), between(path[:-1], path[1:])
     step[:, 2], own[:, 2] = wrap(step[:, 2]), wrap(own[:, 2])
     return step, own
+
+
+def _common(odometry: Samples, truth: Samples) -> tuple[Array, Array]:
+    """Return the poses (k, 3) of both at the truth's stamps."""
+    path, real = odometry.trajectory(), truth.trajectory()
+    inside = (real.stamps_ns >= path.stamps_ns[0]) & (real.stamps_ns <= path.stamps_ns[-1])
+    origin = int(odometry.stamps_ns[0])
+    return real.xyt[inside], path.at(real.seconds_since(origin)[inside], origin)

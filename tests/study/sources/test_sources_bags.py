@@ -7,8 +7,7 @@ import pytest
 from sourcebags import topic, write
 from sourcedrive import START_NS, odometry, truth
 
-from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.sources import Source, need_headings, read_runs
+from odomcorrupt.study.sources import Source, read_runs
 
 
 def same(trajectory, rows, tolerance=1e-12):
@@ -37,15 +36,13 @@ def test_every_type_with_a_heading_can_be_the_truth(tmp_path, kind, suffix):
     same(recording.truth, real)
 
 
-def test_points_are_positions_without_headings_and_refused_where_headings_are_needed(tmp_path):
+def test_points_are_positions_without_headings(tmp_path):
     real = truth()
     bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/prism", "PointStamped", real))
     (recording,) = read_runs(Source(bag))
     np.testing.assert_allclose(recording.truth.xyt[:, :2], real.xyz[:, :2])
     assert np.isnan(recording.truth.xyt[:, 2]).all()
     assert "/prism in frame odom (positions without headings)" in recording.notes[0]
-    with pytest.raises(RecordingError, match="positions without headings"):
-        need_headings(recording)
 
 
 def test_satellite_fixes_become_metres_east_and_north(tmp_path):
