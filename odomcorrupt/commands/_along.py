@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._map import choose_condition
 from odomcorrupt.commands._model import choose_model
 from odomcorrupt.commands._move import MODEL_OPTIONS
 from odomcorrupt.commands._output import write_text
@@ -22,9 +23,10 @@ DEFAULT_RUNS = 300
 
 def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: bool, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, look at them along the way, and print and write what is asked for."""
-    from odomcorrupt.drive.cloud import cloud_along, csv_text, json_text, report_text
+    from odomcorrupt.drive.cloud import cloud_along, cloud_of, csv_text, json_text, places_along, report_text
     from odomcorrupt.drive.read import read_drive
     from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.mapping.conditioned_path import free_paths
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.account import law_words
 
@@ -39,7 +41,18 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: b
     # about six clouds, at round distances
     every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    cloud = cloud_along(drive, chosen.model, seed=seed, runs=given["count"] or DEFAULT_RUNS, every_m=every)
+    runs = given["count"] or DEFAULT_RUNS
+    condition = choose_condition(given, bag, drive.frame_id)
+    if condition is None:
+        cloud = cloud_along(drive, chosen.model, seed=seed, runs=runs, every_m=every)
+    else:
+        places = places_along(drive, every)
+        free = free_paths(
+            drive.stamps_ns, drive.xyt, chosen.model, condition.space, seed=seed, runs=range(runs), places=places,
+            check=condition.check, tries=condition.tries,
+        )  # fmt: skip
+        cloud = cloud_of(drive, places, free.xyt, seed)
+        click.echo(free.account(), err=True)
     if as_json:
         click.echo(json_text(cloud), nl=False)
     else:
@@ -52,7 +65,9 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: b
         from odomcorrupt.report.cloud import draw_cloud
 
         law = chosen.model.noise.law_name
-        save_picture(output, draw_cloud(cloud, f"Where the robot may be: law {law}, seed {seed}"))
+        within = "" if condition is None else " within the map"
+        space = None if condition is None else condition.space
+        save_picture(output, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
         return
     write_text(output, csv_text(cloud) if kind == ".csv" else json_text(cloud))
     click.echo(f"wrote {output}", err=True)

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._along import sample_along
+from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._move import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 
 if TYPE_CHECKING:
+    from odomcorrupt.commands._map import Condition
     from odomcorrupt.sampling.account import Drawn
 
 __all__ = ["command"]
@@ -25,6 +27,7 @@ __all__ = ["command"]
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Result: .png, .svg, .pdf, .csv or .json."
 )
 @move_options
+@map_options
 @click.option(
     "--every", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Along a bag: a cloud per M m."
 )
@@ -41,7 +44,9 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
     odomcorrupt sample --example rotation-heavy -o heavy.svg     # one of the lecture's settings
     odomcorrupt sample --end 1,0.3,20deg --alpha 0.05 0.02 0.05 0.01 -n 5000 -o ends.csv
     odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive
+    odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """
+    from odomcorrupt.mapping.conditioned import move_sampled_in_map
     from odomcorrupt.rng import draw_seed, stream
     from odomcorrupt.sampling.account import Drawn, csv_text, json_text, report_text
     from odomcorrupt.sampling.samples import move_sampled
@@ -57,23 +62,34 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
         return
     chosen = choose_move(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    xyt = move_sampled(chosen.move, chosen.variances, chosen.count, stream(seed, 0, "sample"))
+    rng = stream(seed, 0, "sample")
+    condition = choose_condition(given, None, "odom")
+    notes: tuple[str, ...] = ()
+    if condition is None:
+        xyt = move_sampled(chosen.move, chosen.variances, chosen.count, rng)
+    else:
+        free = move_sampled_in_map(
+            chosen.move, chosen.variances, chosen.count, rng, condition.space, check=condition.check,
+            tries=condition.tries,
+        )  # fmt: skip
+        xyt, notes = free.xyt, (free.account(),)
     drawn = Drawn(
         chosen.move, chosen.noise.model.noise, chosen.variances, xyt, seed, chosen.noise.origin,
-        chosen.noise.article_code,
+        chosen.noise.article_code, notes,
     )  # fmt: skip
     click.echo(json_text(drawn) if as_json else report_text(drawn), nl=not as_json)
     if output is None:
         return
     if kind in PICTURES:
-        _draw(output, drawn)
+        _draw(output, drawn, condition)
         return
     write_text(output, csv_text(xyt) if kind == ".csv" else json_text(drawn))
     click.echo(f"wrote {output}", err=True)
 
 
-def _draw(output: Path, drawn: Drawn) -> None:
+def _draw(output: Path, drawn: Drawn, condition: Condition | None) -> None:
     from odomcorrupt.report.banana import draw_banana
     from odomcorrupt.sampling.account import title
 
-    save_picture(output, draw_banana(drawn.move, drawn.variances, drawn.xyt, title(drawn)))
+    space = None if condition is None else condition.space
+    save_picture(output, draw_banana(drawn.move, drawn.variances, drawn.xyt, title(drawn), space))

@@ -13,11 +13,13 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.sampling.samples import ellipse, sample_moments
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.drive.read import Drive
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
 
-__all__ = ["Cloud", "cloud_along", "csv_text", "json_text", "report_text"]
+__all__ = ["Cloud", "cloud_along", "cloud_of", "csv_text", "json_text", "places_along", "report_text"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +39,8 @@ class Cloud:
     seed: int
 
 
-def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> Cloud:
-    """Draw runs of a drive and look at them once per so many metres, and at the end.
-
-    Run k is the path that corruption writes for `--seed` and `--run k`.
-    """
+def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
+    """Return which poses of a drive to look at: one per so many metres, and the last one."""
     travelled = drive.distance_m
     total = float(travelled[-1])
     if not total > 0.0:
@@ -49,12 +48,25 @@ def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every
     marks = np.arange(every_m, total, every_m)
     # the last mark gives way to the end where the two would lie on each other
     marks = marks[total - marks > 0.3 * every_m]
-    places = np.append(np.searchsorted(travelled, marks), len(drive) - 1)
+    return np.append(np.searchsorted(travelled, marks), len(drive) - 1)
+
+
+def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> Cloud:
+    """Draw runs of a drive and look at them once per so many metres, and at the end.
+
+    Run k is the path that corruption writes for `--seed` and `--run k`.
+    """
+    places = places_along(drive, every_m)
     xyt = np.empty((runs, len(places), 3))
     for run in range(runs):
         knots = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
         xyt[run] = drive.xyt[places] + knots.error_xyt[places]
-    return Cloud(travelled[places], drive.xyt[places], xyt, drive.xyt, seed)
+    return cloud_of(drive, places, xyt, seed)
+
+
+def cloud_of(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) -> Cloud:
+    """Return the cloud of runs (runs, k, 3) at places (k,) of a drive."""
+    return Cloud(drive.distance_m[places], drive.xyt[places], xyt, drive.xyt, seed)
 
 
 def report_text(cloud: Cloud) -> str:

@@ -63,17 +63,30 @@ class FrameTree:
 
     def mount(self, base: str, laser: str, bag: str) -> Mount:
         """Return how a laser sits on the robot; TopicError where TF does not say."""
-        base, laser = plain(base), plain(laser)
-        up_base, up_laser = self._ancestors(base), self._ancestors(laser)
-        shared = next((frame for frame in up_laser if frame in up_base), None)
-        if shared is None:
+        whole = self._between(plain(base), plain(laser))
+        if whole is None:
             known = ", ".join(sorted({*self._static, *self._moving})) or "nothing"
             raise TopicError(
-                f"{bag}: TF does not lead from {base!r} to the laser's frame {laser!r} (it knows {known}); say where "
-                "the laser sits with --laser-pose x,y,yaw"
+                f"{bag}: TF does not lead from {plain(base)!r} to the laser's frame {plain(laser)!r} (it knows "
+                f"{known}); say where the laser sits with --laser-pose x,y,yaw"
             )
-        whole = np.linalg.inv(up_base[shared]) @ up_laser[shared]
         return Mount(whole[:2, 3].copy(), whole[:2, :2].copy())
+
+    def pose(self, parent: str, child: str) -> Array | None:
+        """Return the planar pose (3,) of a frame in another; None where TF does not say."""
+        whole = self._between(plain(parent), plain(child))
+        if whole is None:
+            return None
+        return np.array([whole[0, 3], whole[1, 3], np.arctan2(whole[1, 0], whole[0, 0])])
+
+    def _between(self, frame: str, other: str) -> Array | None:
+        """Return the other frame seen from one (4, 4)."""
+        up_frame, up_other = self._ancestors(frame), self._ancestors(other)
+        shared = next((name for name in up_other if name in up_frame), None)
+        if shared is None:
+            return None
+        whole: Array = np.linalg.inv(up_frame[shared]) @ up_other[shared]
+        return whole
 
     def _ancestors(self, frame: str) -> dict[str, Array]:
         """Return every frame above one, the nearest first, and the one seen from each (4, 4)."""

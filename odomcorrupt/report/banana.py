@@ -9,6 +9,7 @@ from matplotlib.patches import Ellipse as EllipsePatch
 
 from odomcorrupt.pose import wrap
 from odomcorrupt.report.figure import BLACK, BLUE, ORANGE, RED, drawing, new_figure
+from odomcorrupt.report.maps import draw_free_space
 from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.laws import Variances
+    from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.pose import Array
     from odomcorrupt.sampling.move import Move
     from odomcorrupt.sampling.samples import Moments
@@ -25,11 +27,16 @@ __all__ = ["draw_banana", "draw_move", "draw_samples", "frame_samples"]
 SIGMAS = 2.0
 
 
-def draw_banana(move: Move, variances: Variances, xyt: Array, title: str) -> Figure:
-    """Draw samples (n, 3) of where a motion ended, with their mean, the linearised ellipse, and their headings."""
+def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space: FreeSpace | None = None) -> Figure:
+    """Draw samples (n, 3) of where a motion ended, with their mean, the linearised ellipse, and their headings.
+
+    space : the map they were held against, drawn below
+    """
     with drawing():
         figure = new_figure(8.6, 5.4)
         plane, headings = figure.subplots(1, 2, width_ratios=(3, 1))
+        if space is not None:
+            draw_free_space(plane, space)
         draw_samples(plane, xyt)
         _ellipses(plane, move, variances, xyt)
         draw_move(plane, move)

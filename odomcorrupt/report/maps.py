@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.colors import ListedColormap
+from matplotlib.transforms import Affine2D
 
+from odomcorrupt.mapping.grid import OCCUPIED
 from odomcorrupt.report.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
 
 if TYPE_CHECKING:
@@ -15,10 +17,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.mapping.grid import Grid
     from odomcorrupt.mapping.survey import Survey
 
-__all__ = ["draw_grid", "draw_surveys"]
+__all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
 
 PATHS = (BLUE, RED, GREEN)
 
@@ -46,11 +49,29 @@ def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
 
 def draw_grid(axes: Axes, grid: Grid) -> None:
     """Draw a map as maps are drawn: free white, occupied black, unknown grey."""
-    axes.imshow(
+    image = axes.imshow(
         grid.cells, origin="lower", extent=grid.extent, cmap=ListedColormap(["white", BLACK, "#D0D0D0"]), vmin=0,
-        vmax=2, interpolation="nearest",
+        vmax=2, interpolation="nearest", zorder=0,
     )  # fmt: skip
+    x, y, yaw = (float(value) for value in grid.origin_xyt)
+    image.set_transform(Affine2D().rotate_around(x, y, yaw) + axes.transData)
     axes.set_aspect("equal", adjustable="box")
+
+
+def draw_free_space(axes: Axes, space: FreeSpace) -> None:
+    """Draw a map under what is given in the odom frame: walls, and pale where the robot's middle cannot be."""
+    x, y, yaw = (float(value) for value in space.grid.origin_xyt)
+    mx, my, myaw = (float(value) for value in space.map_from_odom)
+    to_odom = Affine2D().translate(-mx, -my).rotate(-myaw)
+    for layer, colours, most in (
+        (space.blocked, ("white", "#E4E4E4"), 1),
+        (np.where(space.grid.cells == OCCUPIED, 1, np.nan), (BLACK,), 1),
+    ):
+        image = axes.imshow(
+            layer, origin="lower", extent=space.grid.extent, cmap=ListedColormap(colours), vmin=0, vmax=most,
+            interpolation="nearest", zorder=0, alpha=0.8,
+        )  # fmt: skip
+        image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
 
 
 def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:

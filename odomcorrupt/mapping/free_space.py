@@ -1,0 +1,124 @@
+"""Where a robot can be: free cells of a map, its radius from the nearest wall, and ways that cross none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from odomcorrupt.errors import MapError
+from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN
+from odomcorrupt.mapping.raycast import traverse
+from odomcorrupt.pose import rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.mapping.grid import Grid
+    from odomcorrupt.pose import Array
+
+__all__ = ["CHECKS", "Check", "FreeSpace", "Unknown", "free_space"]
+
+Unknown = Literal["blocked", "free"]
+Check = Literal["endpoint", "path"]
+
+CHECKS: tuple[Check, ...] = get_args(Check)
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSpace:
+    """A map asked for a robot.
+
+    blocked : (rows, columns) 1 where the robot's middle cannot be
+    map_from_odom : (3,) pose of the odom frame in the map; positions are given in the odom frame
+    outside : 1 where beyond the map's border counts as blocked
+    """
+
+    grid: Grid
+    blocked: NDArray[np.uint8]
+    map_from_odom: Array
+    outside: int
+
+    def free(self, xy: Array) -> NDArray[np.bool_]:
+        """Tell of positions (n, 2) in the odom frame whether the robot can be there."""
+        out: NDArray[np.bool_] = self.grid.look_up(self.blocked, self._in_map(xy), self.outside) == 0
+        return out
+
+    def reachable(self, from_xy: Array, to_xy: Array) -> NDArray[np.bool_]:
+        """Tell of positions (n, 2) whether the straight way there is free all along, both ends included.
+
+        The lecture's star: behind a wall is free, and not reachable.
+        """
+        rows, columns = self.blocked.shape
+        clear = self.free(to_xy)
+        # where the end is blocked the way need not be walked
+        left = np.flatnonzero(clear)
+        start, end = (self.grid.places(self._in_map(xy[left])) for xy in (from_xy, to_xy))
+        for number, cell in traverse(start, end):
+            inside = (cell >= 0).all(axis=1) & (cell[:, 0] < columns) & (cell[:, 1] < rows)
+            column, row = np.where(inside[:, None], cell, 0).T
+            stopped = np.where(inside, self.blocked[row, column], self.outside) != 0
+            clear[left[number[stopped]]] = False
+        return clear
+
+    def allows(self, from_xy: Array, to_xy: Array, check: Check) -> NDArray[np.bool_]:
+        """Tell of motions (n, 2) to (n, 2) whether they are possible, by their end or by the whole way."""
+        return self.free(to_xy) if check == "endpoint" else self.reachable(from_xy, to_xy)
+
+    def _in_map(self, xy: Array) -> Array:
+        turn = np.full(xy.shape[:-1], self.map_from_odom[2])
+        out: Array = rotate(xy, turn) + self.map_from_odom[:2]
+        return out
+
+
+def free_space(
+    grid: Grid, radius_m: float, *, unknown: Unknown = "blocked", map_from_odom: Array | None = None
+) -> FreeSpace:
+    """Prepare a map for a round robot.
+
+    Parameters
+    ----------
+    grid
+        The map.
+    radius_m
+        Of the robot. A cell is blocked where a wall is nearer than this to its middle: half a cell's diagonal fine.
+    unknown
+        Whether the robot's middle may be in an unknown cell, or beyond the map. Walls keep their distance, the
+        unknown does not: it is no obstacle, only nothing to stand on.
+    map_from_odom
+        Pose of the odom frame in the map, none for the same frame.
+
+    """
+    if not (np.isfinite(radius_m) and radius_m >= 0.0):
+        raise MapError(f"robot radius: {radius_m} m; it must be zero or more")
+    # a radius of three cells and a half must not become a little less by division
+    blocked = _inflated(grid.cells == OCCUPIED, radius_m / grid.resolution_m * (1.0 + 1e-9))
+    if unknown == "blocked":
+        blocked |= grid.cells == UNKNOWN
+    pose = np.zeros(3) if map_from_odom is None else map_from_odom
+    return FreeSpace(grid, blocked.astype(np.uint8), pose, int(unknown == "blocked"))
+
+
+def _inflated(walls: NDArray[np.bool_], radius: float) -> NDArray[np.bool_]:
+    """Return the cells whose middle is no further than a radius, in cells, from a wall's square.
+
+    A disc is a stack of rows; a row's run of cells is looked up in running sums, so the cost grows with the radius
+    and not with its square.
+    """
+    rows, columns = walls.shape
+    reach = int(np.floor(radius + 0.5))
+    total = np.zeros((rows, columns + 1), dtype=np.int32)
+    np.cumsum(walls, axis=1, out=total[:, 1:])
+    here = np.arange(columns)
+    out = np.zeros_like(walls)
+    for down in range(min(reach, rows - 1) + 1):
+        gap = max(down - 0.5, 0.0)
+        if gap > radius:
+            break
+        # a radius of nothing still keeps the robot's middle out of the wall itself
+        run = int(np.floor(np.sqrt(radius**2 - gap**2) + 0.5)) if radius > 0.0 else 0
+        near = total[:, np.minimum(here + run + 1, columns)] > total[:, np.maximum(here - run, 0)]
+        out[down:] |= near[: rows - down]
+        out[: rows - down] |= near[down:]
+    return out

@@ -1,0 +1,136 @@
+import numpy as np
+import pytest
+
+from odomcorrupt.errors import MapError
+from odomcorrupt.laws import Variances
+from odomcorrupt.mapping.conditioned import move_sampled_in_map
+from odomcorrupt.mapping.conditioned_path import free_paths
+from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
+from odomcorrupt.model import MotionModel
+from odomcorrupt.presets import preset_named
+from odomcorrupt.sampling.move import move_between
+from odomcorrupt.sampling.samples import move_sampled
+
+RESOLUTION = 0.1
+
+
+def room(*walls):
+    """Ten by ten metres about the origin; walls are boxes x0, y0, x1, y1."""
+    cells = np.zeros((100, 100), dtype=np.uint8)
+    for x0, y0, x1, y1 in walls:
+        c = (np.array([x0, y0, x1, y1]) / RESOLUTION + 50).astype(int)
+        cells[c[1] : c[3], c[0] : c[2]] = OCCUPIED
+    return Grid(cells, RESOLUTION, np.array([-5.0, -5.0, 0.0]))
+
+
+WALL = (2.0, -1.0, 2.2, 1.0)
+AHEAD = move_between(np.zeros(3), np.array([3.0, 0.0, 0.0]))
+NOISE = Variances(*(np.array([v]) for v in (0.16, 0.04, 0.0, 0.01)))
+
+
+@pytest.mark.parametrize("radius", [0.0, 0.04, 0.1, 0.35, 0.62])
+def test_robot_keeps_its_radius_from_every_wall(radius):
+    """Against distances to every occupied square, at the middles of cells."""
+    rng = np.random.default_rng(4)
+    cells = (rng.uniform(size=(30, 40)) < 0.01).astype(np.uint8)
+    space = free_space(Grid(cells, RESOLUTION, np.zeros(3)), radius, unknown="free")
+    row, column = np.mgrid[:30, :40]
+    gap = np.full(cells.shape, np.inf)
+    for r, c in np.argwhere(cells == OCCUPIED):
+        dx, dy = np.maximum(np.abs(column - c) - 0.5, 0), np.maximum(np.abs(row - r) - 0.5, 0)
+        gap = np.minimum(gap, RESOLUTION * np.hypot(dx, dy))
+    np.testing.assert_array_equal(space.blocked == 1, gap <= radius + 1e-12)
+
+
+def test_unknown_is_as_asked_inside_and_beyond_the_map():
+    grid = room()
+    grid.cells[:, :50] = UNKNOWN
+    places = np.array([[-1.0, 0.0], [1.0, 0.0], [50.0, 0.0]])
+    assert free_space(grid, 0.1).free(places).tolist() == [False, True, False]
+    assert free_space(grid, 0.1, unknown="free").free(places).tolist() == [True, True, True]
+
+
+def test_behind_a_wall_is_free_and_not_reachable():
+    space = free_space(room(WALL), 0.1)
+    origin, there = np.zeros((3, 2)), np.array([[3.0, 0.0], [3.0, 3.0], [1.5, 0.0]])
+    assert space.allows(origin, there, "endpoint").tolist() == [True, True, True]
+    assert space.allows(origin, there, "path").tolist() == [False, True, True]
+
+
+def test_path_through_a_wall_one_cell_thin_is_seen_at_any_angle():
+    rng = np.random.default_rng(5)
+    space = free_space(room((1.0, -5.0, 1.1, 5.0)), 0.0, unknown="free")
+    start = np.column_stack((rng.uniform(-4, 0.9, 500), rng.uniform(-4, 4, 500)))
+    end = np.column_stack((rng.uniform(1.2, 4, 500), rng.uniform(-4, 4, 500)))
+    assert not space.reachable(start, end).any()
+    assert not space.reachable(end, start).any()
+    assert space.reachable(start, start[::-1]).all()
+
+
+def test_poses_are_given_in_the_odom_frame():
+    space = free_space(room(WALL), 0.1, map_from_odom=np.array([2.1, -3.0, np.pi / 2]))
+    assert space.free(np.array([[3.0, 0.0], [1.0, 0.0]])).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("check", ["endpoint", "path"])
+def test_rejection_samples_the_motion_given_that_it_is_free(check):
+    """The same distribution as drawing very many and keeping the free ones."""
+    space = free_space(room(WALL), 0.2)
+    ours = move_sampled_in_map(AHEAD, NOISE, 20_000, np.random.default_rng(1), space, check=check).xyt
+    many = move_sampled(AHEAD, NOISE, 80_000, np.random.default_rng(2))
+    kept = many[space.allows(np.zeros((len(many), 2)), many[:, :2], check)]
+    for column in range(3):
+        np.testing.assert_allclose(
+            np.quantile(ours[:, column], [0.1, 0.3, 0.7, 0.9]),
+            np.quantile(kept[:, column], [0.1, 0.3, 0.7, 0.9]),
+            atol=0.04,
+        )
+
+
+def test_tries_are_bounded_and_counted():
+    space = free_space(room(WALL), 0.2)
+    drawn = move_sampled_in_map(AHEAD, NOISE, 400, np.random.default_rng(1), space, check="path", tries=2)
+    assert 0 < drawn.lost < 400
+    assert len(drawn.xyt) == 400 - drawn.lost
+    assert drawn.candidates == 400 + (400 - drawn.free_at_first)
+    assert f"{drawn.lost} were given up after 2 tries" in drawn.account()
+
+
+def test_where_nothing_is_free_it_is_said():
+    boxed = free_space(room((1.0, -5.0, 5.0, 5.0)), 0.1)
+    with pytest.raises(MapError, match="none of 3000 candidates"):
+        move_sampled_in_map(AHEAD, Variances(*np.full((4, 1), 1e-6)), 30, np.random.default_rng(1), boxed)
+    inside = move_between(np.array([2.0, 0.0, 0.0]), np.array([3.0, 0.0, 0.0]))
+    with pytest.raises(MapError, match="begins at"):
+        move_sampled_in_map(inside, NOISE, 30, np.random.default_rng(1), boxed)
+
+
+def drive(n=300):
+    xyt = np.zeros((n, 3))
+    xyt[:, 0] = np.linspace(0, 4, n)
+    return np.arange(n) * 10**7, xyt
+
+
+MODEL = MotionModel(preset_named("typical").noise)
+
+
+def test_paths_stay_free_and_do_not_depend_on_their_company():
+    stamps, xyt = drive()
+    space = free_space(room((1.5, 0.3, 4.5, 0.5), (1.5, -0.5, 4.5, -0.3)), 0.15)
+    places = np.arange(len(xyt))
+    many = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(30), places=places)
+    assert space.free(many.xyt.reshape(-1, 3)[:, :2]).all()
+    assert many.redrawn > 0
+    alone = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(17, 18), places=places)
+    np.testing.assert_array_equal(alone.xyt[0], many.xyt[17])
+
+
+def test_robot_before_a_wall_stays_and_it_is_counted():
+    stamps, xyt = drive()
+    space = free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1)
+    paths = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(5), places=np.array([299]), check="path", tries=20)
+    assert (paths.xyt[:, 0, 0] < 2.0).all()
+    assert (paths.xyt[:, 0, 0] > 1.5).all()
+    assert paths.blocked > 100
+    assert "stayed where it was" in paths.account()

@@ -1,0 +1,105 @@
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packed import grid
+
+from odomcorrupt.bags.block import TABLE, Block, Channel
+from odomcorrupt.cli import run
+from odomcorrupt.errors import TopicError
+from odomcorrupt.mapping import recorded
+from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN
+from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.recorded import read_map_from_odom, read_recorded_map
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+GAZEBO, MAPS = SHARED / "real" / "rob521_gazebo.mcap", SHARED / "bags" / "maps"
+TURTLEBOT = SHARED / "bags" / "evo" / "nav2_turtlebot.mcap"
+
+needs_shared = pytest.mark.skipif(not MAPS.exists(), reason="shared data absent: no maps")
+
+
+def ends(path):
+    with path.open() as file:
+        return np.array([[float(row["x_m"]), float(row["y_m"])] for row in csv.DictReader(file)])
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("bag", "name", "pose"), [(GAZEBO, "rob521_gazebo.yaml", np.zeros(3)), (TURTLEBOT, "depot.yaml", None)]
+)
+def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, name, pose, tmp_path, capsys):
+    if not bag.exists():
+        pytest.skip(f"shared data absent: no {bag.name}")
+    arguments = ["sample", str(bag), "-n", "40", "--every", "1", "--seed", "3", "-o"]
+    where = [] if pose is None else ["--map-pose", "0,0,0"]
+    with_map = ["--map", str(MAPS / name), *where, "--robot-radius", "0.1", "--unknown", "free"]
+    assert run([*arguments, str(tmp_path / "with.csv"), *with_map]) == 0
+    assert "drawn again" in capsys.readouterr().err
+    assert run([*arguments, str(tmp_path / "without.csv")]) == 0
+    if pose is None:
+        pose = read_map_from_odom(bag, "map", "odom")
+    walls = free_space(read_map(MAPS / name), 0.0, unknown="free", map_from_odom=pose)
+    assert walls.free(ends(tmp_path / "with.csv")).all()
+    assert not walls.free(ends(tmp_path / "without.csv")).all()
+
+
+@needs_shared
+def test_lecture_star_is_not_reached_by_a_path(tmp_path):
+    arguments = ["sample", "--start", "4,1,20deg", "--end", "6,1.3,0", "--alpha", "0.3", "0.4", "0.2", "0.1"]
+    arguments += ["--map", str(MAPS / "rob521_gazebo.yaml"), "--unknown", "free", "--seed", "2", "-o"]
+    behind = {}
+    for check in ("endpoint", "path"):
+        assert run([*arguments, str(tmp_path / f"{check}.csv"), "--map-check", check]) == 0
+        xy = ends(tmp_path / f"{check}.csv")
+        # over the wall that ends at x = 5, further right than any straight way through the gap leads
+        behind[check] = int(((xy[:, 1] > 2.1) & (xy[:, 0] > 5.5)).sum())
+    assert behind["endpoint"] > 20
+    assert behind["path"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "word"),
+    [
+        (["--map", "/map"], 2, ".yaml"),
+        (["--map-pose", "0,0,0"], 2, "--map"),
+        (["--map", "gone.yaml"], 1, "gone.yaml"),
+    ],
+)
+def test_map_that_is_not_there_is_told_in_one_line(arguments, code, word, capsys):
+    assert run(["sample", "--seed", "1", *arguments]) == code
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert word in lines[0]
+
+
+def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
+    channel = Channel(1, "/map", "nav_msgs/msg/OccupancyGrid", "cdr")
+    messages = [grid(np.full((2, 3), 100)), grid(np.array([[0, 25, 26], [64, 65, -1]]))]
+    table = np.zeros(2, dtype=TABLE)
+    table["channel"], table["length"] = 1, [len(m) for m in messages]
+    table["offset"] = [0, len(messages[0])]
+
+    class Bag:
+        name = "bag"
+
+        def __init__(self):
+            self.channels = {1: channel}
+
+        def blocks(self):
+            yield Block(np.frombuffer(b"".join(messages), np.uint8).copy(), table)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(recorded, "open_reader", lambda _path: Bag())
+    found = read_recorded_map(Path("bag"), "map")
+    assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
+    assert found.frame_id == "map"
+    with pytest.raises(TopicError, match="found /map"):
+        read_recorded_map(Path("bag"), "/other")
