@@ -27,8 +27,12 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.pose import Array
     from odomcorrupt.study.approach import Approach
+    from odomcorrupt.study.drivers import Side
 
 __all__ = ["Problem", "pose_problem", "undo"]
+
+_TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
+"""What effects read of the true motion; speeds they read of the odometry's."""
 
 
 def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
@@ -40,18 +44,20 @@ def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
     if not effects:
         return recording
     raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
-    smooth = driving_motion(recording, "odometry")
-    known = ("acceleration", "x", "y", "theta", "distance")
-    steady = np.stack((smooth.v, smooth.vy, smooth.omega), axis=1)
-    motion = replace(raw, trail=steady, **{name: getattr(smooth, name) for name in known})
-    steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
-    more = np.zeros((len(motion), 3))
-    for effect in effects:
-        if effect.reads_truth and effect.kind != "noise":
-            more += error_of(effect, motion) * motion.dt_s[:, None]
-    whole = Increments(steps.ds_m + more[:, 0], steps.dl_m + more[:, 1], steps.dtheta_rad + more[:, 2])
-    xyt = accumulate(recording.odometry.xyt[0], whole)
-    return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+    left = recording
+    # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
+    for _ in range(2 if any(effect.reads_truth for effect in effects) else 1):
+        smooth = driving_motion(left, "odometry")
+        motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
+        steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
+        more = np.zeros((len(motion), 3))
+        for effect in effects:
+            if effect.reads_truth and effect.kind != "noise":
+                more += error_of(effect, motion) * motion.dt_s[:, None]
+        whole = Increments(steps.ds_m + more[:, 0], steps.dl_m + more[:, 1], steps.dtheta_rad + more[:, 2])
+        xyt = accumulate(recording.odometry.xyt[0], whole)
+        left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+    return left
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,8 +126,16 @@ def pose_problem(
         approach=approach,
         nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
         run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
-        motions=tuple(driving_motion(recording, approach.side) for recording in on_time),
+        motions=tuple(_seen(was, now, approach.side) for was, now in zip(on_time, left, strict=True)),
     )
+
+
+def _seen(was: Recording, now: Recording, side: Side) -> Motion:
+    """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
+    motion = driving_motion(was, side)
+    if now is was or side == "truth":
+        return motion
+    return replace(motion, acceleration=driving_motion(now, side).acceleration)
 
 
 def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
