@@ -8,12 +8,14 @@ few blocks borrow strength from the others, as limma does for few arrays).
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
+
+from odomcorrupt.effects.effect import parameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,6 +31,8 @@ __all__ = ["ColumnScore", "Score", "best_member", "block_of", "score_columns", "
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
 _PRIOR_DOF = 20.0
+_REFINEMENTS = (0.4, 0.2, 0.1)
+_WORTH_NATS = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,20 +115,35 @@ def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[Co
 
 
 def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
-    """Return the member of a family of shapes whose amplitudes explain most of what is left."""
+    """Return the shape that explains most of what is left: the best of a family, then refined step by step."""
     if len(family) == 1:
         return family[0]
     whiten = fit.noise.whitener.whiten
     r = fit.noise.innovations
     basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
     r = r - basis @ (basis.T @ r)
-    gains = []
-    for effect in family:
+
+    def gain(effect: Effect) -> float:
         column = whiten(fit.problem.columns(effect))
         column = column - basis @ (basis.T @ column)
-        estimate = np.linalg.lstsq(column, r, rcond=None)[0] if column.any() else np.zeros(column.shape[1])
-        gains.append(float((column @ estimate) @ r))
-    return family[int(np.argmax(gains))]
+        if not column.any():
+            return 0.0
+        return float((column @ np.linalg.lstsq(column, r, rcond=None)[0]) @ r)
+
+    gains = [gain(effect) for effect in family]
+    best, most = family[int(np.argmax(gains))], max(gains)
+    shapes = [p for p in parameters(best) if not p.amplitude]
+    for fraction in _REFINEMENTS:
+        better = True
+        while better:
+            better = False
+            for p in shapes:
+                for step in (-fraction * p.typical, fraction * p.typical):
+                    value = float(np.clip(getattr(best, p.name) + step, p.low, p.high))
+                    moved = replace(best, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
+                    if (new := gain(moved)) > most + _WORTH_NATS:
+                        best, most, better = moved, new, True
+    return best
 
 
 @dataclass(frozen=True, slots=True)
