@@ -1,0 +1,110 @@
+"""odomcorrupt convert-alpha: what the coefficients of one law are in another."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from odomcorrupt.model import Noise, Step
+
+__all__ = ["command"]
+
+ANGLE = "0.2rad"
+"""Completes a step that is a distance alone: nav2's update_min_a, beside its update_min_d of 0.25 m."""
+
+
+@click.command("convert-alpha", short_help="What the alphas of one law are in another.")
+@click.argument("alphas", nargs=-1, required=True, metavar="A1 A2 A3 A4")
+@click.option(
+    "--from", "source", required=True, metavar="LAW", help="Law of these alphas: diffusion, linear, quadratic."
+)
+@click.option("--to", "target", required=True, metavar="LAW", help="Law to convert them to.")
+@click.option("--step", metavar="STEP", help="Step a book law is applied to, as in 0.25m or 0.25m,0.2rad.")
+@click.option("--to-step", metavar="STEP", help="Step of the other law. [default: the same]")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def command(
+    alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, as_json: bool
+) -> None:
+    r"""Convert the alphas of one law to another that drifts the same on straight drives and on turns.
+
+    The book laws depend on the step they are applied to: amcl applies its one per update_min_d, a corrupted bag per
+    message unless --step says otherwise.
+
+    \b
+    odomcorrupt convert-alpha 0.2 0.2 0.2 0.2 --from quadratic --step 0.25m --to diffusion
+    odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion --to quadratic --to-step 0.25m,0.2rad
+    """
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.laws import law_named
+    from odomcorrupt.model import Noise, parse_alpha
+    from odomcorrupt.sampling.convert import convert
+
+    try:
+        law, other = law_named(source), law_named(target)
+        before = Noise(
+            source, law.coefficients([parse_alpha(a) for a in alphas]), _step(step) if law.per_step else None
+        )
+        after = convert(before, other, _step(to_step or step) if other.per_step else None)
+    except ModelError as error:
+        raise click.UsageError(str(error)) from error
+    click.echo(_json(before, after) if as_json else _text(before, after))
+
+
+def _step(text: str | None) -> Step | None:
+    from odomcorrupt.model import Step
+
+    if text is not None and re.fullmatch(r"\s*[\d.eE+-]+\s*m\s*", text):
+        text = f"{text},{ANGLE}"
+    return None if text is None else Step.parse(text)
+
+
+def _text(before: Noise, after: Noise) -> str:
+    import math
+
+    from odomcorrupt.sampling.account import law_words
+    from odomcorrupt.sampling.convert import drift_of
+
+    drift = drift_of(after)
+    flags = " ".join(f"{getattr(after.coefficients, name):.6g}" for name in after.law.alphas[: _needed(after)])
+    step = f" --step {after.step}" if after.step is not None else ""
+    heading, travel = math.degrees(math.sqrt(10.0 * drift.rot_trans)), math.sqrt(10.0 * drift.trans_trans)
+    turned, shifted = (math.sqrt(2.0 * math.pi * variance) for variance in (drift.rot_rot, drift.trans_rot))
+    per = [
+        f"10 m straight: heading {heading:.3g} deg, along {travel:.3g} m",
+        f"one turn on the spot: heading {math.degrees(turned):.3g} deg, along {shifted:.3g} m",
+    ]
+    return "\n".join(
+        [
+            f"{law_words(before)}",
+            "makes the same drift on straight drives and on turns as",
+            f"{law_words(after)}",
+            *(f"  {line} (1 sigma, both)" for line in per),
+            f"--law {after.law_name} --alpha {flags}{step}",
+        ]
+    )
+
+
+def _needed(noise: Noise) -> int:
+    """Return how many alphas must be typed: four, or up to the last that is not zero."""
+    values = [getattr(noise.coefficients, name) for name in noise.law.alphas]
+    return max(4, *(i + 1 for i, value in enumerate(values) if value)) if any(values) else 4
+
+
+def _json(before: Noise, after: Noise) -> str:
+    import dataclasses
+    import json
+
+    from odomcorrupt.sampling.convert import drift_of
+
+    sides = {
+        name: {
+            "law": noise.law_name,
+            "step": None if noise.step is None else str(noise.step),
+            "coefficients": dataclasses.asdict(noise.coefficients),
+        }
+        for name, noise in (("from", before), ("to", after))
+    }
+    return json.dumps({**sides, "variance_growth": dataclasses.asdict(drift_of(after))}, indent=1)

@@ -1,0 +1,96 @@
+"""What the coefficients of one law are in another.
+
+Two laws are taken for equal when they make the same drift on a straight drive and on a turn on the spot, per metre and
+per radian. That fixes the four coefficients one by one: each of them is the only one that acts on its kind of error
+(heading, travel) in its kind of motion. Where a robot drives and turns at once the laws still differ: `linear` adds
+deviations, the others variances.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import ModelError
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import Noise, Step
+
+if TYPE_CHECKING:
+    from odomcorrupt.laws import Law
+
+__all__ = ["Drift", "convert", "drift_of"]
+
+ANY_STEP = Step(1.0, 1.0)
+"""For laws that are the same at every step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """How fast variances grow: per metre of a straight drive, per radian of a turn on the spot.
+
+    rot_trans : rad^2/m; trans_trans, across_trans : m^2/m; rot_rot : rad^2/rad; trans_rot : m^2/rad
+    """
+
+    rot_rot: float
+    rot_trans: float
+    trans_trans: float
+    trans_rot: float
+    across_trans: float
+
+
+def drift_of(noise: Noise) -> Drift:
+    """Return the drift a noise model makes, its law applied once per step.
+
+    Raises
+    ------
+    ModelError
+        Where a book law is applied once per message: what drift that makes depends on the rate.
+
+    """
+    law = noise.law
+    if law.per_step and noise.step is None:
+        raise ModelError(f"law {law.name}: its drift depends on the step; name it, as in --step 0.25m,0.2rad")
+    if noise.coefficients.white_v or noise.coefficients.white_omega:
+        raise ModelError("white noise on twists goes with time, not with distance; leave it out and give it again")
+    return _drift(law, noise.coefficients, noise.step or ANY_STEP)
+
+
+def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
+    """Return the noise of another law, applied once per step, that makes the same drift.
+
+    Raises
+    ------
+    ModelError
+        Where a step is missing, or the other law cannot make that drift.
+
+    """
+    if law.per_step and step is None:
+        raise ModelError(f"law {law.name}: its coefficients depend on the step; name it, as in --to-step 0.25m,0.2rad")
+    wanted = drift_of(noise)
+    nothing = Coefficients(0.0, 0.0, 0.0, 0.0)
+    found = {}
+    for field in dataclasses.fields(Drift):
+        value = getattr(wanted, field.name)
+        if not value:
+            continue
+        # variances are homogeneous in the coefficients: what one makes tells what any makes
+        unit = _drift(law, dataclasses.replace(nothing, **{field.name: 1.0}), step or ANY_STEP)
+        if not getattr(unit, field.name):
+            raise ModelError(f"law {law.name}: has no {field.name}; the drift of {value:g} from it cannot be converted")
+        found[field.name] = float((value / getattr(unit, field.name)) ** (1.0 / law.degree))
+    return Noise(law.name, dataclasses.replace(nothing, **found), step if law.per_step else None)
+
+
+def _drift(law: Law, k: Coefficients, step: Step) -> Drift:
+    none, far, half = np.zeros(1), np.array([step.distance_m]), np.array([step.angle_rad / 2.0])
+    straight, turn = law.rule(k, none, far, none), law.rule(k, half, none, half)
+    return Drift(
+        rot_rot=float(turn.rot1[0] + turn.rot2[0]) / step.angle_rad,
+        rot_trans=float(straight.rot1[0] + straight.rot2[0]) / step.distance_m,
+        trans_trans=float(straight.trans[0]) / step.distance_m,
+        trans_rot=float(turn.trans[0]) / step.angle_rad,
+        across_trans=float(straight.across[0]) / step.distance_m,
+    )
