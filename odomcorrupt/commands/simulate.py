@@ -4,24 +4,15 @@ from __future__ import annotations
 
 import io
 import sys
-from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._flaws import HEADINGS, size_of, what_is_wrong
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._recordings import need_study
-from odomcorrupt.errors import EffectError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from odomcorrupt.simulate.flaws import Hidden
 
 __all__ = ["command"]
-
-_HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 
 
 @click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen flaw.")
@@ -31,7 +22,7 @@ _HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
     "effects",
     multiple=True,
     metavar="hidden|none|NAME[:KEY=VALUE,...]",
-    help="What is wrong with the robot (repeatable). [default: hidden]",
+    help="What is wrong with the robot (repeatable; a wrong name lists all). [default: hidden]",
 )
 @click.option("--size", default="medium", show_default=True, help="Size of a drawn flaw: weak, medium, strong, number.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
@@ -87,14 +78,14 @@ def command(
     secret = output.with_suffix(".answer.toml") if answer is None else answer
     for path in (secret,) if piped else (output, secret):
         refuse_existing(path, overwrite=overwrite)
-    hidden, given = _what_is_wrong(effects, seed if robot is None else robot, heading)
+    hidden, given = what_is_wrong(effects, seed if robot is None else robot, heading)
     commands = None if drive is None else read_commands(drive)
     duration_s = duration or (600.0 if commands is None else commands.duration_s)
     run = simulate(
         seed,
         hidden.causes,
         duration_s=duration_s,
-        size=_size(size),
+        size=size_of(size),
         truth=truth,
         parameters=given,
         route=commands or route,
@@ -108,9 +99,9 @@ def command(
         "route": route if drive is None else drive.name,
         "duration_s": duration_s,
         "truth": truth,
-        "heading": next(name for name, source in _HEADINGS.items() if source == hidden.yaw_from),
+        "heading": next(name for name, source in HEADINGS.items() if source == hidden.yaw_from),
         "drive_type": drive_type,
-        "size": _size(size),
+        "size": size_of(size),
     }
     text = format_answer(run, seed, made)
     bag = io.BytesIO()
@@ -125,53 +116,3 @@ def command(
         f"{made['heading']}, nominal track {run.track_m} m; what is wrong is in {secret}",
         err=True,
     )
-
-
-def _what_is_wrong(
-    effects: Sequence[str], robot: int, heading: str | None
-) -> tuple[Hidden, dict[str, dict[str, float | str]]]:
-    """Return the causes asked for, and their parameters as far as these are given."""
-    from odomcorrupt.simulate.flaws import EVERY, Hidden, draw_causes, names_of, source_of_turns
-
-    source = _HEADINGS[heading] if heading else None
-    if not effects or "hidden" in effects:
-        if len(effects) > 1:
-            raise click.UsageError("--effect hidden: stands alone, since what else there is would be known")
-        return draw_causes(robot, source), {}
-    if "none" in effects:
-        if len(effects) > 1:
-            raise click.UsageError("--effect none: stands alone; leave it out or leave out the others")
-        return Hidden((), source or "encoders"), {}
-    given = dict(_parse(text) for text in effects)
-    try:
-        causes = names_of([text.partition(":")[0].strip() for text in effects])
-        chosen = source or source_of_turns(causes)
-    except EffectError as error:
-        raise click.UsageError(f"--effect {error}") from error
-    for name in causes:
-        if chosen not in EVERY[name].shows_with:
-            raise click.UsageError(f"--heading {heading}: {name} does not show with it; choose the other source")
-    return Hidden(causes, chosen), given
-
-
-def _parse(text: str) -> tuple[str, dict[str, float | str]]:
-    name, _, rest = text.partition(":")
-    values: dict[str, float | str] = {}
-    for part in rest.split(",") if rest else ():
-        key, equals, value = (piece.strip() for piece in part.partition("="))
-        if not equals:
-            raise click.UsageError(f"--effect {text}: {part!r} is not key=value; write as in wheel_scale:e=0.01")
-        try:
-            values[key] = radians(float(value[:-3])) if value.endswith("deg") else float(value)
-        except ValueError:
-            values[key] = value
-    return name.strip(), values
-
-
-def _size(text: str) -> float:
-    from odomcorrupt.simulate.flaws import SIZES
-
-    try:
-        return SIZES[text] if text in SIZES else float(text)
-    except ValueError as error:
-        raise click.UsageError(f"--size {text}: give weak, medium, strong or a number") from error

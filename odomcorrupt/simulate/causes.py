@@ -1,7 +1,6 @@
 """What can be wrong with the machine and is in the effects' table, with that table's names, parameters and signs.
 
-Each cause turns its drawn parameters into a changed `Robot`. To add one, write such a function and enter it in
-`CAUSES`.
+To add one, write a function that turns parameters into a changed `Robot` and enter it in `CAUSES`.
 """
 
 from collections.abc import Callable, Mapping
@@ -46,11 +45,12 @@ def _mark(robot: Robot, p: Mapping[str, Any]) -> Robot:
 
 
 def _wet(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"])
+    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=False)
     return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
 
 
-def _patch(path: np.ndarray, rng: np.random.Generator) -> Drawn:
+def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
+    """Draw a disc that a drive along `path` (complex, m) crosses often."""
     centre, radius_m = spot_on(path, rng)
     return {"x": centre.real, "y": centre.imag, "radius": radius_m}
 
@@ -121,15 +121,15 @@ CAUSES: dict[str, Cause] = {
     "side_slip": Cause(0.01, 0.05, positive("k"), _adds("k", "lateral_creep_s"), one_signed=True),
     "accel_slip": Cause(0.02, 0.06, positive("k"), _adds("k", "traction_s2_per_m"), one_signed=True),
     "speed_scale": Cause(0.008, 0.03, either_sign("k"), _adds("k", "growth_s_per_m")),
-    "region_slip": Cause(0.03, 0.1, positive("slip"), _wet, place=_patch),
+    "region_slip": Cause(0.03, 0.1, positive("slip"), _wet, place=on_path),
     "slope": Cause(0.008, 0.03, with_angle("creep", "direction"), _tilt),
     "turn_asymmetry": Cause(0.008, 0.03, either_sign("k"), _adds("k", "lean"), shows_with=WHEELS),
     "scale_drift": Cause(1e-5, 4e-5, either_sign("rate"), _adds("rate", "warming_per_s")),
     "backlash": Cause(0.003, 0.012, positive("travel"), _adds("travel", "gear_play_m"), one_signed=True),
     "slip_burst": Cause(
-        0.04,
-        0.15,
-        lambda rate, rng: {"rate": rate, "slip": rng.uniform(0.3, 0.7), "duration": rng.uniform(0.15, 0.5)},
+        0.02,
+        0.08,
+        lambda rate, rng: {"rate": rate, "slip": rng.uniform(0.3, 0.6), "duration": rng.uniform(0.1, 0.3)},
         _burst,
         one_signed=True,
     ),

@@ -35,10 +35,12 @@ class Strip:
 
 @dataclass(frozen=True, slots=True)
 class Slippery:
-    """A place where a wheel loses the part `slip` of the way it rolls."""
+    """A place where the part `slip` of the way rolled is lost: by each wheel that is in it, or by the whole axle."""
 
     place: Disc | Strip
     slip: float
+    by_wheel: bool
+    """Whether each wheel is asked where it is; else the middle of the axle speaks for both."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,9 +72,9 @@ def lose_by_place(
     keeps = []
     for (right_m, left_m), aside in zip(blocks_m, drifts, strict=True):
         facing = complex(np.cos(heading_rad), np.sin(heading_rad))
-        arm = 0.5j * robot.track_m * facing
         keep_right = keep_left = 1.0
         for patch in slippery:
+            arm = 0.5j * robot.track_m * facing * patch.by_wheel
             keep_right *= 1.0 - patch.slip * patch.place.holds(place - arm)
             keep_left *= 1.0 - patch.slip * patch.place.holds(place + arm)
         keeps.append((keep_right, keep_left))

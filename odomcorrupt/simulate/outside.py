@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulate.cause import Cause, Drawn, either_sign, spot_on, with_angle
-from odomcorrupt.simulate.causes import GYRO, WHEELS
-from odomcorrupt.simulate.floor import Slippery, Strip
+from odomcorrupt.simulate.cause import Cause, Drawn, either_sign, positive, spot_on, with_angle
+from odomcorrupt.simulate.causes import GYRO, WHEELS, on_path
+from odomcorrupt.simulate.floor import Disc, Slippery, Strip
 from odomcorrupt.simulate.robot import Robot
 
 
@@ -43,8 +43,14 @@ def _scrub(robot: Robot, p: Mapping[str, Any]) -> Robot:
     return replace(robot, scrub_s=p["k"])
 
 
+def _wet_patch(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    """Lay a patch at whose edge one wheel slips before the other: it kicks the robot round."""
+    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
+    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+
+
 def _wet_strip(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    patch = Slippery(Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"])
+    patch = Slippery(Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"], by_wheel=True)
     return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
 
 
@@ -94,5 +100,6 @@ OUTSIDE: dict[str, Cause] = {
         depends_on="time",
     ),
     "turn_scrub": Cause(0.02, 0.06, either_sign("k"), _scrub, shows_with=WHEELS, depends_on="yaw_rate"),
-    "wet_strip": Cause(0.03, 0.1, lambda slip, _: {"slip": slip}, _wet_strip, place=_across, depends_on="position"),
+    "wet_patch": Cause(0.03, 0.1, positive("slip"), _wet_patch, place=on_path, depends_on="position"),
+    "wet_strip": Cause(0.03, 0.1, positive("slip"), _wet_strip, place=_across, depends_on="position"),
 }

@@ -7,7 +7,7 @@ from mcap.writer import Writer
 
 from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulate import ROUTES, Commands, read_commands, simulate
-from odomcorrupt.simulate.bag import STORE
+from odomcorrupt.simulate.messages import STORE
 
 
 def driven(route, seed=6, duration_s=300.0):

@@ -71,6 +71,15 @@ def test_strip_takes_its_part_across_its_width():
     assert odom[-1, 0] - truth[-1, 0] == pytest.approx(0.2 / 0.9, abs=0.003)
 
 
+def test_patch_under_the_left_wheel_alone_turns_to_the_left():
+    x, y, heading = silent(None, None, (REST,), duration_s=10.0).truth_xyt[0]
+    centre = x + 1j * y + (4.0 + 0.65j) * np.exp(1j * heading)
+    patch = {"slip": 0.1, "x": centre.real, "y": centre.imag, "radius": 0.6}
+    odom, truth = both(silent("wet_patch", patch, STRAIGHT))
+    assert truth[-1, 2] > 0.05
+    assert abs(odom[-1, 2]) < 1e-9
+
+
 def test_each_says_what_its_error_depends_on():
     assert all(flaw.depends_on for flaw in OUTSIDE.values())
 
@@ -100,7 +109,7 @@ def test_impossible_causes_are_refused(causes):
         simulate(1, causes, duration_s=10.0)
 
 
-@pytest.mark.parametrize("cause", ["region_slip", "wet_strip"])
+@pytest.mark.parametrize("cause", ["region_slip", "wet_patch", "wet_strip"])
 def test_place_stays_where_it_is_for_other_drives_of_the_robot(cause):
     here = simulate(4, cause, duration_s=30.0)
     there = simulate(5, cause, duration_s=60.0, robot_seed=4)

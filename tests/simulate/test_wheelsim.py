@@ -21,8 +21,8 @@ from manoeuvres import (
 from mcap.reader import make_reader
 
 from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
-from odomcorrupt.simulate.bag import STORE
 from odomcorrupt.simulate.flaws import draw_parameters
+from odomcorrupt.simulate.messages import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {
@@ -35,6 +35,7 @@ OF_THE_SENSORS = {
 }
 OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed} | {
     "region_slip",
+    "wet_patch",
     "wet_strip",
     "slope",
     "overspeed_slip",
@@ -42,6 +43,7 @@ OF_ONE_SIGN = {name for name, flaw in EVERY.items() if flaw.one_signed} | {
 }
 SOON = {
     "region_slip": {"radius": 100.0},
+    "wet_patch": {"radius": 100.0},
     "wet_strip": {"width": 100.0},
     "slip_burst": {"rate": 1.0},
     "load_shift": {"time": 5.0},
