@@ -139,17 +139,19 @@ def _check_axes(here: Samples, there: Samples) -> None:
 def _check_turning(here: Samples, there: Samples) -> None:
     alike = likeness(here.trajectory(), there.trajectory(), min(_LAG_S, here.span_s / 2.0))
     near = np.abs(alike.lag_s) <= _NEAR_S
-    most, least = float(alike.turn.max()), float(alike.turn[near].min())
-    if least < -_CLEAR and most < 0.5 * abs(least):
+    best, flipped = int(np.argmax(alike.both)), int(np.argmin(np.where(near, alike.turn, 1.0)))
+    least, most = float(alike.turn[flipped]), float(alike.turn[near].max())
+    # drives that repeat themselves look mirrored half a period later: another clock must not explain it better
+    if least < -_CLEAR and most < 0.5 * abs(least) and alike.both[best] < alike.mirrored[flipped] + 0.02:
         raise RecordingError(
             f"{there.place}: turns right where the odometry turns left (yaw rates correlate by {least:.2f}): one of "
             "its axes is mirrored, or it has compass headings; flip it"
         )
-    best = int(np.argmax(alike.both))
     if alike.both[best] > _CLEAR and alike.both[near].max() < 0.5 * alike.both[best]:
+        side = "behind" if alike.lag_s[best] > 0.0 else "ahead of"
         raise RecordingError(
-            f"{there.place}: its clock is {-alike.lag_s[best]:.1f} s ahead of the odometry's (motions correlate by "
-            f"{alike.both[best]:.2f} there, {alike.both[near].max():.2f} as they are); say --truth-shift "
+            f"{there.place}: its clock is {abs(alike.lag_s[best]):.1f} s {side} the odometry's (motions correlate by "
+            f"{alike.both[best]:.2f} there, by {alike.both[near].max():.2f} as they are); say --truth-shift "
             f"{alike.lag_s[best]:.1f}"
         )
 

@@ -26,7 +26,8 @@ OUTLIER_S = 3.0
 """What lasts shorter than this between two jumps is an outlier, what lasts longer a stretch of its own."""
 _SPEED_S = 0.1
 _MARGIN = 4.0
-_SLACK = np.array([0.1, 0.3])
+_SLACK = (np.array([0.1, 0.3]), np.array([3.0, 1.5]))
+"""Least and largest slack, m and rad: what looks like more noise than the largest is two paths in one."""
 _SIGMAS = 20.0
 _LEVER_M = 1.0
 _MOST_JUMPS = 0.2
@@ -62,7 +63,7 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
     rate = _MARGIN * top
     if path is not odometry:
         rate[0] += _LEVER_M * top[1]
-    return Reach(rate, np.maximum(_SLACK, _SIGMAS * _noise(path)))
+    return Reach(rate, np.clip(_SIGMAS * _noise(path), *_SLACK))
 
 
 def stretches(path: Samples, reach: Reach) -> Stretches:

@@ -34,8 +34,13 @@ class Likeness:
 
     @property
     def both(self) -> Array:
-        """Likeness (k,) of a motion: turning of either sign counts, and speed with it."""
-        return (np.abs(self.turn) + self.speed) / 2.0
+        """Likeness (k,) of a motion."""
+        return (self.turn + self.speed) / 2.0
+
+    @property
+    def mirrored(self) -> Array:
+        """Likeness (k,) of a motion seen in a mirror."""
+        return (self.speed - self.turn) / 2.0
 
 
 def likeness(odometry: Trajectory, truth: Trajectory, reach_s: float, *, from_start: bool = False) -> Likeness:

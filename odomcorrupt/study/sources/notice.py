@@ -125,7 +125,9 @@ def _jumps_to_truth(odometry: Samples, truth: Samples) -> int:
     velocity = np.diff(p) / np.diff(t_s)
     sudden = np.abs(velocity[1:-1] - (velocity[:-2] + velocity[2:]) / 2.0) * np.diff(t_s)[1:-1]
     size = max(0.02, 20.0 * float(np.median(sudden)))
-    at = np.flatnonzero(sudden > size) + 1
+    # a jump shows in the steps beside it too, half as large
+    beside = np.maximum(np.concatenate(([0.0], sudden[:-1])), np.concatenate((sudden[1:], [0.0])))
+    at = np.flatnonzero((sudden > size) & (sudden > beside)) + 1
     if len(at) < _CORRECTIONS:
         return 0
     closer = error[at + 1] < error[at]

@@ -18,6 +18,7 @@ _DEGREE = np.pi / 180.0
 _CLEAR, _UNCLEAR = 0.9, 0.6
 _FEW = 12
 _CHORDS = 40
+_SPEED_S = 2.0
 _FASTEST = 60.0
 
 _READINGS = (
@@ -41,10 +42,13 @@ def check_itself(path: Samples) -> None:
         Where headings are degrees or mirrored, or the robot flies.
 
     """
-    dt = np.diff(path.seconds_since(int(path.stamps_ns[0])))
-    speed = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1) / dt
+    t_s = path.seconds_since(int(path.stamps_ns[0]))
+    later = np.searchsorted(t_s, t_s + _SPEED_S)
+    here = np.flatnonzero(later < len(t_s))
+    later = later[here]
+    speed = np.linalg.norm(path.xyz[later, :2] - path.xyz[here, :2], axis=1) / (t_s[later] - t_s[here])
     usual = float(np.median(speed[speed > 0.0])) if np.any(speed > 0.0) else 0.0
-    if usual > _FASTEST and path.span_s / len(path) < 1.0:
+    if usual > _FASTEST:
         raise RecordingError(
             f"{path.place}: it usually moves at {usual:.0f} m/s: millimetres for metres? Give metres, or name a CSV "
             "file's columns x_mm, y_mm"

@@ -1,0 +1,89 @@
+"""Recordings that others made: read without a false alarm, and what is odd about them is said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.study.sources import Source, read_runs
+
+DATA = Path(__file__).parents[4] / "shared" / "data"
+REAL = sorted((DATA / "real").glob("*.mcap"))
+
+pytestmark = pytest.mark.skipif(not REAL, reason="the recordings of shared/data are not here")
+
+
+@pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
+def test_every_real_recording_is_one_run_with_nothing_cut_or_refused(path):
+    (recording,) = read_runs(Source(path))
+    assert np.isnan(recording.truth.xyt[:, 2]).all() == path.stem.startswith("plaza")
+    said = " ".join(recording.notes)
+    assert not any(word in said for word in ("outlier", "reset", "jump", "filter", "set back", "headings turn exactly"))
+    assert ("a simulation without noise" in said) == path.stem.startswith("rob521")
+
+
+@pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
+def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypatch):
+    from odomcorrupt.study.sources import read
+
+    honest = read._read
+
+    def mirrored(source):
+        odometry, truth = honest(source)
+        flipped = truth.xyz * [1.0, -1.0, 1.0]
+        return odometry, type(truth)(
+            truth.place, truth.name, "", truth.stamps_ns, flipped, -truth.yaw_rad, truth.log_ns, truth.variance_m2
+        )
+
+    monkeypatch.setattr(read, "_read", mirrored)
+    with pytest.raises(OdomCorruptError, match="mirrored"):
+        read_runs(Source(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "said"),
+    [
+        ("evo/nav2_turtlebot.mcap", {"truth": "/tf:map.base_link"}, "77% of its steps are those of the odometry"),
+        ("evo/nav2_turtlebot.mcap", {}, "/amcl_pose: its name says localisation"),
+        ("evo/nav2_turtlebot.mcap", {}, "/odom: a gap of 1.8 s"),
+        ("robot_localization/test1.bag", {}, "/fix: metres east and north of its first fix"),
+    ],
+)
+def test_bags_as_found_say_what_is_odd_about_them(name, asked, said):
+    (recording,) = read_runs(Source(DATA / "bags" / name, **asked))
+    assert any(said in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "words"),
+    [
+        ("olin_tb4/macfirst_floor_take_2", {"truth": "/tf:odom.base_footprint"}, "it is the same odometry"),
+        ("olin_tb4/macfirst_floor_take_2", {}, "name one|Name one"),
+        ("evo/tf_example.bag", {"odom": "/tf:odom.base_link", "truth": "/tf:odom.base_footprint"}, "the same odometry"),
+        ("evo/tf_example", {"odom": "/tf:odom.base_link", "truth": "/tf:odom.base_footprint"}, "the same odometry"),
+        ("polimi/bag1.bag", {}, r"no topic that could be odometry \(found /robot/pose"),
+        ("malformed/unindexed.bag", {}, "not indexed"),
+        ("robot_localization/test2.bag", {}, r"no topic that could be truth \(found /imu/data"),
+    ],
+)
+def test_bags_that_hold_no_run_say_why(name, asked, words):
+    with pytest.raises(OdomCorruptError, match=words):
+        read_runs(Source(DATA / "bags" / name, **asked))
+
+
+def test_a_bag_of_three_compressions_gives_one_trajectory():
+    """Foxglove's turtles: the old tf/tfMessage type; one turtle's way as seen from the other."""
+    ways = []
+    for name in ("example", "example-lz4", "example-bz2"):
+        from odomcorrupt.study.sources.address import parse_address
+        from odomcorrupt.study.sources.bag import read_bag
+
+        path = DATA / "bags" / "foxglove_turtlesim" / f"{name}.bag"
+        ways.append(read_bag(path, name, {"truth": parse_address("/tf:turtle1.turtle2")})["truth"])
+    assert len(ways[0]) > 500
+    for way in ways[1:]:
+        assert np.array_equal(way.stamps_ns, ways[0].stamps_ns)
+        assert np.array_equal(way.xyz, ways[0].xyz)

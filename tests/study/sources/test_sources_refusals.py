@@ -1,0 +1,265 @@
+"""Bad input on the command line: exit code 1 and one line that says what, the value found, and the way out."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sourcebags import edges, topic, write
+from sourcedrive import START_NS, Rows, odometry, truth
+
+from odomcorrupt.cli import run
+from odomcorrupt.study.sources import Source, read_runs
+
+
+@pytest.fixture
+def refused(tmp_path, capsys):
+    """Write odometry and truth, run a command on them, return the line it ends with."""
+
+    def call(moved=None, real=None, *args, kind="PoseStamped", command="fit"):
+        first = topic("/odom", "Odometry", odometry() if moved is None else moved)
+        second = topic("/truth", kind, truth() if real is None else real)
+        bag = write(tmp_path / "run.mcap", first, second)
+        return ending([command, str(bag), *args], capsys)
+
+    return call
+
+
+def ending(words, capsys):
+    assert run(words) == 1
+    said = capsys.readouterr()
+    assert not said.out
+    *_, line = said.err.splitlines()
+    assert line.startswith("odomcorrupt: ")
+    return line
+
+
+def csv_file(path, rows, header="t,x,y,yaw", scale=1.0, yaw_scale=1.0, every=1):
+    lines = [header]
+    for stamp, xyz, yaw in list(zip(rows.stamps_ns.tolist(), rows.xyz, rows.yaw, strict=True))[::every]:
+        lines.append(f"{stamp // 10**9}.{stamp % 10**9:09d},{xyz[0] * scale},{xyz[1] * scale},{yaw * yaw_scale}")
+    path.write_text("\n".join(lines))
+    return path
+
+
+def test_too_short(refused):
+    line = refused(odometry(6.0), truth(6.0))
+    assert (
+        "run.mcap: /odom: lasts 5.9 s (5.9)" in line or "/odom: lasts 6.0 s; a study takes 10 s, better minutes" in line
+    )
+
+
+def test_too_few_poses_in_common(refused):
+    line = refused(real=truth().only(slice(None, None, 66)))
+    assert "/truth: only 15 of its 15 poses lie in the time that odometry and truth share; 20 and more" in line
+
+
+def test_no_motion(refused):
+    def still(rows):
+        noise = 1e-3 * np.random.default_rng(1).standard_normal(rows.xyz.shape)
+        return rows.having(xyz=noise, yaw=noise[:, 0])
+
+    assert "/odom: no motion: 1 mm and 0.4 deg in 30 s; record a drive" in refused(still(odometry()), still(truth()))
+
+
+def test_a_truth_that_stands_still(refused):
+    real = truth()
+    line = refused(real=real.having(xyz=real.xyz * 1e-3))
+    assert "/truth: stands still while the odometry moves over" in line
+
+
+def test_an_odometry_that_stands_still(refused):
+    moved = odometry()
+    line = refused(moved.having(xyz=moved.xyz * 1e-3, yaw=moved.yaw * 1e-3))
+    assert "/odom: stands still while the truth moves over" in line
+
+
+def test_no_overlap_says_both_spans_and_the_shift_that_makes_them_match(refused, tmp_path):
+    real = truth()
+    early = real.having(stamps_ns=real.stamps_ns - START_NS + 7_000_000_000)
+    line = refused(real=early)
+    assert "have no time in common: odometry is from 2023-11-14 22:13:20 to 2023-11-14 22:13:50 UTC" in line
+    assert "truth from 7.0 s to 37.0 s, their starts 53.9 years apart" in line
+    shift = float(line.split("the motions match with --truth-shift ")[1])
+    (recording,) = read_runs(Source(tmp_path / "run.mcap", truth_shift_s=shift))
+    assert abs(recording.truth.stamps_ns[0] - real.stamps_ns[0]) < 300_000_000
+
+
+def test_a_clock_that_is_many_seconds_off_within_the_overlap(refused, tmp_path):
+    real = truth(60.0)
+    line = refused(odometry(60.0), real.having(stamps_ns=real.stamps_ns + 14_000_000_000))
+    assert "/truth: its clock is 14.0 s ahead of the odometry's" in line
+    shift = float(line.split("say --truth-shift ")[1])
+    assert shift == pytest.approx(-14.0, abs=0.3)
+    assert len(read_runs(Source(tmp_path / "run.mcap", truth_shift_s=shift))) == 1
+
+
+def test_a_small_offset_is_left_to_the_fit(tmp_path):
+    real = truth()
+    late = real.having(stamps_ns=real.stamps_ns + 1_500_000_000)
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()), topic("/truth", "PoseStamped", late))
+    (recording,) = read_runs(Source(bag))
+    assert recording.truth.stamps_ns[0] == late.stamps_ns[0]
+
+
+def test_truth_identical_to_odometry(refused):
+    moved = odometry()
+    assert "/truth: says what /odom says (599 of 599 steps are equal): it is the same odometry" in refused(moved, moved)
+
+
+def test_a_copy_of_the_odometry_in_another_frame_is_no_truth_either(refused):
+    moved = odometry()
+    turned = moved.having(xyz=moved.xyz @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]) + 4.0)
+    assert "it is the same odometry" in refused(moved, turned.having(yaw=moved.yaw + np.pi / 2))
+
+
+def test_a_wrong_topic_names_the_near_miss(refused):
+    line = refused(None, None, "--truth", "/ground_trth")
+    assert "no topic /ground_trth (" in line
+    assert "did you mean /odom" not in line
+    assert "no topic /trut (did you mean /truth? found /odom, /truth). Name another with --truth." in refused(
+        None, None, "--truth", "/trut"
+    )
+
+
+def test_nothing_but_nan(refused):
+    real = truth()
+    assert "/truth: none of its 990 positions is a number" in refused(real=real.having(xyz=real.xyz * np.nan))
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "PointStamped"])
+def test_a_mirrored_axis(refused, kind):
+    real = truth()
+    line = refused(real=real.having(xyz=real.xyz * [1.0, -1.0, 1.0], yaw=-real.yaw), kind=kind)
+    assert "/truth: turns right where the odometry turns left (yaw rates correlate by -" in line
+    assert line.endswith("flip it")
+
+
+def test_a_path_that_is_mirrored_against_its_own_headings(refused):
+    real = truth()
+    line = refused(real=real.having(xyz=real.xyz * [1.0, -1.0, 1.0]))
+    assert "/truth: its headings turn the other way than its path does: an axis is mirrored" in line
+
+
+def test_y_up_axes(refused):
+    real = truth()
+    line = refused(real=real.having(xyz=real.xyz[:, [0, 2, 1]] * [1.0, 1.0, -1.0]), kind="PointStamped")
+    assert "/truth: moves in its x-z plane, not in x-y: y points up there; turn it so that z does" in line
+
+
+def test_a_hill_is_not_y_up(tmp_path):
+    real = truth()
+    xyz = real.xyz + np.outer(real.xyz[:, 0], [0.0, 0.0, 0.2])
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", odometry()),
+        topic("/truth", "PoseStamped", real.having(xyz=xyz)),
+    )
+    assert len(read_runs(Source(bag))) == 1
+
+
+def test_degrees_for_radians_in_a_table(tmp_path, capsys):
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
+    real = truth()
+    gt = csv_file(tmp_path / "gt.csv", real, yaw_scale=180 / np.pi)
+    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
+    assert "gt.csv: its headings are degrees, not radians; in a CSV file, name the column yaw_deg" in line
+    good = csv_file(tmp_path / "good.csv", real, "t,x,y,yaw_deg", yaw_scale=180 / np.pi)
+    (recording,) = read_runs(Source(bag, truth_path=good))
+    np.testing.assert_allclose(recording.truth.xyt[:, 2], real.yaw, atol=1e-9)
+
+
+def test_radians_under_the_name_of_degrees(tmp_path, capsys):
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
+    gt = csv_file(tmp_path / "gt.csv", truth(), "t,x,y,yaw_deg")
+    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
+    assert "gt.csv: its headings were taken for degrees, but are radians" in line
+
+
+def test_compass_headings_in_a_table(tmp_path, capsys):
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
+    real = truth()
+    gt = csv_file(tmp_path / "gt.csv", real.having(yaw=(90.0 - np.degrees(real.yaw)) % 360.0), "t,x,y,heading")
+    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
+    assert "gt.csv: its headings are degrees of a compass (clockwise)" in line
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres")])
+def test_other_units_of_length(tmp_path, capsys, scale, unit):
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", odometry()))
+    gt = csv_file(tmp_path / "gt.csv", truth(), scale=scale)
+    line = ending(["fit", str(bag), "--truth-bag", str(gt)], capsys)
+    assert f"{unit} for metres?" in line
+    assert "x_mm, y_mm" in line
+
+
+def test_both_in_millimetres(refused):
+    moved, real = odometry(), truth()
+    line = refused(moved.having(xyz=moved.xyz * 1e3), real.having(xyz=real.xyz * 1e3))
+    assert "/odom: it usually moves at" in line
+    assert "millimetres for metres?" in line
+
+
+def test_a_straight_drive_is_not_taken_for_anything_else(tmp_path):
+    def straight(rows):
+        x = np.linspace(0.0, 20.0, len(rows))
+        xyz = np.stack((x, 0.01 * np.sin(x), 0.0 * x), axis=1)
+        return Rows(rows.stamps_ns, xyz, 0.01 * np.cos(x))
+
+    moved, real = straight(odometry()), straight(truth())
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/truth", "PoseStamped", real))
+    assert len(read_runs(Source(bag))) == 1
+
+
+def test_a_sideways_robot_is_not_taken_for_a_mirrored_one(tmp_path):
+    """A mecanum platform whose heading has nothing to do with its course."""
+
+    def sideways(rows):
+        t = (rows.stamps_ns - START_NS) * 1e-9
+        return rows.having(yaw=0.8 * np.sin(0.7 * t + 1.0) - 0.02 * t)
+
+    moved, real = sideways(odometry()), sideways(truth())
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/truth", "PoseStamped", real))
+    assert len(read_runs(Source(bag))) == 1
+
+
+@pytest.mark.parametrize("command", ["fit", "diagnose", "learn"])
+def test_every_command_of_the_study_refuses_alike(refused, command):
+    moved = odometry()
+    assert "it is the same odometry" in refused(moved, moved, command=command)
+
+
+def test_a_text_file_alone_asks_for_the_truth(tmp_path, capsys):
+    table = csv_file(tmp_path / "odom.csv", odometry())
+    line = ending(["fit", str(table)], capsys)
+    assert "a text file holds one trajectory; name the truth's with --truth-bag" in line
+    line = ending(["fit", str(table), "--truth-bag", str(table), "--truth", "/gt"], capsys)
+    assert "is a text file, which has no topics; leave --truth /gt out" in line
+
+
+def test_a_missing_file_and_a_bag_without_either(tmp_path, capsys):
+    assert "none.mcap: cannot be opened: No such file" in ending(["fit", str(tmp_path / "none.mcap")], capsys)
+    bag = write(tmp_path / "tf.mcap", edges(truth(), "map", "base_link"))
+    line = ending(["fit", str(bag)], capsys)
+    assert "no topic that could be odometry (found /tf (tf2_msgs/TFMessage))" in line
+    assert "an edge of TF as --odom /tf:odom.base_link" in line
+
+
+def test_truth_files_are_one_for_all_or_one_for_each(tmp_path, capsys):
+    table = str(csv_file(tmp_path / "a.csv", odometry()))
+    assert run(["fit", table, table, table, "--truth-bag", table, "--truth-bag", table]) == 2
+    assert "2 --truth-bag for 3 recordings; name one for all, or one for each" in capsys.readouterr().err
+
+
+def test_a_recording_may_come_through_a_pipe(tmp_path, capsys, monkeypatch):
+    moved = odometry()
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), edges(moved, "map", "base_link"))
+
+    class Pipe:
+        buffer = io.BytesIO(Path(bag).read_bytes())
+
+    monkeypatch.setattr("sys.stdin", Pipe)
+    line = ending(["fit", "-", "--truth", "/tf:map.base_link"], capsys)
+    assert line.startswith("odomcorrupt: stdin: /tf:map.base_link: says what /odom says")
