@@ -28,7 +28,7 @@ ANGLE = "0.2rad"
 def command(
     alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, as_json: bool
 ) -> None:
-    r"""Convert the alphas of one law to another that drifts the same on straight drives and on turns.
+    """Convert the alphas of one law to another that drifts the same on straight drives and on turns.
 
     The book laws depend on the step they are applied to: amcl applies its one per update_min_d, a corrupted bag per
     message unless --step says otherwise.
@@ -36,7 +36,7 @@ def command(
     \b
     odomcorrupt convert-alpha 0.2 0.2 0.2 0.2 --from quadratic --step 0.25m --to diffusion
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion --to quadratic --to-step 0.25m,0.2rad
-    """
+    """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError
     from odomcorrupt.laws import law_named
     from odomcorrupt.model import Noise, parse_alpha

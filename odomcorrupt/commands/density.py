@@ -32,12 +32,12 @@ __all__ = ["command"]
 def command(
     output: Path | None, *, reading: str, poses: tuple[tuple[float, ...], ...], overwrite: bool, **given: Any
 ) -> None:
-    r"""Say how likely end poses of one motion are, in closed form, beside samples of it.
+    """Say how likely end poses of one motion are, in closed form, beside samples of it.
 
     \b
     odomcorrupt density -o density.png
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
-    """
+    """  # noqa: D301 - click wants a real backspace
     import numpy as np
 
     from odomcorrupt.errors import ModelError

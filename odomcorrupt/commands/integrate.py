@@ -46,14 +46,14 @@ _FILE = click.Path(path_type=Path)
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(input_: Path, output: Path | None, **given: Any) -> None:
-    r"""Integrate the velocities of a bag's odometry, and write them as its poses.
+    """Integrate the velocities of a bag's odometry, and write them as its poses.
 
     OUTPUT gets run 0, in the Odometry messages and the TF edges that go with them; everything else stays.
 
     \b
     odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
     odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
-    """
+    """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.drive.integrate import integrate, noisy_twists
     from odomcorrupt.drive.read import find_truth, read_drive, read_poses
     from odomcorrupt.drive.rewrite import rewrite_path

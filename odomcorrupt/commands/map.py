@@ -50,14 +50,14 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> None:
-    r"""Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
+    """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
 
     Says how thick the walls are in both, as the robot goes on.
 
     \b
     odomcorrupt map drive.mcap -o map.png
     odomcorrupt map drive.mcap --scan /scan --max-yaw-rate 0.1 --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
-    """
+    """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.thickness import WINDOW_M
     from odomcorrupt.rng import draw_seed

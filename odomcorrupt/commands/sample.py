@@ -36,7 +36,7 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: bool, **given: Any) -> None:
-    r"""Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
+    """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
 
     \b
     odomcorrupt sample -o banana.png                             # the article's example
@@ -45,7 +45,7 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
     odomcorrupt sample --end 1,0.3,20deg --alpha 0.05 0.02 0.05 0.01 -n 5000 -o ends.csv
     odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
-    """
+    """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.mapping.conditioned import move_sampled_in_map
     from odomcorrupt.rng import draw_seed, stream
     from odomcorrupt.sampling.account import Drawn, csv_text, json_text, report_text

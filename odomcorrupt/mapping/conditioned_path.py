@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
 from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.increments import increments
+from odomcorrupt.increments import Increments, increments
 from odomcorrupt.mapping.conditioned import MAX_TRIES
+from odomcorrupt.pose import compose, inverse
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -20,10 +22,10 @@ if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
 
-__all__ = ["FreePaths", "free_paths"]
+__all__ = ["FreePaths", "FreeRuns", "free_paths"]
 
 _AT_ONCE = 1024
-"""Increments whose normals are drawn together; drawn row by row, so it changes no number."""
+"""Increments that are held in memory together."""
 
 _FIRST_TRIES = 12
 
@@ -64,54 +66,107 @@ def free_paths(
     check: Check = "endpoint",
     tries: int = MAX_TRIES,
 ) -> FreePaths:
-    """Draw runs of a drive within free space.
+    """Draw runs of a whole drive within free space, and return them at places (k,) of its n poses.
+
+    See `FreeRuns`; stamps_ns is (n,), clean_xyt (n, 3) the odometry.
+    """
+    walkers = FreeRuns(model, space, seed=seed, runs=runs, check=check, tries=tries)
+    out = np.empty((len(runs), len(places), 3))
+    for begin in range(0, len(stamps_ns), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        here = (places >= begin) & (places < begin + _AT_ONCE)
+        out[:, here] = walkers.feed(stamps_ns[part], clean_xyt[part])[:, places[here] - begin]
+    return FreePaths(out, walkers.redrawn, walkers.blocked, (len(stamps_ns) - 1) * len(runs), tries)
+
+
+class FreeRuns:
+    """Runs of a drive that stay in free space, fed with the odometry batch by batch.
 
     Every increment is first drawn with the numbers that corruption draws for that run; where the pose it leads to is
     not free, it is drawn again from a stream of its own. So a run that meets no wall is the unconditioned run, and
-    a run is the same however many others are drawn.
+    a run is the same however many others are drawn and however the odometry is cut into batches.
 
-    Parameters
-    ----------
-    stamps_ns, clean_xyt
-        (n,) and (n, 3), the odometry.
-    model
-        Noise only: effects are no draws, and cannot be drawn again.
-    places
-        (k,) which of the n poses to return.
-
+    redrawn : increments so far that were not free at the first draw
+    blocked : increments of which no try was free: the robot stayed where it was, and turned
     """
-    if model.effects:
-        raise ModelError(f"--map: {model.effects[0].name} is no noise and cannot be drawn again; leave effects out")
-    if not space.free(clean_xyt[:1, :2])[0]:
-        x, y = clean_xyt[0, :2]
+
+    def __init__(
+        self,
+        model: MotionModel,
+        space: FreeSpace,
+        *,
+        seed: int,
+        runs: range,
+        check: Check = "endpoint",
+        tries: int = MAX_TRIES,
+    ) -> None:
+        if model.effects:
+            raise ModelError(f"--map: {model.effects[0].name} is no noise and cannot be drawn again; leave effects out")
+        self._noise, self._space = model.noise, space
+        self._own = [stream(seed, run, "noise") for run in runs]
+        again = [stream(seed, run, "map") for run in runs]
+        self._walk = _Walk(space, check, tries, again, 0.5 if model.noise.law.arc else 1.0)
+        self.restart()
+
+    @property
+    def redrawn(self) -> int:
+        """Increments that were drawn again."""
+        return self._walk.redrawn
+
+    @property
+    def blocked(self) -> int:
+        """Increments of which no try was free."""
+        return self._walk.blocked
+
+    def restart(self) -> None:
+        """Begin a new path: the next pose is a first pose, and unchanged."""
+        self._growth = StepGrowth()
+        self._last: tuple[int, Array, Array] | None = None
+
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Array:
+        """Return the runs (runs, n, 3) at the next n poses; stamps ascend. See `NoisyPath.feed`.
+
+        Raises
+        ------
+        MapError
+            Where the first pose is not free.
+
+        """
+        if self._last is None:
+            _must_be_free(self._space, clean_xyt[:1])
+            self._last = int(stamps_ns[0]), clean_xyt[0], np.repeat(clean_xyt[:1], len(self._own), axis=0)
+        before_ns, before_xyt, pose = self._last
+        poses = np.concatenate((before_xyt[None], clean_xyt))
+        dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
+        travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+        jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
+        whole = increments(poses)
+        # across a jump nothing is driven, but the odom frame's correction is held
+        steps = Increments(*(np.where(jump, 0.0, part) for part in (whole.ds_m, whole.dl_m, whole.dtheta_rad)))
+        grown = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
+        v = grown.variances
+        sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
+        bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
+        motion = np.column_stack((steps.ds_m, steps.dl_m, steps.dtheta_rad, bearing))
+        normals = np.stack([rng.standard_normal((len(motion), 4)) for rng in self._own], axis=1)
+        out = np.empty((len(pose), len(motion), 3))
+        for i in range(len(motion)):
+            if jump[i]:
+                pose = compose(compose(pose, inverse(poses[i])), poses[i + 1])
+            else:
+                pose = self._walk.on(pose, motion[i], sd[i], normals[i])
+            out[:, i] = pose
+        self._growth, self._last = grown.growth, (int(stamps_ns[-1]), clean_xyt[-1], pose)
+        return out
+
+
+def _must_be_free(space: FreeSpace, first_xyt: Array) -> None:
+    if not space.free(first_xyt[:, :2])[0]:
+        x, y = first_xyt[0, :2]
         raise MapError(
             f"the drive begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
             "--map-pose and --robot-radius"
         )
-    steps = increments(clean_xyt)
-    dt_s = np.diff(stamps_ns) * np.float64(1e-9)
-    v = noise_variances(model.noise, steps, dt_s, StepGrowth()).variances
-    walk = _Walk(space, check, tries, [stream(seed, run, "map") for run in runs], 0.5 if model.noise.law.arc else 1.0)
-    own = [stream(seed, run, "noise") for run in runs]
-    for rng in own:
-        rng.standard_normal(4)  # corruption draws for the first pose too, and leaves it
-    bearing = np.arctan2(steps.dl_m, steps.ds_m) * model.noise.law.along_travel
-    sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
-    pose = np.repeat(clean_xyt[:1], len(runs), axis=0)
-    out = np.empty((len(runs), len(places), 3))
-    wanted: dict[int, list[int]] = {}
-    for column, place in enumerate(places.tolist()):
-        wanted.setdefault(place, []).append(column)
-    out[:, wanted.get(0, [])] = pose[:, None]
-    for begin in range(0, len(steps), _AT_ONCE):
-        part = range(begin, min(begin + _AT_ONCE, len(steps)))
-        normals = np.stack([rng.standard_normal((len(part), 4)) for rng in own], axis=1)
-        for i in part:
-            step = np.array([steps.ds_m[i], steps.dl_m[i], steps.dtheta_rad[i], bearing[i]])
-            pose = walk.on(pose, step, sd[i], normals[i - begin])
-            if i + 1 in wanted:
-                out[:, wanted[i + 1]] = pose[:, None]
-    return FreePaths(out, walk.redrawn, walk.blocked, len(steps) * len(runs), tries)
 
 
 class _Walk:

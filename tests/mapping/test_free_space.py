@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
+from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import MapError
 from odomcorrupt.laws import Variances
 from odomcorrupt.mapping.conditioned import move_sampled_in_map
-from odomcorrupt.mapping.conditioned_path import free_paths
+from odomcorrupt.mapping.conditioned_path import FreeRuns, free_paths
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.model import MotionModel
@@ -134,3 +135,18 @@ def test_robot_before_a_wall_stays_and_it_is_counted():
     assert (paths.xyt[:, 0, 0] > 1.5).all()
     assert paths.blocked > 100
     assert "stayed where it was" in paths.account()
+
+
+def test_cut_into_batches_changes_no_bit_and_open_space_changes_nothing():
+    stamps, xyt = drive()
+    xyt[150:] += [3.0, 0.5, 1.0]  # a jump
+    narrow = free_space(room((1.0, 0.3, 1.6, 0.5), (1.0, -0.5, 1.6, -0.3)), 0.2)
+    whole = FreeRuns(MODEL, narrow, seed=1, runs=range(3)).feed(stamps, xyt)
+    cut = FreeRuns(MODEL, narrow, seed=1, runs=range(3))
+    parts = [cut.feed(stamps[i : i + 37], xyt[i : i + 37]) for i in range(0, 300, 37)]
+    np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
+    assert cut.redrawn > 0
+    wide = free_space(room(), 0.2, unknown="free")
+    for run, path in enumerate(FreeRuns(MODEL, wide, seed=1, runs=range(3)).feed(stamps, xyt)):
+        noisy = xyt + NoisyPath(MODEL, 1, run).feed(stamps, xyt).error_xyt
+        np.testing.assert_allclose(path, noisy, atol=1e-12)
