@@ -1,0 +1,261 @@
+"""Bags as other people recorded them: each goes through or is refused with the line that helps.
+
+They lie beside the repository, in ../shared/data/bags; without that folder these tests are skipped and say so. What is
+in a bag, before and after, is told by the rosbags library, and then by ROS 1's own rosbag and by @mcap/core.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.typesys import Stores, get_typestore
+
+from odomcorrupt.cli import run
+
+ROOT = Path(__file__).parent.parent
+BAGS = ROOT.parent / "shared" / "data" / "bags"
+FIXTURES = ROOT / "fixtures"
+ABSENT = f"no recordings in {BAGS}"
+
+TYPES = get_typestore(Stores.LATEST)
+
+TURTLE = ("--odom-frame", "world", "--base-frame", "turtle1")
+
+
+@dataclass(frozen=True)
+class Through:
+    """A bag that goes through: the topics that may change, and how the summary begins."""
+
+    path: str
+    moved: frozenset[str]
+    said: str
+    args: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Refused:
+    """A bag that is refused, and what the one line says."""
+
+    path: str
+    said: str
+    args: tuple[str, ...] = ()
+
+
+THROUGH = (
+    Through(
+        "robot_localization/test1.bag",
+        frozenset({"/husky_velocity_controller/odom"}),
+        "Moved: 3952 messages on /husky_velocity_controller/odom, no transform from odom",
+    ),
+    Through(
+        "robot_localization/test2.bag",
+        frozenset({"/jackal_velocity_controller/odom"}),
+        "Moved: 3060 messages on /jackal_velocity_controller/odom, no transform from odom",
+    ),
+    Through(
+        "evo/nav2_turtlebot.mcap",
+        frozenset({"/odom", "/tf"}),
+        "Moved: 2639 messages on /odom, 2639 transforms odom -> base_link, driven by /odom",
+    ),
+    Through(
+        "evo/tf_example.bag",
+        frozenset({"/tf"}),
+        "Moved: 517 transforms odom -> base_footprint, driven by TF odom -> base_footprint",
+        ("--odom-frame", "odom", "--base-frame", "base_footprint"),
+    ),
+    Through(
+        "evo/tf_example",
+        frozenset({"/tf"}),
+        "Moved: 517 transforms odom -> base_footprint",
+        ("--odom-frame", "odom", "--base-frame", "base_footprint"),
+    ),
+    Through(
+        "evo/tf_example/tf_example.db3",
+        frozenset({"/tf"}),
+        "Moved: 517 transforms odom -> base_footprint",
+        ("--odom-frame", "odom", "--base-frame", "base_footprint"),
+    ),
+    *(
+        Through(
+            f"foxglove_turtlesim/example{codec}.bag",
+            frozenset({"/tf"}),
+            "Moved: 1344 transforms world -> turtle1, 1344 transforms world -> turtle2",
+            TURTLE,
+        )
+        for codec in ("", "-lz4", "-bz2")
+    ),
+    *(
+        Through(
+            f"olin_tb4/macfirst_floor_take_2{file}",
+            frozenset({"/odom", "/tf"}),
+            "Moved: 920 messages on /odom, 953 transforms odom -> base_footprint, 953 transforms odom -> base_link",
+        )
+        for file in ("", "/macfirst_floor_take_2_0.db3")
+    ),
+)
+
+REFUSED = (
+    Refused("evo/tf_example.bag", "no nav_msgs/Odometry topic (found /tf, /tf_static); to corrupt TF alone, name its"),
+    Refused("evo/tf_example", "no nav_msgs/Odometry topic (found /tf, /tf_static); to corrupt TF alone, name its"),
+    Refused("foxglove_turtlesim/example.bag", "to corrupt TF alone, name its edge with --odom-frame and --base-frame"),
+    Refused(
+        "foxglove_turtlesim/example.bag",
+        "(TF has turtle1 -> ",
+        ("--odom-frame", "odom", "--base-frame", "base_link"),
+    ),
+    Refused("polimi/bag1.bag", "no nav_msgs/Odometry topic (found /robot/pose, /wheel_states); there is nothing to"),
+    Refused("malformed/unindexed.bag", "is not indexed, its recording was never closed; --recover reads it"),
+    Refused("olin_tb4", "is a directory without a bag in it"),
+    Refused("maps/depot.yaml", "which is no MCAP, ROS 1 bag or ROS 2 bag"),
+)
+
+
+def messages(path):
+    """Return (topic, log time, bytes) of every message, as the rosbags library reads them."""
+    # AnyReader refuses a bag for one incomplete definition, which the office has on purpose
+    one = Ros1Reader(path) if path.suffix == ".bag" else AnyReader([path], default_typestore=TYPES)
+    with one as reader:
+        return sorted((c.topic, time_ns, bytes(data)) for c, time_ns, data in reader.messages())
+
+
+@pytest.fixture
+def corrupt(tmp_path, capsys):
+    """Corrupt a bag of that folder; return exit code, what was said, and the output."""
+
+    def call(path, *args):
+        if not BAGS.exists():
+            pytest.skip(ABSENT)
+        target = tmp_path / Path(path).name
+        code = run([str(BAGS / path), str(target), "--seed", "7", *args])
+        return code, capsys.readouterr().err, target
+
+    return call
+
+
+def test_every_bag_of_the_folder_is_tried():
+    if not BAGS.exists():
+        pytest.skip(ABSENT)
+    found = {path.relative_to(BAGS).as_posix() for kind in ("bag", "mcap", "db3") for path in BAGS.rglob(f"*.{kind}")}
+    assert found == {case.path for case in (*THROUGH, *REFUSED)} & found
+
+
+@pytest.mark.parametrize("case", THROUGH, ids=lambda case: case.path)
+def test_it_goes_through_and_what_is_not_moved_is_bit_identical(corrupt, case):
+    code, said, target = corrupt(case.path, *case.args)
+    assert (code, said[: len(case.said)]) == (0, case.said)
+    before, after = messages(BAGS / case.path), messages(target)
+    assert Counter((topic, time_ns, len(data)) for topic, time_ns, data in before) == Counter(
+        (topic, time_ns, len(data)) for topic, time_ns, data in after
+    )
+    assert [m for m in before if m[0] not in case.moved] == [m for m in after if m[0] not in case.moved]
+    changed = {topic for topic, _, _ in set(after) - set(before)}
+    assert changed == case.moved
+
+
+@pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.path)
+def test_it_is_refused_in_one_line_and_leaves_nothing(corrupt, case, tmp_path):
+    code, said, _ = corrupt(case.path, *case.args)
+    assert code == 1
+    assert said.startswith(f"odomcorrupt: {BAGS / case.path.split('/')[0]}")
+    assert case.said in said
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_bag_that_was_never_closed_is_read_on_request(corrupt):
+    code, said, target = corrupt("malformed/unindexed.bag", "--recover")
+    assert code == 0, "nothing is lost: all its chunks are whole"
+    assert said.startswith("Moved: 608 messages on odom_est")
+    assert len([topic for topic, _, _ in messages(target) if topic == "odom_est"]) == 608
+
+
+def debian():
+    """Return a Python that has ROS 1's own rosbag, or skip."""
+    python = shutil.which("python3", path="/usr/bin")
+    if python is None or subprocess.run([python, "-c", "import rosbag"], capture_output=True, check=False).returncode:
+        pytest.skip("no ROS 1 rosbag installed (python3-rosbag)")
+    return python
+
+
+def node():
+    """Return an environment in which node finds @mcap/core, or skip."""
+    beside = ROOT.parent / "node" / "node_modules"
+    environment = os.environ | {"NODE_PATH": os.pathsep.join(filter(None, (os.environ.get("NODE_PATH"), str(beside))))}
+    program = shutil.which("node")
+    if program is None or subprocess.run(
+        [program, "-e", 'require("@mcap/core"); require("@mcap/support"); require("@mcap/nodejs")'],
+        env=environment, capture_output=True, check=False,
+    ).returncode:  # fmt: skip
+        pytest.skip("no node with @mcap/core, @mcap/support and @mcap/nodejs on NODE_PATH")
+    return environment
+
+
+ROS1_PROGRAM = """
+import collections, json, sys, rosbag
+bag = rosbag.Bag(sys.argv[1])
+counts = collections.Counter(topic for topic, _, _ in bag.read_messages(topics=sys.argv[2:]))
+print(json.dumps(counts))
+"""
+
+NODE_PROGRAM = """
+const {McapIndexedReader} = require("@mcap/core");
+const {loadDecompressHandlers} = require("@mcap/support");
+const {FileHandleReadable} = require("@mcap/nodejs");
+const {open} = require("fs/promises");
+(async () => {
+  const file = await open(process.argv[1]);
+  const decompressHandlers = await loadDecompressHandlers();
+  const reader = await McapIndexedReader.Initialize({readable: new FileHandleReadable(file), decompressHandlers});
+  const counts = {};
+  for await (const message of reader.readMessages()) {
+    const topic = reader.channelsById.get(message.channelId).topic;
+    counts[topic] = (counts[topic] ?? 0) + 1;
+  }
+  console.log(JSON.stringify(counts));
+  await file.close();
+})();
+"""
+
+
+def sources(suffix, codecs):
+    """Return the office in each compression and the bags of others in their own, of that kind, and their options."""
+    office = FIXTURES / f"office{suffix}"
+    ours = [pytest.param(office, ("--compression", codec), id=f"{office.name}-{codec}") for codec in codecs]
+    theirs = [case for case in THROUGH if case.path.endswith(suffix)]
+    return ours + [pytest.param(BAGS / case.path, case.args, id=case.path) for case in theirs]
+
+
+@pytest.mark.parametrize(("source", "args"), sources(".bag", ("none", "lz4", "bz2")))
+def test_ros_1_itself_counts_the_same_messages(tmp_path, source, args):
+    python = debian()
+    if not source.exists():
+        pytest.skip(ABSENT)
+    assert run([str(source), str(tmp_path / "out.bag"), "--seed", "7", *args]) == 0
+    # the door's definition is incomplete on purpose, and rosbag cannot read what it cannot build
+    expected = Counter(topic for topic, _, _ in messages(source) if topic != "/door")
+    done = subprocess.run(
+        [python, "-c", ROS1_PROGRAM, tmp_path / "out.bag", *expected], capture_output=True, check=True
+    )
+    assert json.loads(done.stdout) == expected
+
+
+@pytest.mark.parametrize(
+    ("source", "args"), [*sources(".mcap", ("none", "lz4", "zstd")), *sources(".bag", ("none", "lz4", "zstd"))]
+)
+def test_mcaps_own_reader_counts_the_same_messages(tmp_path, source, args):
+    environment = node()
+    if not source.exists():
+        pytest.skip(ABSENT)
+    target = tmp_path / "out.mcap"
+    assert run([str(source), str(target), "--seed", "7", *args]) == 0
+    done = subprocess.run(["node", "-e", NODE_PROGRAM, target], env=environment, capture_output=True, check=True)
+    assert json.loads(done.stdout) == Counter(topic for topic, _, _ in messages(source))
