@@ -7,6 +7,7 @@ from packed import grid
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
+from odomcorrupt.commands._poses import POSE
 from odomcorrupt.errors import TopicError
 from odomcorrupt.mapping import recorded
 from odomcorrupt.mapping.free_space import free_space
@@ -16,6 +17,7 @@ from odomcorrupt.mapping.recorded import read_map_from_odom, read_recorded_map
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 GAZEBO, MAPS = SHARED / "real" / "rob521_gazebo.mcap", SHARED / "bags" / "maps"
+OLIN = SHARED / "bags" / "olin_tb4"
 TURTLEBOT = SHARED / "bags" / "evo" / "nav2_turtlebot.mcap"
 
 needs_shared = pytest.mark.skipif(not MAPS.exists(), reason="shared data absent: no maps")
@@ -28,20 +30,25 @@ def ends(path):
 
 @needs_shared
 @pytest.mark.parametrize(
-    ("bag", "name", "pose"), [(GAZEBO, "rob521_gazebo.yaml", np.zeros(3)), (TURTLEBOT, "depot.yaml", None)]
+    ("bag", "yaml", "pose"),
+    [
+        (GAZEBO, MAPS / "rob521_gazebo.yaml", "0,0,0"),
+        (TURTLEBOT, MAPS / "depot.yaml", None),  # TF says where odom is
+        # found by laying its scans onto its map
+        (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg"),
+    ],
 )
-def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, name, pose, tmp_path, capsys):
-    if not bag.exists():
-        pytest.skip(f"shared data absent: no {bag.name}")
-    arguments = ["sample", str(bag), "-n", "40", "--every", "1", "--seed", "3", "-o"]
-    where = [] if pose is None else ["--map-pose", "0,0,0"]
-    with_map = ["--map", str(MAPS / name), *where, "--robot-radius", "0.1", "--unknown", "free"]
+def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, yaml, pose, tmp_path, capsys):
+    if not (bag.exists() and yaml.exists()):
+        pytest.skip(f"shared data absent: no {bag.name} with its map")
+    arguments = ["sample", str(bag), "-n", "40", "--every", "0.5", "--seed", "3", "--alpha", *["0.1"] * 4, "-o"]
+    where = [] if pose is None else ["--map-pose", pose]
+    with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
     assert run([*arguments, str(tmp_path / "with.csv"), *with_map]) == 0
     assert "drawn again" in capsys.readouterr().err
     assert run([*arguments, str(tmp_path / "without.csv")]) == 0
-    if pose is None:
-        pose = read_map_from_odom(bag, "map", "odom")
-    walls = free_space(read_map(MAPS / name), 0.0, unknown="free", map_from_odom=pose)
+    found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))
+    walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
     assert walls.free(ends(tmp_path / "with.csv")).all()
     assert not walls.free(ends(tmp_path / "without.csv")).all()
 
