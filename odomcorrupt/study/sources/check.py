@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.sources.axes import check_plane, check_shape, check_turning
 from odomcorrupt.study.sources.likeness import likeness
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.pose import Array
     from odomcorrupt.study.sources.samples import Samples
 
 __all__ = ["SHORTEST_S", "check_pair"]
@@ -24,8 +24,6 @@ _FEWEST = 20
 _STILL_M, _STILL_RAD = 0.05, 0.1
 _MOVES_M = 1.0
 _SCALE = 20.0
-_LAG_S = 60.0
-_NEAR_S = 3.0
 _CLEAR = 0.7
 _DAY_S = 86_400.0
 _YEAR_S = 365.25 * _DAY_S
@@ -51,8 +49,9 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
                 f"share; {_FEWEST} and more are needed: record longer"
             )
     _check_motion(here, there)
-    _check_axes(here, there)
-    _check_turning(here, there)
+    check_plane(here, there)
+    check_turning(here, there)
+    check_shape(here, there)
 
 
 def _check_time(odometry: Samples, truth: Samples) -> None:
@@ -121,44 +120,6 @@ def _check_motion(here: Samples, there: Samples) -> None:
             f"{large.place}: covers {factor:.0f} times as much ground as {small.place}: {unit} for metres? Give "
             "metres, or name a CSV file's columns x_mm, y_mm"
         )
-
-
-def _check_axes(here: Samples, there: Samples) -> None:
-    """Refuse a truth that moves in a plane that is not x-y: its width in x-y then is nothing like the odometry's."""
-    wide = _width(here.xyz[:, :2])
-    if _width(there.xyz[:, :2]) > 0.25 * wide or wide < _STILL_M:
-        return
-    for up, plane in (("y", [0, 2]), ("x", [1, 2])):
-        if _width(there.xyz[:, plane]) > 0.5 * wide:
-            axes = "xyz"[plane[0]] + "-" + "xyz"[plane[1]]
-            raise RecordingError(
-                f"{there.place}: moves in its {axes} plane, not in x-y: {up} points up there; turn it so that z does"
-            )
-
-
-def _check_turning(here: Samples, there: Samples) -> None:
-    alike = likeness(here.trajectory(), there.trajectory(), min(_LAG_S, here.span_s / 2.0))
-    near = np.abs(alike.lag_s) <= _NEAR_S
-    best, flipped = int(np.argmax(alike.both)), int(np.argmin(np.where(near, alike.turn, 1.0)))
-    least, most = float(alike.turn[flipped]), float(alike.turn[near].max())
-    # drives that repeat themselves look mirrored half a period later: another clock must not explain it better
-    if least < -_CLEAR and most < 0.5 * abs(least) and alike.both[best] < alike.mirrored[flipped] + 0.02:
-        raise RecordingError(
-            f"{there.place}: turns right where the odometry turns left (yaw rates correlate by {least:.2f}): one of "
-            "its axes is mirrored, or it has compass headings; flip it"
-        )
-    if alike.both[best] > _CLEAR and alike.both[near].max() < 0.5 * alike.both[best]:
-        side = "behind" if alike.lag_s[best] > 0.0 else "ahead of"
-        raise RecordingError(
-            f"{there.place}: its clock is {abs(alike.lag_s[best]):.1f} s {side} the odometry's (motions correlate by "
-            f"{alike.both[best]:.2f} there, by {alike.both[near].max():.2f} as they are); say --truth-shift "
-            f"{alike.lag_s[best]:.1f}"
-        )
-
-
-def _width(plane: Array) -> float:
-    """Return the smaller of the two standard deviations of points (n, 2) about their axes."""
-    return float(np.linalg.svd(plane - plane.mean(axis=0), compute_uv=False)[-1] / np.sqrt(len(plane)))
 
 
 def _within(path: Samples, first: np.int64, last: np.int64) -> NDArray[np.bool_]:

@@ -18,6 +18,8 @@ __all__ = ["Likeness", "likeness"]
 _SMOOTHING_S = 0.5
 _MOST = 200_000
 _FASTEST = 3.0
+_HARDLY = 0.03
+"""Yaw rate (rad/s, root mean square) of a robot that drives sideways instead of turning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +59,19 @@ def likeness(odometry: Trajectory, truth: Trajectory, reach_s: float, *, from_st
         first, last = 0.0, max(a_s[-1], b_s[-1])
     step = max(0.1, (last - first) / _MOST)
     grid = np.arange(first, last, step)
-    one, other = _signals(a_s, odometry.xyt, grid), _signals(b_s, truth.xyt, grid)
+    turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, _SMOOTHING_S) ** 2))
+    by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _HARDLY
+    one, other = (_signals(t, path.xyt, grid, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth)))
     count = min(round(reach_s / step), len(grid) - 1)
     turn, speed = (_correlation(one[:, i], other[:, i], count) for i in (0, 1))
     return Likeness(np.arange(-count, count + 1) * step, speed, turn)
 
 
-def _signals(t_s: Array, xyt: Array, grid: Array) -> Array:
-    """Return yaw rate and speed (m, 2) on a grid, NaN where there is no path; courses stand in for headings."""
+def _signals(t_s: Array, xyt: Array, grid: Array, *, by_course: bool) -> Array:
+    """Return yaw rate and speed (m, 2) on a grid, NaN where there is no path; courses may stand in for headings."""
     world = slopes(t_s, xyt[:, :2], grid, _SMOOTHING_S)
     speed = np.linalg.norm(world, axis=1)
-    if np.isnan(xyt[:, 2]).all():
+    if by_course:
         # twice the course: it does not care whether the robot drives forwards or backwards
         course = 2.0 * np.arctan2(world[:, 1], world[:, 0])
         turn = np.gradient(np.unwrap(course), grid) / 2.0
@@ -75,7 +79,7 @@ def _signals(t_s: Array, xyt: Array, grid: Array) -> Array:
     else:
         turn = slopes(t_s, xyt[:, 2:], grid, _SMOOTHING_S)[:, 0]
     out = np.stack((np.clip(turn, -_FASTEST, _FASTEST), speed), axis=1)
-    out[:, 1] = np.minimum(out[:, 1], 3.0 * np.median(speed[speed > 0.0]) if np.any(speed > 0.0) else 1.0)
+    out[:, 1] = np.minimum(out[:, 1], 1.5 * np.percentile(speed, 95.0))
     out[(grid < t_s[0]) | (grid > t_s[-1])] = np.nan
     return out
 
