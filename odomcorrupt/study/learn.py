@@ -10,8 +10,10 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.approach import choose_approach
+from odomcorrupt.study.encoders import encoder_effects, refilled
+from odomcorrupt.study.events import slip_bursts
 from odomcorrupt.study.fit import Fit, believed_columns, fit
-from odomcorrupt.study.random_gain import RandomGain, random_gains
+from odomcorrupt.study.random_gain import WANDERING, RandomGain, random_gains
 from odomcorrupt.study.search import Candidate, Clocks, find_clocks, next_effect, ten_second_error
 from odomcorrupt.study.unknown import Unknown, unknown_dependences
 
@@ -26,6 +28,8 @@ __all__ = ["Learned", "Round", "learn"]
 
 _MOST = 6
 _MOST_NOISE = 2
+_PLAIN_NATS = 100.0
+"""What is counted in the odometry itself needs no statistics."""
 _DROP_NATS = 3.3
 ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
@@ -57,7 +61,7 @@ class Learned:
 
     clocks : those of the recordings
     rounds : looks in order; the last one added nothing, or the limit was reached
-    noise : wandering gains that were named and believed
+    noise : what encoders did, and wandering gains that were named and believed
     unknown : what no known effect explains
     fit : the final fit
     error_m : its position error after 10 s on the fitted data
@@ -81,6 +85,8 @@ def learn(
     recordings: Sequence[Recording], start: Sequence[Effect] = (), *, law_name: str = "diffusion", most: int = _MOST
 ) -> Learned:
     """Search from a model with the given effects; `most` bounds how many are added."""
+    encoders = encoder_effects(recordings[0])
+    recordings = [refilled(recording) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
     fitted = fit(
@@ -89,17 +95,17 @@ def learn(
         clocks=clocks.clocks,
         free_clocks=clocks.free,
         approach=approach,
-        random=[e for e in start if e.kind == "noise"],
+        random=[e for e in start if e.name in WANDERING],
     )
     rounds: list[Round] = []
-    noise: list[RandomGain] = []
+    noise = [RandomGain(effect, _PLAIN_NATS) for effect in encoders]
     while True:
         candidates = next_effect(fitted, clocks.free)
         best = candidates[0] if candidates and not candidates[0].refused else None
         believed = believed_columns(fitted.problem, clocks.free)
         unknown = unknown_dependences(fitted, believed) if best is None else []
         gain = _wandering(fitted, believed, best, unknown)
-        if gain is not None and len(noise) < _MOST_NOISE:
+        if gain is not None and len(fitted.random) < _MOST_NOISE:
             noise.append(gain)
             fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
             continue
@@ -109,6 +115,9 @@ def learn(
             break
         # believe it: robust weights are taken anew, because what looked like outliers may be explained now
         fitted = _again(best.fit, clocks, best.fit.effects, random=best.fit.random)
+    bursts = slip_bursts(fitted)
+    if bursts is not None:
+        noise.append(RandomGain(bursts, _PLAIN_NATS))
     fitted = _without_idlers(fitted, clocks, {e.name for e in start})
     return Learned(clocks, tuple(rounds), tuple(noise), tuple(unknown), fitted, ten_second_error(fitted))
 

@@ -26,10 +26,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.noise_fit import NoiseFit
     from odomcorrupt.study.problem import Problem
 
-__all__ = ["NAMED_NATS", "RandomGain", "random_gains", "with_random"]
+__all__ = ["NAMED_NATS", "WANDERING", "RandomGain", "random_gains", "with_random"]
 
 NAMED_NATS = 6.0
 """Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
+WANDERING = ("gauss_markov", "gyro_bias_walk")
+"""Random effects that a fit can believe."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _MOST_KNOTS = 240
 _WALK_S = 20.0

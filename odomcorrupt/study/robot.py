@@ -10,8 +10,10 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model import MotionModel, Noise, Setup
 from odomcorrupt.study.approach import choose_approach
+from odomcorrupt.study.encoders import refilled
 from odomcorrupt.study.fit import Fit, believed_columns, fit
 from odomcorrupt.study.intervals import Interval, coefficient_intervals
+from odomcorrupt.study.random_gain import WANDERING
 from odomcorrupt.study.search import Clocks, find_clocks, ten_second_error
 
 if TYPE_CHECKING:
@@ -61,11 +63,25 @@ def fit_robot(
     start: MotionModel | None = None,
     clocks: Clocks | None = None,
 ) -> RobotFit:
-    """Fit clocks (unless they are known already), effects and noise to recordings of one robot."""
+    """Fit clocks (unless they are known already), effects and noise to recordings of one robot.
+
+    Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
+    """
+    random = [e for e in effects if e.kind == "noise"]
+    effects = [e for e in effects if e.kind != "noise"]
+    if any(e.name == "lost_increments" for e in random):
+        recordings = [refilled(recording) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     if clocks is None:
         clocks = find_clocks(recordings, approach)
-    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
+    fitted = fit(
+        recordings,
+        effects,
+        clocks=clocks.clocks,
+        free_clocks=clocks.free,
+        approach=approach,
+        random=[e for e in random if e.name in WANDERING],
+    )
     intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
@@ -73,7 +89,7 @@ def fit_robot(
     error = ten_second_error(fitted)
     model = MotionModel(
         noise=Noise(law_name, fitted.noise.coefficients, start.noise.step if start is not None else None),
-        effects=tuple(e for e in fitted.effects if e.kind != "setup"),
+        effects=(*(e for e in fitted.effects if e.kind != "setup"), *random),
         track_m=recordings[0].track_m if recordings[0].track_m is not None else (start.track_m if start else None),
         setup=Setup(
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),

@@ -1,0 +1,89 @@
+"""What the encoders did, seen in the odometry alone: increments that were lost, and coarse ticks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.increments import Increments, accumulate, increments
+from odomcorrupt.study.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.trajectory import Recording
+
+__all__ = ["encoder_effects", "refilled"]
+
+_MOVING_MPS = 0.05
+_FEWEST_LOST = 5
+_LEAST_LOST = 5e-4
+_STEPS_M = np.geomspace(1e-3, 0.05, 1200)
+"""Ticks finer than a millimetre bound the error to less than the truth can tell."""
+_LATTICE = 0.9
+
+
+def encoder_effects(recording: Recording) -> list[Effect]:
+    """Return lost increments and coarse ticks where the odometry shows them, with their parameters."""
+    step = _tick(recording, recording.track_m) if recording.track_m is not None else None
+    if step is not None:
+        # coarse ticks stand still between two counts: nothing is lost there
+        return [effect_from_values("quantization", {"step": step})]
+    lost, moving = _lost(recording)
+    if lost.sum() >= _FEWEST_LOST and lost.sum() > _LEAST_LOST * moving:
+        return [effect_from_values("lost_increments", {"fraction": float(lost.sum() / moving)})]
+    return []
+
+
+def refilled(recording: Recording) -> Recording:
+    """Return the recording with lost increments, if any, filled with the mean of their neighbours."""
+    if not any(effect.name == "lost_increments" for effect in encoder_effects(recording)):
+        return recording
+    lost, _ = _lost(recording)
+    steps = increments(recording.odometry.xyt)
+    rows = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
+    at = np.flatnonzero(lost)
+    rows[at] = 0.5 * (rows[at - 1] + rows[at + 1])
+    xyt = accumulate(recording.odometry.xyt[0], Increments(*np.ascontiguousarray(rows.T)))
+    return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+
+
+def _lost(recording: Recording) -> tuple[NDArray[np.bool_], int]:
+    """Return which increments (n,) stand still alone between neighbours that move, and how many move at all."""
+    steps = increments(recording.odometry.xyt)
+    speed = np.hypot(steps.ds_m, steps.dl_m) / np.diff(recording.odometry_s)
+    still = (np.abs(steps.ds_m) < 1e-12) & (np.abs(steps.dl_m) < 1e-12) & (np.abs(steps.dtheta_rad) < 1e-12)
+    moving = speed > _MOVING_MPS
+    lost = np.zeros(len(steps), dtype=bool)
+    lost[1:-1] = still[1:-1] & moving[:-2] & moving[2:]
+    return lost, max(int(moving.sum() + lost.sum()), 1)
+
+
+def _tick(recording: Recording, track_m: float) -> float | None:
+    """Return the wheel travel of a tick, where the increments of both wheels lie on a lattice."""
+    steps = increments(recording.odometry.xyt)
+    turn = steps.dtheta_rad * track_m / 2.0
+    lattices = []
+    for travel in (steps.ds_m + turn, steps.ds_m - turn):
+        moved = travel[np.abs(travel) > 1e-6][:4000]
+        if len(moved) < 200:
+            return None
+        lattices.append(_regularity(moved))
+    common = np.minimum(*lattices)
+    on = np.flatnonzero(common > _LATTICE)
+    if not len(on):
+        return None
+    # a lattice of s is one of s/2, too: the coarsest is meant, at its own peak
+    last = on[-1]
+    near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
+    return float(_STEPS_M[near[np.argmax(common[near])]])
+
+
+def _regularity(travel: Array) -> Array:
+    """Return how much travel (n,) clusters at multiples of each step: 1 for a lattice, about 0 for none."""
+    return np.array([abs(np.mean(np.exp(2j * np.pi * travel / step))) for step in _STEPS_M])
