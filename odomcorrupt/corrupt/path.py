@@ -9,7 +9,7 @@ batches gives the same bits.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
 
-__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath"]
+__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "PathSource"]
 
 JUMP_SPEED = 20.0
 """A clean pose that moves faster than this, m/s, was set and not driven: no noise is drawn across it."""
@@ -69,6 +69,16 @@ class Knots:
         shift_x = self.error_xyt[:, 0] - (less * x - s * y)
         shift_y = self.error_xyt[:, 1] - (s * x + less * y)
         return np.stack((shift_x, shift_y, turn), axis=1)
+
+
+class PathSource(Protocol):
+    """Whoever says where odometry is moved to: clean poses in, in time order and batch by batch; knots out."""
+
+    def restart(self) -> None:
+        """Begin a new path."""
+
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+        """Return where the next n poses go."""
 
 
 class NoisyPath:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.corrupt.drift import PathWatcher
     from odomcorrupt.corrupt.patch import Changes
+    from odomcorrupt.corrupt.path import PathSource
     from odomcorrupt.corrupt.targets import Frames, Side
     from odomcorrupt.model import MotionModel
 
@@ -84,9 +85,20 @@ class _Held:
 
 
 class Transform:
-    """One run of one model over one bag."""
+    """One run of one model over one bag.
 
-    def __init__(self, model: MotionModel, seed: int, run: int = 0, options: Options | None = None) -> None:
+    path : where the odometry is moved to, in place of the noisy path that the model draws
+    """
+
+    def __init__(
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int = 0,
+        options: Options | None = None,
+        *,
+        path: PathSource | None = None,
+    ) -> None:
         self.options = Options() if options is None else options
         self.model = model
         self.order = TimeOrder()
@@ -97,7 +109,7 @@ class Transform:
         self.seen: set[int] = set()
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
-        self._path = NoisyPath(model, seed, run)
+        self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
         self._curve = Curve()
         self._now_ns = -(2**62)
         self._first_ns: int | None = None

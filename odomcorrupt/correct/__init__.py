@@ -1,0 +1,1 @@
+"""Measured odometry with the systematic part of its errors taken out."""

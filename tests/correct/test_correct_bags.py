@@ -1,0 +1,158 @@
+"""Whole bags: corrupted with effects, corrected again, compared with what they were; and what the command says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_contents import rows_of
+
+from odomcorrupt.cli import run
+from odomcorrupt.pose import wrap
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+EDGE = ("odom", "base_link")
+BAGS = ["office.bag", "office.mcap", "office_ros2"]
+EFFECTS = ["unequal_wheels:curvature=0.02", "gyro_bias:bias=0.004", "accel_slip:k=0.03", "slope:creep=0.02"]
+NOISE = """schema = 1
+[noise]
+law = "diffusion"
+rot_rot = 0.05
+rot_trans = 0.03
+trans_trans = 0.05
+trans_rot = 0.02
+"""
+
+
+def flags(effects):
+    return [word for effect in effects for word in ("--effect", effect)]
+
+
+def differ(ours, theirs):
+    off = ours - theirs
+    off[:, 2] = wrap(off[:, 2])
+    return np.abs(off).max()
+
+
+@pytest.fixture(scope="module", params=BAGS)
+def trio(request, tmp_path_factory):
+    """A bag, the same one corrupted by effects, and that one corrected."""
+    folder = tmp_path_factory.mktemp("trio")
+    source, wrong, right = FIXTURES / request.param, folder / f"w_{request.param}", folder / f"r_{request.param}"
+    assert run([str(source), str(wrong), *flags(EFFECTS)]) == 0
+    assert run(["correct", str(wrong), str(right), *flags(EFFECTS)]) == 0
+    return source, wrong, right
+
+
+def test_poses_come_back(trio):
+    was, wrong, right = (rows_of(path, "/odom") for path in trio)
+    assert differ(wrong.xyt, was.xyt) > 0.1
+    assert differ(right.xyt, was.xyt) < 1e-6
+    assert np.array_equal(right.stamps_ns, was.stamps_ns)
+
+
+def test_twists_come_back(trio):
+    was, wrong, right = (rows_of(path, "/odom").twist for path in trio)
+    assert np.abs(wrong - was).max() > 0.003
+    np.testing.assert_allclose(right, was, atol=1e-6)
+
+
+def test_transforms_agree_with_the_odometry(trio):
+    was, wrong, right = (rows_of(path, "/tf", EDGE) for path in trio)
+    assert differ(wrong.xyt, was.xyt) > 0.1
+    assert differ(right.xyt, was.xyt) < 1e-6
+    odometry = rows_of(trio[2], "/odom")
+    shared, ours, theirs = np.intersect1d(odometry.stamps_ns, right.stamps_ns, return_indices=True)
+    assert len(shared) > 10
+    assert differ(odometry.xyt[ours], right.xyt[theirs]) < 1e-9
+
+
+def test_covariances_stay_where_the_model_has_no_noise(trio):
+    was, _, right = (rows_of(path, "/odom") for path in trio)
+    assert np.array_equal(was.pose_covariance, right.pose_covariance)
+
+
+@pytest.mark.parametrize("choice", ["model", "keep"])
+def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, capsys):
+    (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')
+    args = ["correct", str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), "--covariance", choice]
+    assert run([*args, "--model", str(tmp_path / "robot.toml")]) == 0
+    was, now = (rows_of(path, "/odom") for path in (FIXTURES / "office.mcap", tmp_path / "out.mcap"))
+    same = np.array_equal(was.pose_covariance, now.pose_covariance)
+    assert same == (choice == "keep")
+    if choice == "model":
+        heading = now.pose_covariance[:, 35]
+        assert heading[0] < 1e-8
+        assert (np.diff(heading) >= 0.0).all()
+        assert "What remains is noise" in capsys.readouterr().err
+
+
+def test_clocks_given_as_effects_are_put_right(tmp_path):
+    effects = ["time_offset:offset=0.25", "clock_skew:rate=0.0001", "wheel_scale:e=0.02"]
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    assert run([str(source), str(wrong), *flags(effects)]) == 0
+    assert run(["correct", str(wrong), str(right), *flags(effects)]) == 0
+    was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
+    assert (off.stamps_ns - was.stamps_ns).min() >= 250_000_000
+    assert np.abs(back.stamps_ns - was.stamps_ns).max() <= 1
+    assert differ(back.xyt, was.xyt) < 1e-6
+    edge = rows_of(right, "/tf", EDGE)
+    assert np.abs(edge.stamps_ns - rows_of(source, "/tf", EDGE).stamps_ns).max() <= 1
+
+
+def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys):
+    (tmp_path / "robot.toml").write_text(
+        f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n[[effect]]\nname = "gauss_markov"\nsigma = 0.02\n'
+        '[[effect]]\nname = "quantization"\nstep = 0.001\n[setup]\ntruth_xy = 0.001\n[[setup.effect]]\n'
+        'name = "lever_arm"\nx = 0.5\ny = 0.0\n[robot]\ntrack = 0.4\n'
+    )
+    out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
+    source = str(FIXTURES / "office.mcap")
+    assert run(["correct", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
+    said = capsys.readouterr().err
+    assert "Taken out: wheel_scale (e 0.02)." in said
+    assert "gauss_markov cannot be undone: it wandered at random" in said
+    assert "quantization cannot be undone: what fell between two ticks" in said
+    assert "[setup]" in said
+    assert "lever_arm" in said
+    assert run(["correct", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
+    assert np.array_equal(rows_of(out[0], "/odom").xyt, rows_of(out[1], "/odom").xyt)
+    assert run(["correct", source, str(tmp_path / "arm.mcap"), "--effect", "lever_arm:x=0.5,y=0"]) == 0
+    assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
+
+
+@pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
+def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
+    target = tmp_path / "out.mcap"
+    assert run(["correct", str(FIXTURES / "office.mcap"), str(target), *options]) == 0
+    assert target.read_bytes() == (FIXTURES / "office.mcap").read_bytes()
+    said = capsys.readouterr().err
+    assert said.startswith("Nothing to correct: ")
+    assert ("gauss_markov cannot be undone" in said) == bool(options)
+
+
+def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
+    assert run(["correct", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert "INPUT is a pipe" in said
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_pipe_can_be_written(tmp_path, capfdbinary):
+    effect = ["--effect", "wheel_scale:e=0.01"]
+    source = str(FIXTURES / "office.mcap")
+    assert run(["correct", source, "-", *effect]) == 0
+    piped = tmp_path / "piped.mcap"
+    piped.write_bytes(capfdbinary.readouterr().out)
+    assert run(["correct", source, str(tmp_path / "file.mcap"), *effect]) == 0
+    assert np.array_equal(rows_of(piped, "/odom").xyt, rows_of(tmp_path / "file.mcap", "/odom").xyt)
+
+
+def test_the_model_is_kept_in_the_output(trio):
+    right = trio[2]
+    if right.suffix == ".bag":
+        pytest.skip("a ROS 1 bag has no place for it that is not a topic")
+    files = [right] if right.is_file() else list(right.iterdir())
+    assert any(b"odomcorrupt_correct" in file.read_bytes() for file in files)
