@@ -26,8 +26,8 @@ def command(
     import json
 
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corrupt.portrait import portrait, portrait_text
-    from odomcorrupt.corrupt.survey import survey
+    from odomcorrupt.info.portrait import portrait, portrait_text
+    from odomcorrupt.info.survey import survey
 
     with open_reader(None if input_ == "-" else Path(input_)) as reader:
         seen = survey(reader)

@@ -37,9 +37,9 @@ def command(input_: str, output: Path | None, **given: Any) -> None:
     import json
 
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corrupt.forecast import forecast, read_clean_drive
-    from odomcorrupt.corrupt.forecast_text import forecast_json, forecast_text
     from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.preview.forecast import forecast, read_clean_drive
+    from odomcorrupt.preview.text import forecast_json, forecast_text
 
     chosen = choose_model(
         **{name: given[name] for name in ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")}

@@ -14,10 +14,13 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.path import Knots
     from odomcorrupt.pose import Array
 
-__all__ = ["LEG_M", "Drift", "DriftMeter", "PathWatcher"]
+__all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
 
 LEG_M = 10.0
 """Drift is told per this many metres: of the pose after them as seen from the pose before them."""
+
+MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
+"""Distances after which the drift of many runs is told, besides the end."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from odomcorrupt.report.figure import BLACK, BLUE, ORANGE, drawing, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.corrupt.forecast import Forecast
+    from odomcorrupt.preview.forecast import Forecast
 
 __all__ = ["draw_fan"]
 

@@ -6,13 +6,13 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corrupt.findings import disagreement_m, findings
 from odomcorrupt.corrupt.summary import SIDEWAYS, truth_tellers
 from odomcorrupt.corrupt.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.errors import TopicError
+from odomcorrupt.info.findings import disagreement_m, findings
 
 if TYPE_CHECKING:
-    from odomcorrupt.corrupt.survey import EdgeRecord, OdometryRecord, Survey
+    from odomcorrupt.info.survey import EdgeRecord, OdometryRecord, Survey
 
 __all__ = ["SCHEMA", "portrait", "portrait_text"]
 

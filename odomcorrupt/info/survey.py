@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corrupt.covariance_watch import CovarianceWatch
 from odomcorrupt.corrupt.driver import stamps_or_log_ns
 from odomcorrupt.corrupt.patch import PLANAR
 from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
+from odomcorrupt.info.covariance_watch import CovarianceWatch
 from odomcorrupt.pose import yaw_from_quaternion
 
 if TYPE_CHECKING:

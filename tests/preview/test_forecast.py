@@ -11,12 +11,12 @@ from drives import model, office, silent
 from test_run import FIXTURES
 
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.forecast import CleanDrive, forecast, read_clean_drive
-from odomcorrupt.corrupt.forecast_text import forecast_json, forecast_text
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
+from odomcorrupt.preview.forecast import CleanDrive, forecast, read_clean_drive
+from odomcorrupt.preview.text import forecast_json, forecast_text
 
 T, POSES = office(10.0, 40.0)
 DRIVE = CleanDrive("/odom", T, POSES)

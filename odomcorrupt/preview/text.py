@@ -10,8 +10,8 @@ from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.summary import model_words
 
 if TYPE_CHECKING:
-    from odomcorrupt.corrupt.forecast import Forecast
     from odomcorrupt.model import MotionModel
+    from odomcorrupt.preview.forecast import Forecast
 
 __all__ = ["SCHEMA", "forecast_json", "forecast_text"]
 

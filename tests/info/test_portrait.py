@@ -11,10 +11,10 @@ from drives import office
 
 from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.covariance_watch import CovarianceWatch
-from odomcorrupt.corrupt.portrait import portrait, portrait_text
-from odomcorrupt.corrupt.survey import survey
 from odomcorrupt.errors import TopicError
+from odomcorrupt.info.covariance_watch import CovarianceWatch
+from odomcorrupt.info.portrait import portrait, portrait_text
+from odomcorrupt.info.survey import survey
 from odomcorrupt.pose import compose, inverse
 
 DRIVE = office(20.0, 20.0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corrupt.drift import MARKS_M
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.laws import Coefficients
@@ -21,9 +22,6 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
 
 __all__ = ["CleanDrive", "Forecast", "Row", "forecast", "read_clean_drive"]
-
-MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
-"""Distances after which the drift is told, besides the end."""
 
 DRAWN_POINTS, DRAWN_RUNS = 600, 100
 """Points of a path, and runs, that are kept for a picture at most."""

@@ -15,7 +15,7 @@ from odomcorrupt.pose import interpolate, inverse, wrap
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.corrupt.survey import EdgeRecord, OdometryRecord
+    from odomcorrupt.info.survey import EdgeRecord, OdometryRecord
     from odomcorrupt.pose import Array
 
 __all__ = ["Findings", "disagreement_m", "findings"]
