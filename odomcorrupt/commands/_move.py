@@ -96,6 +96,7 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     import numpy as np
 
     from odomcorrupt.errors import ModelError
+    from odomcorrupt.pose import between, compose
     from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
     from odomcorrupt.sampling.move import move_between, move_variances
 
@@ -106,10 +107,13 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
             raise click.UsageError(
                 "effects act along a drive, one motion has no time: name a bag, or leave --effect out"
             )
-        # a pose of the user's own begins at the origin unless it says otherwise
-        own = (0.0, 0.0, 0.0) if given["end"] is not None else example.start_xyt
-        start = np.array(own if given["start"] is None else given["start"])
-        end = np.array(example.end_xyt if given["end"] is None else given["end"])
+        first, last = np.array(example.start_xyt), np.array(example.end_xyt)
+        if given["end"] is not None:
+            # a motion of the user's own begins at the origin unless it says otherwise
+            first, last = np.zeros(3), np.array(given["end"])
+        start = first if given["start"] is None else np.array(given["start"])
+        # with a start alone, the example's motion is made from there
+        end = last if given["end"] is not None else compose(start, between(first, last))
         move = move_between(start, end, arc=noise.model.noise.law.arc)
         variances = move_variances(noise.model.noise, move, article_code=noise.article_code)
     except ModelError as error:

@@ -95,7 +95,10 @@ def _choose(channels: list[Channel], topic: str | None, bag: str) -> list[Channe
         if not chosen:
             raise TopicError(f"{bag}: no sensor_msgs/LaserScan on {topic} (found {found}); name another with --scan")
         return chosen
-    if len({c.topic for c in scans}) != 1:
+    if not scans:
+        there = ", ".join(sorted({c.topic for c in channels})) or "no topic at all"
+        raise TopicError(f"{bag}: no sensor_msgs/LaserScan topic (found {there}); a map takes a laser")
+    if len({c.topic for c in scans}) > 1:
         raise TopicError(f"{bag}: topics of sensor_msgs/LaserScan: {found}; name one with --scan")
     return scans
 

@@ -64,3 +64,12 @@ def test_existing_output_is_kept(tmp_path, capsys):
     assert run(["sample", "-o", str(out)]) == 1
     assert out.read_text() == "mine"
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_start_alone_moves_the_examples_motion(capsys):
+    parts = []
+    for start in ([], ["--start", "5,-3,0.1"]):
+        assert run(["sample", "--seed", "1", "--json", *start]) == 0
+        content = json.loads(capsys.readouterr().out)
+        parts.append([content[name] for name in ("rot1_rad", "trans_m", "rot2_rad")])
+    np.testing.assert_allclose(parts[0], parts[1], atol=1e-12)
