@@ -29,7 +29,7 @@ def main() -> None:
     print(f"prepare 600 x 300 cells for a radius of 0.2 m: {1e3 * (time.perf_counter() - began):.1f} ms")
     rng = np.random.default_rng(0)
     start = np.tile([[10.0, 7.5]], (COUNT, 1))
-    end = start + rng.normal(scale=0.3, size=start.shape)
+    end = start + rng.normal(scale=1.0, size=start.shape)
     for check in CHECKS:
         began = time.perf_counter()
         free = space.allows(start, end, check)
