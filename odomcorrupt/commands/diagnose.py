@@ -25,8 +25,10 @@ def command(
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
     need_study()
+    from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import candidates_table, clock_lines, ladder_text
+    from odomcorrupt.report.tables import candidates_table, clock_lines
+    from odomcorrupt.study.ladder import held_out_ladder
     from odomcorrupt.study.learn import learn
 
     paths, models = split_arguments(arguments)
@@ -38,15 +40,14 @@ def command(
     runs = read_all(paths, odom, truth, track if track is not None else (model.track_m if model else None))
     learned = learn(runs, effects, law_name=law)
     if as_json:
-        click.echo(json.dumps(learned_json(learned), indent=2, allow_nan=False))
+        ladder = held_out_ladder(learned, runs)
+        click.echo(json.dumps(learned_json(learned, ladder), indent=2, allow_nan=False))
         return
     for line in clock_lines([r.name for r in runs], learned.clocks):
         click.echo(line)
-    click.echo(candidates_table(learned.rounds[0]))
+    click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned)}")
     if not learned.added:
-        click.echo("\nnothing is missing: no known effect would explain more than chance does")
         return
-    click.echo(f"\nmissing, in the order of evidence, each on top of the ones before:\n{ladder_text(learned)}")
     words = [str(p) for p in paths]
     words += [w for flag, value in (("--odom", odom), ("--truth", truth)) if value for w in (flag, value)]
     words += ["--track", f"{track:g}"] if track is not None else []

@@ -40,9 +40,11 @@ def command(
     from odomcorrupt.modelfile import format_model
     from odomcorrupt.report.comparison import comparison_text
     from odomcorrupt.report.comparison_json import comparison_json
+    from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import clock_lines, fit_text, ladder_text
+    from odomcorrupt.report.tables import clock_lines, fit_text
     from odomcorrupt.study.compare import compare
+    from odomcorrupt.study.ladder import held_out_ladder
     from odomcorrupt.study.learn import learn
     from odomcorrupt.study.robot import fit_robot
 
@@ -55,16 +57,19 @@ def command(
     judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
     learned = learn(runs)
     base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
-    robot = fit_robot(runs, learned.fit.effects, law_name="diffusion", clocks=learned.clocks)
+    random = [gain.effect for gain in learned.noise]
+    robot = fit_robot(runs, (*learned.fit.effects, *random), law_name="diffusion", clocks=learned.clocks)
     ladder = {"without effects": base.model}
-    if learned.added:
-        ladder["with " + ", ".join(learned.added)] = robot.model
+    names = [*learned.added, *(effect.name for effect in random)]
+    if names:
+        ladder["with " + ", ".join(names)] = robot.model
     comparison = compare(judges, ladder)
     if as_json:
-        click.echo(json.dumps(learned_json(learned) | {"comparison": comparison_json(comparison)}, indent=2))
+        found = learned_json(learned, held_out_ladder(learned, runs))
+        click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         lines = clock_lines([r.name for r in runs], learned.clocks)
-        lines += [f"found:\n{ladder_text(learned)}" if learned.added else "nothing is missing", fit_text(robot), ""]
+        lines += [found_text(learned), fit_text(robot), ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
         write_text(output, format_model(robot.model))

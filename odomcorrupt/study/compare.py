@@ -186,11 +186,12 @@ def _refit(model: MotionModel, recording: Recording, approach: Approach) -> Moti
     """Return the model with its numbers estimated on this recording alone, its effects the same."""
     effects = (*model.effects, *model.setup.effects)
     again = fit([recording], effects, approach=replace(approach, law_name=model.noise.law_name))
-    count = len(model.effects)
+    random = [e for e in model.effects if e.kind == "noise"]
+    count = len(model.effects) - len(random)
     return replace(
         model,
         noise=replace(model.noise, coefficients=again.noise.coefficients),
-        effects=again.effects[:count],
+        effects=(*again.effects[:count], *random),
         setup=replace(model.setup, effects=again.effects[count:], truth=again.noise.truth),
     )
 

@@ -16,7 +16,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.noise_fit import LawPieces, NoiseFit, fit_noise
 from odomcorrupt.study.problem import pose_problem
-from odomcorrupt.study.random_gain import with_random
+from odomcorrupt.study.random_gain import WANDERING, with_random
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,6 +80,9 @@ def fit(
     random : wandering gains that are believed, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
     """
+    # a random effect is believed or passed over, never estimated here
+    random = [*random, *(e for e in effects if e.name in WANDERING)]
+    effects = [e for e in effects if e.kind != "noise"]
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)

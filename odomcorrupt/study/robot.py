@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import effect_from_values
@@ -13,7 +13,6 @@ from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.encoders import refilled
 from odomcorrupt.study.fit import Fit, believed_columns, fit
 from odomcorrupt.study.intervals import Interval, coefficient_intervals
-from odomcorrupt.study.random_gain import WANDERING
 from odomcorrupt.study.search import Clocks, find_clocks, ten_second_error
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.trajectory import Recording
 
-__all__ = ["RobotFit", "effects_to_fit", "fit_robot"]
+__all__ = ["RobotFit", "effects_to_fit", "fit_robot", "model_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,41 +66,44 @@ def fit_robot(
 
     Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
     """
-    random = [e for e in effects if e.kind == "noise"]
-    effects = [e for e in effects if e.kind != "noise"]
-    if any(e.name == "lost_increments" for e in random):
+    if any(effect.name == "lost_increments" for effect in effects):
         recordings = [refilled(recording) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     if clocks is None:
         clocks = find_clocks(recordings, approach)
-    fitted = fit(
-        recordings,
-        effects,
-        clocks=clocks.clocks,
-        free_clocks=clocks.free,
-        approach=approach,
-        random=[e for e in random if e.name in WANDERING],
-    )
+    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
     intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
-    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
-    errors |= dict(zip(names, map(float, fitted.standard_errors), strict=True))
     error = ten_second_error(fitted)
-    model = MotionModel(
-        noise=Noise(law_name, fitted.noise.coefficients, start.noise.step if start is not None else None),
+    model = model_of(fitted, [e for e in effects if e.kind == "noise"])
+    model = replace(
+        model,
+        noise=replace(model.noise, step=start.noise.step if start is not None else None),
+        track_m=model.track_m if model.track_m is not None or start is None else start.track_m,
+        standard_errors=errors | dict(model.standard_errors),
+        source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
+    )
+    return RobotFit(model, fitted, clocks, tuple(intervals), error)
+
+
+def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
+    """Return the model that a fit stands for; random effects go along as they are."""
+    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
+    problem = fitted.problem
+    clocks = zip(problem.recordings, problem.clocks, strict=True)
+    return MotionModel(
+        noise=Noise(problem.approach.law_name, fitted.noise.coefficients),
         effects=(*(e for e in fitted.effects if e.kind != "setup"), *random),
-        track_m=recordings[0].track_m if recordings[0].track_m is not None else (start.track_m if start else None),
+        track_m=problem.recordings[0].track_m,
         setup=Setup(
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
-            clocks={r.name: (c.offset_s, c.rate) for r, c in zip(recordings, fitted.problem.clocks, strict=True)},
+            clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
         ),
-        standard_errors=errors,
+        standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={
-            "recordings": [r.name for r in recordings],
-            "drivers": approach.side,
-            "ten_second_error_on_the_fitted_data_m": error,
+            "recordings": [r.name for r in problem.recordings],
+            "drivers": problem.approach.side,
             "log_likelihood_nats": fitted.log_likelihood,
         },
     )
-    return RobotFit(model, fitted, clocks, tuple(intervals), error)

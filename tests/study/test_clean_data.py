@@ -22,7 +22,11 @@ SEEDS = range(12)
 def z_scores(run) -> dict[str, float]:
     """Return estimate over error of every effect, each tried alone."""
     fitted = fit([run], approach=choose_approach([run]))
-    scores = score_tests(fitted, [family[0] for family in library(fitted) if len(family) == 1], np.zeros((len(fitted.problem.nodes), 3, 0)))
+    scores = score_tests(
+        fitted,
+        [family[0] for family in library(fitted) if len(family) == 1],
+        np.zeros((len(fitted.problem.nodes), 3, 0)),
+    )
     return {s.effect.name: float(np.max(np.abs(s.estimate / s.standard_error))) for s in scores if s.separable}
 
 
