@@ -2,63 +2,91 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from odomcorrupt.report.comparison import ladder_steps
+from odomcorrupt.report.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
+    from odomcorrupt.pose import Array
     from odomcorrupt.study.compare import Comparison, Judgement
 
-__all__ = ["COLOURS", "draw_ladder"]
+__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_ladder"]
 
-COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe & Ito: told apart by everybody."""
+COLOURS = (RED, BLUE, GREEN, ORANGE, "#CC79A7", SKY)
+MARKERS = ("o", "s", "^", "D", "v", "P")
+"""A shape for each model besides its colour: a grey print tells them apart, too."""
 
 
 def draw_ladder(comparison: Comparison, path: Path) -> None:
-    """Draw measured error against distance with each model's expectation, and the 10 s error of each step below."""
-    with mpl.rc_context({"font.size": 10, "svg.hashsalt": "odomcorrupt", "axes.spines.top": False,
-                         "axes.spines.right": False}):  # fmt: skip
-        figure = Figure(figsize=(8.0, 6.4), layout="constrained")
-        above, below = figure.subplots(2, 1, height_ratios=(3, 1 + 0.25 * len(comparison.judgements)))
-        for judgement, colour in zip(comparison.judgements, COLOURS, strict=False):
-            _curve(above, judgement, colour)
-        above.set(xscale="log", yscale="log", xlabel="distance driven (m)", ylabel="position error, RMS (m)")
-        above.xaxis.set_major_formatter("{x:g}")
-        above.yaxis.set_major_formatter("{x:g}")
-        above.grid(visible=True, which="major", color="0.9")
-        above.set_title("Odometry against truth: measured, and what each model expects", loc="left")
-        above.legend(frameon=False, loc="upper left")
-        _bars(below, comparison)
-        figure.savefig(path, dpi=150, metadata={"Software": None} if path.suffix == ".png" else None)
+    """Write the picture of errors against distance."""
+    path.write_bytes(rendered(draw_errors(comparison), path.suffix.lstrip(".") or "png"))
 
 
-def _curve(axes: Axes, judgement: Judgement, colour: str) -> None:
+def draw_errors(comparison: Comparison) -> Figure:
+    """Draw measured errors against distance with each model's expectation, and the 10 s error of each step below."""
+    with drawing():
+        figure = new_figure(9.0, 5.6 + 0.28 * len(comparison.judgements))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 1.1 + 0.28 * len(comparison.judgements)))
+        above, below = parts
+        position, yaw = above.subplots(1, 2)
+        for judgement, colour, marker in zip(comparison.judgements, COLOURS, MARKERS, strict=False):
+            style = {"color": colour, "marker": marker}
+            _curve(position, judgement, _position(judgement), style)
+            _curve(yaw, judgement, _yaw(judgement), style)
+        for axes, what, unit in ((position, "position", "m"), (yaw, "yaw", "deg")):
+            axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                axis.set_minor_formatter(NullFormatter())
+            axes.grid(visible=True, which="major", color="0.9")
+            axes.set_axisbelow(True)
+        above.legend(*position.get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=9)
+        _bars(below.subplots(), comparison)
+    return figure
+
+
+def _position(judgement: Judgement) -> Array:
+    return np.array([[h.position_measured, h.position_expected] for h in judgement.curve]).reshape(-1, 2)
+
+
+def _yaw(judgement: Judgement) -> Array:
+    both = np.array([[h.measured[2], h.expected[2]] for h in judgement.curve]).reshape(-1, 2)
+    degrees: Array = np.degrees(both)
+    return degrees
+
+
+def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str]) -> None:
     distance = np.array([h.distance_m for h in judgement.curve])
-    measured = np.array([h.position_measured for h in judgement.curve])
-    expected = np.array([h.position_expected for h in judgement.curve])
+    measured, expected = both[:, 0], both[:, 1]
     # a mean of N squares scatters by chance: the band is where 90 % of measured errors of a right model lie
     spread = 1.645 / np.sqrt(2.0 * np.array([h.windows for h in judgement.curve]))
     low, high = expected * np.maximum(1.0 - spread, 0.05), expected * (1.0 + spread)
-    axes.fill_between(distance, low, high, color=colour, alpha=0.18, linewidth=0, label=f"{judgement.name} expects")
-    axes.plot(distance, measured, "o-", color=colour, label=f"{judgement.name}: measured", markersize=4)
+    axes.fill_between(
+        distance, low, high, color=style["color"], alpha=0.2, linewidth=0, label=f"{judgement.name} expects (90 % band)"
+    )
+    axes.plot(distance, measured, linewidth=1.4, markersize=4.5, label=f"{judgement.name}: measured", **style)  # type: ignore[arg-type]
 
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
-    steps = [("odometry as it came", comparison.raw_error_m, "0.6")]
-    if comparison.clock_error_m != comparison.raw_error_m:
-        steps.append(("its clock set right", comparison.clock_error_m, "0.6"))
-    steps += [(j.name, j.ten_second_error_m, c) for j, c in zip(comparison.judgements, COLOURS, strict=False)]
-    names, errors, colours = zip(*steps, strict=True)
-    millimetres = np.array(errors) * 1e3
-    bars = axes.barh(np.arange(len(names)), millimetres, color=colours)
-    axes.bar_label(bars, labels=[f"{e:.1f} mm" for e in millimetres], padding=4)
+    steps = ladder_steps(comparison)
+    names, millimetres = [name for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
+    plain = len(steps) - len(comparison.judgements)
+    colours = ["0.65"] * plain + [COLOURS[i % len(COLOURS)] for i in range(len(comparison.judgements))]
+    bars = axes.barh(np.arange(len(names)), millimetres, color=colours, height=0.7)
+    axes.bar_label(bars, labels=[f"{e:.1f} mm" for e in millimetres], padding=4, fontsize=9)
     axes.set_yticks(np.arange(len(names)), names)
     axes.invert_yaxis()
-    axes.set(xlabel="position error 10 s after starting at the truth, RMS (mm)", xlim=(0.0, 1.15 * millimetres.max()))
+    axes.set(
+        title="position error 10 s after starting at the truth, RMS (mm)",
+        xlim=(0.0, 1.15 * max(float(millimetres.max()), 1e-9)),
+    )

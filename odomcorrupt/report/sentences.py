@@ -59,8 +59,9 @@ def sentence(failure: Failure) -> str:
             f"{sense}; the model expects no more than {size(channel, expected)}{tail}"
         )
     per, span = (10.0, "10 m") if failure.per == "m" else (60.0, "minute")
+    besides = "on top of that, " if failure.besides else ""
     return (
-        f"{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
+        f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
         f"{failure.where}: {sense}; the model expects no more than {size(channel, expected * per)}{tail}"
     )
 

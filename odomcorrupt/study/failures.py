@@ -6,7 +6,7 @@ is taken out, and the rest is looked at again, so one cause is not told ten time
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -46,6 +46,7 @@ class Failure:
     expected : what the model expects at most: two standard deviations of a rate or of a moment; of a drift its RMS
     amount : metres (seconds at rest) it was seen over; windows of a drift; 1 of a moment
     log_p : natural logarithm of the probability of something as plain anywhere by chance, all tries counted
+    besides : whether a rate comes on top of rates of the same channel that were found before it
     recording : which one it was seen in
     span_s, place : (start, end) in seconds since the recording began; (x, y, radius) in the truth's frame, m
     """
@@ -58,6 +59,7 @@ class Failure:
     expected: float
     amount: float
     log_p: float
+    besides: bool = False
     recording: str = ""
     span_s: tuple[float, float] | None = None
     place: tuple[float, float, float] | None = None
@@ -98,7 +100,8 @@ def failures(
             break
         pattern, c = tries[best]
         rate = float(columns[:, best] @ r / length[best] ** 2)
-        found.append(_rate_failure(pattern, CHANNELS[c], rate, 2.0 / float(length[best]), float(log_p[best]), name))
+        failure = _rate_failure(pattern, CHANNELS[c], rate, 2.0 / float(length[best]), float(log_p[best]), name)
+        found.append(replace(failure, besides=any(f.channel == failure.channel for f in found)))
         unit = columns[:, best] / length[best]
         r = r - unit * (unit @ r)
         columns = columns - np.outer(unit, unit @ columns)

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.pose import Array
     from odomcorrupt.study.likelihood import Whitener
     from odomcorrupt.study.problem import Problem
@@ -94,7 +96,7 @@ class Rates:
     allowed: Array
 
 
-def joint_rates(whitener: Whitener, innovations: Array, unit: Array, part: Array, count: int) -> Rates:
+def joint_rates(whitener: Whitener, innovations: Array, unit: Array, part: NDArray[np.int64], count: int) -> Rates:
     """Return rates of one channel for parts of a drive that do not overlap.
 
     Parameters

@@ -36,14 +36,17 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
     return intervals(recording, picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
 
 
-def distance_windows(recording: Recording, length_m: float) -> Nodes:
-    """Return non-overlapping windows of a length of path, as the odometry measures it."""
+def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Nodes:
+    """Return non-overlapping windows of a length of path, as the odometry measures it.
+
+    phase : which part of a window to leave out at the start
+    """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]))
     xy = recording.odometry.xyt[:, :2]
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
     at_truth = np.interp(truth_s[inside], odo_s, travelled)
-    marks = np.arange(at_truth[0], at_truth[-1], length_m)
+    marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
     picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
     return intervals(recording, picked)
 

@@ -1,0 +1,190 @@
+"""The report: one page of HTML that needs nothing but itself, for a screen without a network and for paper."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.comparison import falls_sentence, ladder_steps
+from odomcorrupt.report.figure import rendered
+from odomcorrupt.report.pictures import PICTURES
+from odomcorrupt.report.sentences import SIGNS, judgement_sentence, sentence, size
+from odomcorrupt.report.style import CSS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.report.pictures import Picture
+    from odomcorrupt.study.calibration import Horizon
+    from odomcorrupt.study.compare import Comparison, Judgement
+
+__all__ = ["report_html"]
+
+_HEAVY = 600_000
+"""A drawing of more bytes than this is taken as pixels, where these are fewer: the page stays below 3 MB."""
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+"""What the browser is allowed to load: nothing but the page itself."""
+
+
+def report_html(comparison: Comparison, *, version: str) -> str:
+    """Return the page."""
+    title = f"Odometry against truth: {', '.join(comparison.recordings)}"
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="quiet">{escape(_models_line(comparison))}</p>',
+        "<h2>In words</h2>",
+        *_words(comparison),
+        "<h2>Side by side</h2>",
+        _ladder_table(comparison),
+        *(_picture(name, picture, comparison) for name, picture in PICTURES.items()),
+        "<h2>Numbers</h2>",
+        *(_horizon_table(judgement) for judgement in comparison.judgements),
+        f'<p class="quiet">{escape(_legend(version))}</p>',
+    ]
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(title)}</title>",
+            '<link rel="icon" href="data:,">',
+            f"<style>{CSS}</style>",
+            "</head>",
+            "<body>",
+            *body,
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
+
+
+def _models_line(comparison: Comparison) -> str:
+    names = ", ".join(j.name for j in comparison.judgements)
+    if any(j.refitted for j in comparison.judgements):
+        return (
+            f"Models: {names}. Fitted on these recordings, so refitted on one half and judged on the other, both ways."
+        )
+    return f"Models: {names}. Judged on recordings that they were not fitted on."
+
+
+def _words(comparison: Comparison) -> list[str]:
+    parts = []
+    falls = falls_sentence(comparison)
+    if falls:
+        parts.append(
+            f"<p><strong>{escape(falls[0].upper() + falls[1:])}</strong> (position, 10 s after the truth).</p>"
+        )
+    for judgement in comparison.judgements:
+        mark = "verdict rejected" if judgement.verdict.rejected else "verdict"
+        parts.append(f"<h3>{escape(judgement.name)}</h3>")
+        parts.append(f'<p class="{mark}">{escape(judgement_sentence(judgement))}.</p>')
+        if judgement.failures:
+            items = "".join(f"<li>{escape(sentence(f))}</li>" for f in judgement.failures)
+            parts.append(f"<ol>{items}</ol>")
+        else:
+            parts.append("<p>No motion, time, place or moment in which it fails.</p>")
+        parts += [f'<p class="quiet">Note: {escape(note)}.</p>' for note in judgement.notes]
+    parts.append(f'<p class="quiet">{escape(SIGNS)}</p>')
+    return parts
+
+
+def _ladder_table(comparison: Comparison) -> str:
+    steps = ladder_steps(comparison)
+    worst = max(error for _, error, _ in steps)
+    rows = []
+    for name, error, judgement in steps:
+        width = 6.0 * error / worst if worst > 0.0 else 0.0
+        cells = [
+            escape(name),
+            size("along", error, digits=3),
+            f'<span class="bar" style="width:{width:.2f}rem"></span>',
+        ]
+        if judgement is None:
+            cells += ["", "", "", "", ""]
+        else:
+            n, e = judgement.nats, judgement.trajectory
+            first = judgement is comparison.judgements[0]
+            cells += [
+                f"{n.per_m:.2f} ± {n.error:.2f}",
+                "" if first else f"{n.gain_per_m:+.2f} ± {n.gain_error:.2f}",
+                _known("along", e.ate_m),
+                f"{_known('along', e.rpe_m)}, {_known('yaw', e.rpe_rad)}",
+                "rejected" if judgement.verdict.rejected else "not rejected",
+            ]
+        rows.append(cells)
+    heads = (
+        "", "error after 10 s", "", "nats per metre", f"gain over {comparison.judgements[0].name}", "ATE, aligned",
+        "RPE over 1 m", "verdict",
+    )  # fmt: skip
+    return _table(heads, rows)
+
+
+def _horizon_table(judgement: Judgement) -> str:
+    heads = ("path", "windows", "along (expected)", "across (expected)", "yaw (expected)", "NEES", "95 % by chance",
+             "in 50 %", "in 90 %", "CRPS along, across, yaw")  # fmt: skip
+    return _table(heads, [_horizon_row(h) for h in judgement.horizons], judgement.name)
+
+
+def _horizon_row(h: Horizon) -> list[str]:
+    channels = ("along", "across", "yaw")
+    errors = [
+        f"{_known(c, h.measured[i])} ({_known(c, h.expected[i])})" if isfinite(h.measured[i]) else "–"
+        for i, c in enumerate(channels)
+    ]
+    low, high = h.nees_bounds
+    inside = [
+        "/".join(f"{100.0 * p:.0f}" if isfinite(p) else "–" for p in part) + " %"
+        for part in (h.coverage_50, h.coverage_90)
+    ]
+    crps = ", ".join(_known(c, h.crps[i]) for i, c in enumerate(channels))
+    nees = f"{h.nees:.2f}" if low <= h.nees <= high else f"!{h.nees:.2f}"
+    return [f"{h.distance_m:g} m", str(h.windows), *errors, nees, f"{low:.2f} to {high:.2f}", *inside, crps]
+
+
+def _known(channel: str, value: float) -> str:
+    return size(channel, float(value), digits=3) if isfinite(value) else "–"
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
+    """Return a table; a cell that begins with ! is one to look at."""
+    top = "".join(f'<th scope="col">{escape(head)}</th>' for head in heads)
+    lines = [
+        "".join(f'<td class="off">{c[1:]}</td>' if c.startswith("!") else f"<td>{c}</td>" for c in row) for row in rows
+    ]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f'<div class="scroll"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _picture(name: str, picture: Picture, comparison: Comparison) -> str:
+    source = _embedded(picture.draw(comparison))
+    return (
+        f'<h2>{escape(picture.title)}</h2><figure id="{name}"><figcaption>{escape(picture.caption)}</figcaption>'
+        f'<img src="{source}" alt="{escape(picture.title)}: {escape(picture.caption)}"></figure>'
+    )
+
+
+def _embedded(figure: Figure) -> str:
+    kind, data = "svg+xml", rendered(figure, "svg")
+    if len(data) > _HEAVY:
+        pixels = rendered(figure, "png")
+        kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def _legend(version: str) -> str:
+    return (
+        "Windows of a length of path do not overlap and start at the truth. Errors are root mean squares, in the frame "
+        "of the window's end. NEES: normalised squared error per degree of freedom, 1 where the model is right; what "
+        "chance makes of it includes the model's own standard errors. 50 and 90 %: part of the errors inside the "
+        "model's intervals. CRPS: the smaller, the better. ATE and RPE as evo defines them, root mean squares. Nats: "
+        f"log likelihood of measurements that were not fitted. Made by odomcorrupt {version}."
+    )

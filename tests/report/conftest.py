@@ -1,0 +1,57 @@
+"""A simulated robot, two of its drives and two models of it: what the tests of reports compare."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.modelfile import format_model
+from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.study.compare import compare
+from odomcorrupt.study.trajectory import Recording, Trajectory
+
+BASE = MotionModel(
+    Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)),
+    setup=Setup(truth=TruthNoise(0.002, 0.0035, 3e-6)),
+)
+CURVATURE = -0.0133
+
+
+class Case(NamedTuple):
+    """A recording, its bag, and the files of the models; the second knows the cause."""
+
+    recording: Recording
+    bag: object
+    base: object
+    robot: object
+
+
+def unwrapped(stamps, xyt):
+    return Trajectory(stamps, np.column_stack((xyt[:, :2], np.unwrap(xyt[:, 2]))))
+
+
+@pytest.fixture(scope="session")
+def case(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compared")
+    run = simulate(1003, "unequal_wheels", duration_s=150.0, robot_seed=3, parameters={"curvature": CURVATURE})
+    write_mcap(run, folder / "drive.mcap")
+    robot = replace(BASE, effects=(effect_from_values("unequal_wheels", {"curvature": CURVATURE}),))
+    for name, model in (("base", BASE), ("robot", robot)):
+        (folder / f"{name}.toml").write_text(format_model(model))
+    truth = unwrapped(run.truth_stamps_ns, run.truth_xyt)
+    recording = Recording(
+        "drive.mcap", unwrapped(run.odom_stamps_ns, run.odom_xyt), truth, int(run.odom_stamps_ns[0]), run.track_m
+    )
+    return Case(recording, folder / "drive.mcap", folder / "base.toml", folder / "robot.toml")
+
+
+@pytest.fixture(scope="session")
+def comparison(case):
+    robot = replace(BASE, effects=(effect_from_values("unequal_wheels", {"curvature": CURVATURE}),))
+    return compare([case.recording], {"base.toml": BASE, "robot.toml": robot})

@@ -1,0 +1,78 @@
+"""`odomcorrupt compare` prints, draws, judges, and never overwrites."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.commands.compare import REJECTED
+
+
+def compare(case, *more) -> int:
+    return run(["compare", str(case.bag), *map(str, more)])
+
+
+def test_it_prints_horizons_verdicts_and_sentences(case, capsys):
+    assert compare(case, case.base, case.robot) == 0
+    out = capsys.readouterr().out
+    for words in (
+        "NEES/3",
+        "base.toml is rejected",
+        "the odometry turns too far left",
+        "nats/m",
+        "RPE over 1 m",
+        "Signs",
+    ):
+        assert words in out
+
+
+def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_asked_for(case, capsys):
+    assert compare(case, case.base, "--json", "--fail-if-rejected") == REJECTED == 4
+    model = json.loads(capsys.readouterr().out)["models"][0]
+    assert model["verdict"]["rejected"] is True
+    assert model["verdict"]["threshold"] == pytest.approx(model["verdict"]["level"] / len(model["verdict"]["looks"]))
+    assert [h["distance_m"] for h in model["horizons"]][:4] == [1.0, 2.0, 5.0, 10.0]
+    first = model["horizons"][0]
+    assert set(first["coverage_50"]) == {"along", "across", "yaw"}
+    assert first["crps"]["yaw_rad"] > 0.0
+    grows = next(f for f in model["fails"] if f["kind"] == "motion")
+    assert (grows["channel"], grows["unit"]) == ("yaw", "rad/m")
+    assert grows["measured"] > grows["expected"] > 0.0
+
+
+def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
+    report, error, where = tmp_path / "out.html", tmp_path / "error.png", tmp_path / "map.svg"
+    wanted = (case.robot, "--report", report, "--plot", error, "--plot", f"map={where}")
+    assert compare(case, *wanted) == 0
+    assert report.read_text().startswith("<!DOCTYPE html>")
+    assert error.read_bytes().startswith(b"\x89PNG")
+    assert b"<svg" in where.read_bytes()[:1000]
+    before = report.stat().st_mtime_ns
+    capsys.readouterr()
+    for again in (("--report", report), ("--plot", f"nees={error}")):
+        assert compare(case, case.robot, *again) == 1
+        assert "--overwrite" in capsys.readouterr().err
+    assert report.stat().st_mtime_ns == before
+    assert compare(case, case.robot, "--plot", error, "--overwrite", "--fail-if-rejected") == 0
+
+
+@pytest.mark.parametrize(
+    ("plot", "words"),
+    [
+        ("cloud=a.png", "there are error, path"),
+        ("error=a.bmp", "end it in .png"),
+        ("a", "end it in .png"),
+    ],
+)
+def test_a_picture_that_is_not_there_is_named(case, capsys, plot, words):
+    assert compare(case, case.robot, "--plot", plot) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_two_pictures_do_not_share_a_file(case, tmp_path, capsys):
+    file = tmp_path / "one.png"
+    assert compare(case, case.robot, "--plot", file, "--plot", f"nees={file}") == 2
+    assert "another picture" in capsys.readouterr().err
+    assert not file.exists()

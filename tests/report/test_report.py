@@ -1,0 +1,136 @@
+"""The report is one page that needs nothing but itself, says what the terminal says, and works in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from odomcorrupt.report.comparison_json import comparison_json
+from odomcorrupt.report.figure import rendered
+from odomcorrupt.report.html import report_html
+from odomcorrupt.report.pictures import PICTURES
+from odomcorrupt.report.sentences import judgement_sentence, sentence
+
+CHROMIUM = Path("/usr/bin/chromium")
+VOID = {"meta", "img", "link", "br", "hr"}
+
+
+class Balanced(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.open, self.tags, self.sources = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [value for key, value in attrs if key in {"src", "href"}]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="session")
+def page(comparison):
+    return report_html(comparison, version="0")
+
+
+def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
+    parsed = Balanced()
+    parsed.feed(page)
+    assert not parsed.open
+    assert "script" not in parsed.tags
+    assert len(page.encode()) <= 3_000_000
+    assert all(source.startswith("data:") for source in parsed.sources)
+    assert "@import" not in page
+    assert "url(" not in page
+    assert "@media print" in page
+    assert parsed.tags.count("img") == len(PICTURES)
+
+
+def test_pictures_in_the_page_load_nothing_either(page):
+    for kind, data in re.findall(r'src="data:image/([a-z+]+);base64,([^"]+)"', page):
+        raw = base64.b64decode(data)
+        if kind == "svg+xml":
+            links = re.findall(r'href="([^"]{0,20})', raw.decode())
+            assert all(link.startswith(("#", "data:")) for link in links)
+        else:
+            assert raw.startswith(b"\x89PNG")
+
+
+def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
+    text = unescape(page)
+    for judgement in comparison.judgements:
+        assert judgement_sentence(judgement) in text
+        for failure in judgement.failures:
+            assert sentence(failure) in text
+    told = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"]]
+    assert told
+    assert all(s in text for s in told)
+    json.dumps(comparison_json(comparison), allow_nan=False)
+
+
+def test_the_cause_is_seen_in_the_first_model_and_gone_in_the_second(comparison):
+    base, robot = comparison.judgements
+    assert base.verdict.rejected
+    assert any(f.channel == "yaw" and f.kind == "motion" for f in base.failures)
+    assert not any(f.kind in {"motion", "drift"} and f.channel == "yaw" for f in robot.failures)
+    assert robot.ten_second_error_m < 0.6 * base.ten_second_error_m
+    assert robot.nats.gain_per_m > 2.0 * robot.nats.gain_error
+    assert robot.trajectory.ate_m < 0.3 * base.trajectory.ate_m
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_every_picture_is_the_same_file_every_time(comparison, name):
+    first = rendered(PICTURES[name].draw(comparison), "svg")
+    assert rendered(PICTURES[name].draw(comparison), "svg") == first
+    assert len(first) < 1_000_000
+
+
+def browse(page: Path, folder: Path) -> tuple[list[str], list[str]]:
+    """Return what a real browser logs to its console, and the addresses it asks for beyond the page itself."""
+    if not CHROMIUM.exists():
+        pytest.skip("no /usr/bin/chromium here: the page was not rendered")
+    net = folder / f"{page.stem}.net.json"
+    done = subprocess.run(
+        [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
+         "--disable-component-update", "--disable-sync", "--no-first-run", "--no-default-browser-check",
+         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+         f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--hide-scrollbars",
+         f"--log-net-log={net}", "--window-size=1150,6000", f"--screenshot={page.with_suffix('.png')}", page.as_uri()],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    events = [event.get("params", {}) for event in json.loads(net.read_text())["events"]]
+    # what the browser asks of its maker has no page as its origin
+    asked = {event["url"] for event in events if event.get("initiator", "not an origin") != "not an origin"}
+    own = ("file:", "data:", "about:")
+    return said, sorted(url for url in asked if not url.startswith(own))
+
+
+def test_a_real_browser_shows_the_page_without_complaint_and_without_a_network(page, tmp_path):
+    # a page that does what ours must not: what is looked for can be seen
+    (tmp_path / "bad.html").write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('heard')</script>")
+    said, asked = browse(tmp_path / "bad.html", tmp_path)
+    assert any("heard" in line for line in said)
+    assert asked == ["http://127.0.0.1:9/x.png"]
+
+    (tmp_path / "report.html").write_text(page)
+    said, asked = browse(tmp_path / "report.html", tmp_path)
+    assert said == []
+    assert asked == []
+    shown = imread(tmp_path / "report.png")[:, :, :3]
+    inked = np.mean(shown < 0.95, axis=(1, 2)) > 0.0
+    # words, tables and six pictures fill most of a long page
+    assert inked.sum() > 2500
+    shutil.rmtree(tmp_path / "profile", ignore_errors=True)
