@@ -21,6 +21,7 @@ _STILL_M = 0.05
 _LAG_S = 60.0
 _NEAR_S = 3.0
 _CLEAR = 0.7
+_MIRRORED = 0.5
 _FITS = 0.15
 
 
@@ -44,7 +45,7 @@ def check_turning(here: Samples, there: Samples) -> None:
     best, flipped = int(np.argmax(alike.both)), int(np.argmin(np.where(near, alike.turn, 1.0)))
     least, most = float(alike.turn[flipped]), float(alike.turn[near].max())
     # drives that repeat themselves look mirrored half a period later: another clock must not explain it better
-    if least < -_CLEAR and most < 0.5 * abs(least) and alike.both[best] < alike.mirrored[flipped] + 0.02:
+    if least < -_MIRRORED and most < 0.5 * abs(least) and alike.both[best] < alike.mirrored[flipped] + 0.02:
         raise RecordingError(
             f"{there.place}: turns right where the odometry turns left (yaw rates correlate by {least:.2f}): one of "
             "its axes is mirrored, or it has compass headings; flip it"

@@ -9,11 +9,11 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import TopicError
-from odomcorrupt.pose import yaw_from_quaternion
 from odomcorrupt.study.sources.address import plain
 from odomcorrupt.study.sources.choose import EDGES, TRANSFORM, choose, named
 from odomcorrupt.study.sources.geodesy import east_north_up
 from odomcorrupt.study.sources.samples import Samples
+from odomcorrupt.study.sources.spatial import headings
 from odomcorrupt.study.sources.tf import EdgeReader
 from odomcorrupt.study.sources.tree import read_tree
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["read_bag"]
 
 _ENCODINGS = ("cdr", "ros1")
-_SHORTEST_QUAT = 1e-6
+_MOST_M2 = 1e12
 
 
 def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> dict[Role, Samples]:
@@ -107,12 +107,10 @@ class _PoseReader:
                 where = "lla" if "lla" in item.fields else "position"
                 values[:, :3] = gather(block, layout, item, where)
                 if "orientation" in item.fields:
-                    quat = gather(block, layout, item, "orientation")
-                    given = np.linalg.norm(np.nan_to_num(quat), axis=1) > _SHORTEST_QUAT
-                    values[:, 3] = np.where(given, yaw_from_quaternion(quat), np.nan)
+                    values[:, 3] = headings(gather(block, layout, item, "orientation"))
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
-                    values[:, 4] = covariance[:, 0] + covariance[:, 7]
+                    values[:, 4] = covariance[:, [0, 7]].clip(-_MOST_M2, _MOST_M2).sum(axis=1)
                 self.parts.append(
                     (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
                 )

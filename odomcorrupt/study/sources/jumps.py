@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.sources.samples import Samples
 
-__all__ = ["Reach", "Stretches", "reach_of", "stretches"]
+__all__ = ["Reach", "Stretches", "reach_of", "stretches", "without_outliers"]
 
 OUTLIER_S = 3.0
 """What lasts shorter than this between two jumps is an outlier, what lasts longer a stretch of its own."""
@@ -58,12 +58,18 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
     k = int(np.clip(np.ceil(_SPEED_S / np.median(np.diff(t_s))), 1, max(len(t_s) // 4, 1)))
     dt = t_s[k:] - t_s[:-k]
     gone = np.linalg.norm(odometry.xyz[k:, :2] - odometry.xyz[:-k, :2], axis=1) / dt
-    turned = np.abs(wrap(odometry.yaw_rad[k:] - odometry.yaw_rad[:-k])) / dt
+    turned = np.abs(wrap(odometry.yaw_rad[k:] - odometry.yaw_rad[:-k])) / dt if odometry.headed else np.zeros(1)
     top = np.array([_top(gone), _top(turned)])
     rate = _MARGIN * top
     if path is not odometry:
         rate[0] += _LEVER_M * top[1]
     return Reach(rate, np.clip(_SIGMAS * _noise(path), *_SLACK))
+
+
+def without_outliers(path: Samples) -> Samples:
+    """Return the samples that its own speeds explain: enough for checks that one gross outlier would mislead."""
+    cut = stretches(path, reach_of(path, path))
+    return path.only(np.concatenate(cut.rows)) if cut.outliers else path
 
 
 def stretches(path: Samples, reach: Reach) -> Stretches:

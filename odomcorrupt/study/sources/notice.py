@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,8 +75,9 @@ def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth as positions alone where its headings never change although the odometry turns."""
     if not truth.headed or np.ptp(truth.yaw_rad) > _SAME or np.ptp(np.unwrap(odometry.yaw_rad)) < 0.5:
         return truth
-    bare = replace(truth, yaw_rad=np.full(len(truth), np.nan))
-    return bare.noted("its headings never change while the odometry turns: taken as positions alone")
+    return truth.without_headings().noted(
+        "its headings never change while the odometry turns: taken as positions alone"
+    )
 
 
 def filter_signs(odometry: Samples, truth: Samples) -> list[str]:

@@ -25,6 +25,7 @@ _BACK_NS = 1_000_000_000
 _FORWARD_NS = 3_600_000_000_000
 _NEIGHBOURS = 5
 _FAR_M = 1e9
+"""And 1e9 radians: what is larger is no number either."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,10 @@ def in_order(samples: Samples) -> Samples:
         raise RecordingError(f"{samples.place}: none of its {found} positions is a number; name another source")
     if not good.all():
         samples = samples.only(good, f"{np.sum(~good)} positions that are no numbers left out")
-    headless: NDArray[np.bool_] = ~np.isfinite(samples.yaw_rad)
-    if headless.any() and not headless.all():
+    headless: NDArray[np.bool_] = ~(np.abs(samples.yaw_rad) < _FAR_M)
+    if headless.all():
+        samples = samples.without_headings()
+    elif headless.any():
         samples = samples.only(~headless, f"{np.sum(headless)} poses without a heading left out")
     order = order_of(samples.stamps_ns, samples.log_ns)
     if len(order.rows) < 2:

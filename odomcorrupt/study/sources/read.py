@@ -12,6 +12,7 @@ from odomcorrupt.study.sources.address import parse_address
 from odomcorrupt.study.sources.bag import read_bag
 from odomcorrupt.study.sources.check import check_pair
 from odomcorrupt.study.sources.choose import FLAGS
+from odomcorrupt.study.sources.jumps import without_outliers
 from odomcorrupt.study.sources.notice import check_identity, filter_signs, heading_signs, without_constant_heading
 from odomcorrupt.study.sources.order import in_order
 from odomcorrupt.study.sources.own import check_itself
@@ -68,12 +69,13 @@ def read_runs(source: Source) -> list[Recording]:
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {source.truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    for path in (odometry, truth):
-        check_itself(path)
     truth = without_constant_heading(odometry, truth)
-    check_pair(odometry, truth)
-    said = check_identity(odometry, truth) or heading_signs(odometry, truth)
-    said += filter_signs(odometry, truth)
+    calm, real = without_outliers(odometry), without_outliers(truth)
+    for path in (calm, real):
+        check_itself(path)
+    check_pair(calm, real)
+    said = check_identity(calm, real) or heading_signs(calm, real)
+    said += filter_signs(calm, real)
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(source.name or source.path.name, odometry, truth, source.track_m)

@@ -77,6 +77,10 @@ class Samples:
         """Return the same poses with other stamps (n,)."""
         return replace(self, stamps_ns=stamps_ns)
 
+    def without_headings(self) -> Samples:
+        """Return the positions alone."""
+        return replace(self, yaw_rad=np.full(len(self), np.nan))
+
     def noted(self, *notes: str) -> Samples:
         """Return the same samples with more said about them."""
         return replace(self, notes=(*self.notes, *(f"{self.name}: {note}" for note in notes)))

@@ -6,10 +6,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.pose import yaw_from_quaternion
+
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
 
-__all__ = ["Transforms", "composed", "interpolated", "inverted", "unit"]
+__all__ = ["Transforms", "composed", "headings", "interpolated", "inverted", "unit"]
+
+
+_SHORTEST = 1e-6
 
 
 class Transforms(NamedTuple):
@@ -20,10 +25,18 @@ class Transforms(NamedTuple):
 
 
 def unit(quat_xyzw: Array) -> Array:
-    """Return quaternions (n, 4) of length one; those that have no length become NaN."""
-    length = np.linalg.norm(quat_xyzw, axis=1, keepdims=True)
-    out: Array = np.divide(quat_xyzw, length, out=np.full_like(quat_xyzw, np.nan), where=length > 1e-6)
+    """Return quaternions (n, 4) of length one; those that have no length, or are no numbers, become NaN."""
+    largest = np.abs(quat_xyzw).max(axis=1, keepdims=True)
+    usable = (largest > _SHORTEST) & (largest < np.inf)
+    # scaled first: squares of what a damaged bag holds would overflow
+    scaled = np.divide(quat_xyzw, largest, out=np.full_like(quat_xyzw, np.nan), where=usable)
+    out: Array = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
     return out
+
+
+def headings(quat_xyzw: Array) -> Array:
+    """Return the headings (n,) of quaternions (n, 4) of any length, NaN where they are none."""
+    return np.asarray(yaw_from_quaternion(unit(quat_xyzw)))
 
 
 def composed(a: Transforms, b: Transforms) -> Transforms:

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.pose import yaw_from_quaternion
 from odomcorrupt.study.sources.columns import TUM, Columns, find_columns, guess_tick
 from odomcorrupt.study.sources.rows import Row, are_numbers, read_lines, split_line, whole_rows
 from odomcorrupt.study.sources.samples import Samples
-from odomcorrupt.study.sources.spatial import unit
+from odomcorrupt.study.sources.spatial import headings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -131,7 +130,7 @@ def _part(rows: list[Row], columns: Columns, tick_ns: int) -> _Part:
     if columns.yaw is not None:
         yaw = numbers([columns.yaw])[:, 0] * columns.radian
     elif columns.quat is not None:
-        yaw = np.asarray(yaw_from_quaternion(unit(np.nan_to_num(numbers(columns.quat), posinf=np.nan, neginf=np.nan))))
+        yaw = headings(numbers(columns.quat))
     else:
         yaw = np.full(len(rows), np.nan)
     return _Part(stamps, xyz, yaw)

@@ -14,11 +14,10 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.pose import yaw_from_quaternion
 from odomcorrupt.study.sources.address import plain
 from odomcorrupt.study.sources.order import order_of
 from odomcorrupt.study.sources.samples import Samples
-from odomcorrupt.study.sources.spatial import Transforms, composed, interpolated, inverted, unit
+from odomcorrupt.study.sources.spatial import Transforms, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.sources.tree import Edge
 
 if TYPE_CHECKING:
@@ -29,6 +28,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.sources.tree import Tree
 
 __all__ = ["EdgeReader"]
+
+_FAR_M = 1e9
 
 
 class _Ordered(NamedTuple):
@@ -107,7 +108,7 @@ class EdgeReader:
             self.way[0][0].child if self.way[0][1] else self.way[0][0].parent,
             stamps,
             total.xyz,
-            np.asarray(yaw_from_quaternion(total.quat_xyzw)),
+            headings(total.quat_xyzw),
             none.astype(np.int64),
             none,
             tuple(notes),
@@ -116,7 +117,9 @@ class EdgeReader:
     def _edge(self, edge: Edge) -> _Ordered:
         here = self.collected[edge]
         values = np.concatenate(here.values)
-        good = np.isfinite(values).all(axis=1) & (np.linalg.norm(np.nan_to_num(values[:, 3:]), axis=1) > 1e-6)
+        values = np.concatenate((values[:, :3], unit(values[:, 3:])), axis=1)
+        # a comparison with what is no number is false
+        good = np.asarray((np.abs(values) < _FAR_M).all(axis=1))
         if not good.any():
             raise RecordingError(f"{self.place}: none of {len(good)} transforms {edge.parent}.{edge.child} is a number")
         stamps, logs = np.concatenate(here.stamps)[good], np.concatenate(here.logs)[good]
@@ -124,4 +127,4 @@ class EdgeReader:
         order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])
         kept = values[good][order.rows]
         notes = order.notes if edge in self.tree.moving else ()
-        return _Ordered(order.stamps_ns, Transforms(kept[:, :3], unit(kept[:, 3:])), notes)
+        return _Ordered(order.stamps_ns, Transforms(kept[:, :3], kept[:, 3:]), notes)

@@ -130,6 +130,16 @@ def test_gross_jumps_and_back_of_the_truth_are_left_out(read):
     noted(recordings, "/truth: 32 outliers (gross jumps there and back) left out")
 
 
+@pytest.mark.parametrize("far", [1e5, 1e300, np.inf])
+def test_one_wild_position_is_an_outlier_and_no_unit(read, far):
+    real = truth()
+    xyz = real.xyz.copy()
+    xyz[321] = [far, -far, 0.0]
+    (recording,) = read(real=real.having(xyz=xyz))
+    assert np.array_equal(recording.truth.stamps_ns, np.delete(real.stamps_ns, 321))
+    noted([recording], "/truth: 1 outliers" if far < 1e9 else "/truth: 1 positions that are no numbers")
+
+
 def test_a_truth_that_jumps_for_good_is_cut_there(read):
     real = truth(40.0)
     xyz = real.xyz.copy()

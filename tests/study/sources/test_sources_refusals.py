@@ -5,12 +5,15 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.cli import run
+from odomcorrupt.commands._recordings import _truth_bags, source_words
+from odomcorrupt.commands.learn import command as learn
 from odomcorrupt.study.sources import Source, read_runs
 
 
@@ -251,6 +254,25 @@ def test_truth_files_are_one_for_all_or_one_for_each(tmp_path, capsys):
     table = str(csv_file(tmp_path / "a.csv", odometry()))
     assert run(["fit", table, table, table, "--truth-bag", table, "--truth-bag", table]) == 2
     assert "2 --truth-bag for 3 recordings; name one for all, or one for each" in capsys.readouterr().err
+
+
+def test_each_recording_and_judge_has_the_truth_file_of_its_place():
+    """`learn` reads twice: its recordings, then its judges."""
+    context = click.Context(learn, info_name="learn")
+    words = [word for name in "abc" for word in ("--truth-bag", f"{name}.csv")]
+    with context.scope():
+        learn.parse_args(context, ["one.bag", "two.bag", "--judge", "three.bag", "--truth-shift", "2.5", *words])
+        assert _truth_bags(2) == [Path("a.csv"), Path("b.csv")]
+        assert _truth_bags(1) == [Path("c.csv")]
+        assert source_words("/odom", None, 0.3) == ["--odom", "/odom", *words, "--truth-shift", "2.5", "--track", "0.3"]
+
+
+def test_a_model_is_fitted_to_two_text_files(tmp_path, capsys):
+    moved = csv_file(tmp_path / "odom.csv", odometry())
+    model = tmp_path / "robot.toml"
+    assert run(["fit", str(moved), "--truth-file", str(csv_file(tmp_path / "gt.csv", truth())), "-o", str(model)]) == 0
+    assert "odometry odom.csv, truth gt.csv" in capsys.readouterr().err
+    assert "trans_trans" in model.read_text()
 
 
 def test_a_recording_may_come_through_a_pipe(tmp_path, capsys, monkeypatch):
