@@ -1,0 +1,159 @@
+"""How long a bag takes to be corrupted, beside copying it and beside the loops that people write.
+
+    python benchmarks/bags.py                        # small bags: 10 s of a robot with a camera, 3 rounds
+    python benchmarks/bags.py --seconds 45 --rounds 5     # the sizes of the goals, about 450 MB each
+    python benchmarks/bags.py --only "odom mcap zstd"
+
+It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where it is installed, a loop over
+ROS 1's own rosbag, one after the other in every round, and counts the CPU seconds (user + system) of whole processes.
+Medians are printed, and ratios beside the goals. Bags without a camera are 27 times as long: 120 000 messages at 45 s.
+Needs the test extra; writes into a folder of its own, and takes it away.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from bag_files import WRITERS
+
+HERE = Path(__file__).parent
+ODOM_TIMES = 27
+
+
+@dataclass(frozen=True)
+class Case:
+    """A bag, whom it is measured beside, and the goals: our time as a part of theirs and the most it may be, if any."""
+
+    name: str
+    goals: dict[str, tuple[float, float] | None]
+
+    @property
+    def kind(self) -> str:
+        """Either camera or odom."""
+        return self.name.split()[0]
+
+    @property
+    def format(self) -> str:
+        """One of mcap, ros1, sqlite3."""
+        return self.name.split()[1]
+
+    @property
+    def codec(self) -> str:
+        """Of its chunks."""
+        return self.name.split()[2]
+
+    def file(self, folder: Path, what: str) -> Path:
+        """Return where one of its bags is; the loops read the codec from the name."""
+        suffix = {"mcap": ".mcap", "ros1": ".bag", "sqlite3": ""}[self.format]
+        return folder / f"{self.name.replace(' ', '_')}_{what}{suffix}"
+
+
+CASES = (
+    Case("camera mcap zstd", {"rosbags": (0.27, 0.40), "mcap": None}),
+    Case("camera mcap none", {"rosbags": (0.27, 0.40), "cp": (2.5, 3.5)}),
+    Case("camera mcap lz4", {"mcap": None}),
+    Case("odom mcap zstd", {"rosbags": (0.10, 0.15), "mcap": (0.03, 0.05)}),
+    Case("camera ros1 lz4", {"rosbags": (0.5, 0.6), "ros1": (0.22, 0.3)}),
+    Case("odom ros1 lz4", {"rosbags": (0.09, 0.15), "ros1": (0.066, 0.10)}),
+    Case("camera sqlite3 none", {"rosbags": (0.26, 0.4), "cp": (2.3, 3.0)}),
+)
+
+
+def ros1_python() -> str | None:
+    """Return a Python that has ROS 1's rosbag, None without one."""
+    python = shutil.which("python3", path="/usr/bin")
+    asked = [python, "-c", "import rosbag"]
+    if python is None or subprocess.run(asked, capture_output=True, check=False).returncode:  # type: ignore[list-item]
+        return None
+    return python
+
+
+def commands(case: Case, source: Path, target: Path) -> dict[str, list[str]]:
+    """Return what is measured: each rewrites or copies source to target."""
+    out = {
+        "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1"],
+        "cp": ["cp", "-r", str(source), str(target)],
+    }
+    out |= {
+        name: [sys.executable, str(HERE / f"loop_{name}.py"), str(source), str(target)]
+        for name in case.goals
+        if name != "cp"
+    }
+    python = ros1_python()
+    if "ros1" in out and python is None:
+        del out["ros1"]
+    elif "ros1" in out:
+        out["ros1"][0] = str(python)
+    return out
+
+
+def cpu_seconds(command: list[str]) -> float:
+    """Run a process to its end and return its CPU seconds."""
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    said = process.stderr.read() if process.stderr is not None else b""
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(f"{' '.join(command)}: {said.decode()}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def discard(path: Path) -> None:
+    """Remove an output, file or directory."""
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def measure(case: Case, folder: Path, seconds: float, rounds: int) -> tuple[float, dict[str, float]]:
+    """Return the bag's size in MB and the median CPU seconds of each command."""
+    source, target = case.file(folder, "in"), case.file(folder, "out")
+    WRITERS[case.format](source, case.kind, case.codec, seconds * (ODOM_TIMES if case.kind == "odom" else 1))
+    files = source.iterdir() if source.is_dir() else [source]
+    size = sum(file.stat().st_size for file in files) / 1e6
+    taken: dict[str, list[float]] = {name: [] for name in commands(case, source, target)}
+    for _ in range(rounds):
+        for name, command in commands(case, source, target).items():
+            taken[name].append(cpu_seconds(command))
+            discard(target)
+    discard(source)
+    return size, {name: statistics.median(all_) for name, all_ in taken.items()}
+
+
+def main() -> None:
+    """Print a Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=10.0, help="of recording with a camera, 10 MB each")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--only", action="append", choices=[case.name for case in CASES])
+    parser.add_argument("--folder", type=Path, help="where to write the bags")
+    given = parser.parse_args()
+    print("| bag | MB | odomcorrupt, CPU s | cp | part of the time of (goal; at most) |\n|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory(dir=given.folder) as folder:
+        for case in CASES:
+            if given.only and case.name not in given.only:
+                continue
+            size, took = measure(case, Path(folder), given.seconds, given.rounds)
+            ratios = [
+                f"{name} {took['odomcorrupt'] / took[name]:.2g}"
+                + ("" if goal is None else f" ({goal[0]:g}; {goal[1]:g})")
+                for name, goal in case.goals.items()
+                if name in took
+            ]
+            print(
+                f"| {case.name} | {size:.0f} | {took['odomcorrupt']:.2f} | {took['cp']:.2f} | {', '.join(ratios)} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
