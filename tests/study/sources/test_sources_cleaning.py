@@ -8,6 +8,7 @@ from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.pose import between
 from odomcorrupt.study.sources import Source, read_runs
 from odomcorrupt.study.sources.jumps import reach_of, stretches
 from odomcorrupt.study.sources.order import order_of
@@ -95,10 +96,11 @@ def test_a_date_that_is_learnt_late_keeps_the_longer_part():
 def test_a_reset_of_the_odometry_makes_two_independent_runs(read):
     moved = odometry(60.0)
     half = len(moved) // 2
+    again = between(moved.xyt[half], moved.xyt[half:])
     xyz, yaw = moved.xyz.copy(), moved.yaw.copy()
-    xyz[half:] -= xyz[half]
-    yaw[half:] -= yaw[half]
+    xyz[half:, :2], yaw[half:] = again[:, :2], again[:, 2]
     recordings = read(Rows(moved.stamps_ns, xyz, yaw), truth(60.0))
+    np.testing.assert_allclose(recordings[1].odometry.xyt, again, atol=1e-12)
     assert [len(r.odometry) for r in recordings] == [half, len(moved) - half]
     assert [r.name for r in recordings] == ["run.mcap part 1", "run.mcap part 2"]
     assert recordings[1].origin_ns == moved.stamps_ns[half]
