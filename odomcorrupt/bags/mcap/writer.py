@@ -48,6 +48,7 @@ class McapWriter:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    pack : compresses chunks, as `compress` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
@@ -57,6 +58,7 @@ class McapWriter:
         self._reader = reader
         self._codec = codec
         self._level = level
+        self.pack = compress
         self._index = Index()
         self._directory = Directory(reader)
         self._sequences = Sequences()
@@ -120,7 +122,7 @@ class McapWriter:
 
     def _write_chunk(self, framed: Framed, codec: str) -> None:
         start_ns, end_ns = self._index.count(framed.table)
-        packed = compress(codec, framed.data, self._level)
+        packed = self.pack(codec, framed.data, self._level)
         crc = zlib.crc32(framed.data.data)
         head = chunk_head(start_ns, end_ns, size=framed.data.size, crc=crc, codec=codec, packed=len(packed))
         span = ChunkSpan(

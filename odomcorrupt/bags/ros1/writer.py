@@ -33,6 +33,7 @@ class Ros1Writer:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    pack : compresses chunks, as `compress_for_ros1` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
@@ -42,6 +43,7 @@ class Ros1Writer:
         output.summing = False  # a ROS 1 bag has no checksum of its own
         self._codec = codec
         self._level = level
+        self.pack = compress_for_ros1
         self._connections = Connections(reader)
         self._infos: list[bytes] = []
 
@@ -74,7 +76,7 @@ class Ros1Writer:
         if framed.data.size >= _CHUNK_LIMIT:
             raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
         position = self._output.position
-        packed = compress_for_ros1(codec, framed.data, self._level)
+        packed = self.pack(codec, framed.data, self._level)
         header = pack_fields(
             {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )

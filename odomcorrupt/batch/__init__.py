@@ -1,0 +1,1 @@
+"""Monte-Carlo batches: many corrupted bags of one."""

@@ -1,0 +1,159 @@
+"""Runs of a batch made in one pass over the bag: read once, patched and written for each."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.batch.book import note, write_whole
+from odomcorrupt.batch.job import Task
+from odomcorrupt.batch.robots import drawn_values
+from odomcorrupt.batch.shared import LateTopic, SharedTransform, portions
+from odomcorrupt.batch.sinks import FullSink, OverlaySink, Rests, SplitSink
+from odomcorrupt.batch.strand import Strand
+from odomcorrupt.batch.tum import TumSink
+from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.run import corrupt_bag
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.modelfile import format_model
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.batch.job import Job
+    from odomcorrupt.batch.sinks import Sink
+
+__all__ = ["Failure", "attempt", "make"]
+
+CLEAN = "clean.tum"
+"""The path without any noise, beside the runs."""
+
+_STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
+
+Failure = tuple[int, str]
+"""A run, and why it could not be made."""
+
+
+def attempt(task: Task) -> list[Failure]:
+    """Make the runs of a task; where that fails, those that are missing once more, each alone."""
+    try:
+        make(task)
+    except Exception:  # noqa: BLE001 - whatever ails one of many runs, the others are to be made
+        return [failure for run in task.runs if (failure := _alone(task.job, run)) is not None]
+    return []
+
+
+def _alone(job: Job, run: int) -> Failure | None:
+    if job.path_of(run).exists():
+        return None
+    try:
+        make(Task(job, (run,)))
+    except Exception as error:  # noqa: BLE001 - as above; it is told at the end
+        return run, str(error) or type(error).__name__
+    return None
+
+
+def make(task: Task, part: Callable[[BagReader], BagReader] = lambda reader: reader) -> None:
+    """Make the runs of a task in one pass.
+
+    part : returns what is read of the input's reader, where that is not the whole
+    """
+    whole: set[int] = set()
+    while True:
+        try:
+            with ExitStack() as stack:
+                reader = stack.enter_context(open_reader(task.job.source))
+                _make(task, whole, stack, reader, part(reader))
+                return
+        except LateTopic as late:
+            whole.add(late.channel)
+
+
+def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part: BagReader) -> None:
+    job = task.job
+    shared = SharedTransform(job.options)
+    shared.driver.prepare(reader, reader.name)
+    rests = Rests()
+    runs = [_begin(job, run, reader, rests) for run in task.runs]
+    every = list(runs)
+    if not (job.directory / CLEAN).exists():
+        clean = TumSink(job.directory / CLEAN, None)
+        every.append(_Run(Strand(_STILL, job.seed, 0, job.options, [clean]), clean, patches=False))
+    for one in every:
+        if one.sink is not None:
+            stack.enter_context(one.sink)
+    keep, paths = job.output == "full", job.output == "trajectories"
+    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole):
+        for one in every:
+            one.strand.grow(portion.growth)
+            data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
+            if one.sink is not None:
+                one.sink.put(portion, data)
+    for one in runs:
+        _put_beside(job, one)
+    note(job, [_record(job, one.strand) for one in runs])
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """A run being made; its sink is None where the bag is copied as it is."""
+
+    strand: Strand
+    sink: Sink | None
+    patches: bool
+
+
+def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
+    model = job.model_of(run)
+    if job.output == "trajectories":
+        path = TumSink(job.path_of(run), model)
+        return _Run(Strand(model, job.seed, run, job.options, [path]), path, patches=False)
+    sink: Sink | None = None
+    if job.output == "overlay":
+        sink = OverlaySink(job, run, reader)
+    elif not _is_copy(job, model):
+        sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
+    return _Run(Strand(model, job.seed, run, job.options), sink, patches=sink is not None)
+
+
+def _put_beside(job: Job, one: _Run) -> None:
+    """Make what no sink makes: a copy of the bag where nothing moves, and the file of a drawn robot."""
+    run, model = one.strand.run, one.strand.model
+    if one.sink is None:
+        container = replace(job.container, overwrite=True)
+        corrupt_bag(
+            job.source, job.path_of(run), model, seed=job.seed, run=run, options=job.options, container=container
+        )
+    if job.spreads:
+        (job.directory / "robots").mkdir(exist_ok=True)
+        write_whole(job.directory / job.robot_of(run), format_model(model).encode())
+
+
+def _is_copy(job: Job, model: MotionModel) -> bool:
+    """Whether a run changes nothing, so that the file itself is copied."""
+    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+    return silent and job.output == "full"
+
+
+def _record(job: Job, strand: Strand) -> dict[str, Any]:
+    drift = strand.drift.result()
+    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+    record: dict[str, Any] = {
+        "run": strand.run,
+        "file": job.name_of(strand.run),
+        "command": job.command_of(strand.run),
+        "input": job.shown_source,
+        "seed": job.seed,
+    }
+    if job.spreads:
+        record["robot"] = job.robot_of(strand.run)
+        record["drawn"] = drawn_values(strand.model, job.spreads)
+    record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]
+    return record
