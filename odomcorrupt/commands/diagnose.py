@@ -7,7 +7,7 @@ import shlex
 
 import click
 
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
+from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
 
 __all__ = ["command"]
 
@@ -48,9 +48,7 @@ def command(
     click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned)}")
     if not learned.added:
         return
-    words = [str(p) for p in paths]
-    words += [w for flag, value in (("--odom", odom), ("--truth", truth)) if value for w in (flag, value)]
-    words += ["--track", f"{track:g}"] if track is not None else []
+    words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
     words += ["--start", name] if name else []
     words += [w for effect in learned.added for w in ("--add", effect)]
     click.echo(f"\nnext: odomcorrupt fit {shlex.join(words)} -o robot.toml")

@@ -58,7 +58,8 @@ def fit_text(result: RobotFit) -> str:
     lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
     lines += clock_lines(names, result.clocks)
     wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
-    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {degrees(truth.yaw_rad):.2g} deg{wander}")
+    heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
+    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
     flagged = int((result.fit.noise.weights > 1.0).sum())
     if flagged:
         lines.append(

@@ -131,7 +131,7 @@ def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: S
     pits, whiteness = pits_of(chains), whiteness_of(chains)
     return Judgement(
         name=name,
-        refitted=any(piece.recording.name in _fitted_on(model) for piece in pieces),
+        refitted=any(piece.refitted for piece in pieces),
         ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
         nats=nats_of(pieces, first),
         horizons=horizons,
@@ -179,7 +179,11 @@ def _halves(recording: Recording) -> tuple[Recording, Recording]:
     truth, middle = recording.truth, len(recording.truth) // 2
     first = Trajectory(truth.stamps_ns[:middle], truth.xyt[:middle])
     second = Trajectory(truth.stamps_ns[middle:], truth.xyt[middle:])
-    return replace(recording, truth=first), replace(recording, truth=second)
+    name = recording.name
+    return (
+        replace(recording, name=f"{name}, first half", truth=first),
+        replace(recording, name=f"{name}, second half", truth=second),
+    )
 
 
 def _refit(model: MotionModel, recording: Recording, approach: Approach) -> MotionModel:

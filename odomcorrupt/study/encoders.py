@@ -12,6 +12,8 @@ from odomcorrupt.increments import Increments, accumulate, increments
 from odomcorrupt.study.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
@@ -23,7 +25,7 @@ __all__ = ["encoder_effects", "refilled"]
 _MOVING_MPS = 0.05
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
-_STEPS_M = np.geomspace(1e-3, 0.05, 1200)
+_STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth can tell."""
 _LATTICE = 0.9
 
@@ -40,11 +42,11 @@ def encoder_effects(recording: Recording) -> list[Effect]:
     return []
 
 
-def refilled(recording: Recording) -> Recording:
-    """Return the recording with lost increments, if any, filled with the mean of their neighbours."""
-    if not any(effect.name == "lost_increments" for effect in encoder_effects(recording)):
-        return recording
+def refilled(recording: Recording, effects: Sequence[Effect]) -> Recording:
+    """Return the recording with lost increments filled with the mean of their neighbours, where effects name them."""
     lost, _ = _lost(recording)
+    if not lost.any() or not any(effect.name == "lost_increments" for effect in effects):
+        return recording
     steps = increments(recording.odometry.xyt)
     rows = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
     at = np.flatnonzero(lost)
@@ -70,7 +72,7 @@ def _tick(recording: Recording, track_m: float) -> float | None:
     turn = steps.dtheta_rad * track_m / 2.0
     lattices = []
     for travel in (steps.ds_m + turn, steps.ds_m - turn):
-        moved = travel[np.abs(travel) > 1e-6][:4000]
+        moved = travel[np.abs(travel) > 1e-6][:1500]
         if len(moved) < 200:
             return None
         lattices.append(_regularity(moved))

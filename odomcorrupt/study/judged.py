@@ -43,7 +43,7 @@ class Judged:
     innovations : (3 K,) whitened residuals
     node_nats : (K,) log likelihood of each interval given the ones before
     node_metres : (K,) odometry's travel as it came, the same for all models
-    inflate : factor on the model's standard errors
+    refitted : whether the model was fitted anew, to half of a drive, to be judged on this one
     """
 
     recording: Recording
@@ -56,7 +56,7 @@ class Judged:
     innovations: Array
     node_nats: Array
     node_metres: Array
-    inflate: float
+    refitted: bool
 
     @property
     def headed(self) -> bool:
@@ -79,7 +79,7 @@ class Judged:
         if not len(windows):
             return None
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
-        return errors, doubt_of(self.model, windows, errors, self.problem, inflate=self.inflate)
+        return errors, doubt_of(self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0)
 
 
 def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False) -> Judged:
@@ -105,7 +105,7 @@ def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, 
         innovations=innovations,
         node_nats=-own.reshape(-1, 3).sum(axis=1),
         node_metres=as_it_came.distance_m,
-        inflate=_HALF if refitted else 1.0,
+        refitted=refitted,
     )
 
 

@@ -86,7 +86,7 @@ def learn(
 ) -> Learned:
     """Search from a model with the given effects; `most` bounds how many are added."""
     encoders = encoder_effects(recordings[0])
-    recordings = [refilled(recording) for recording in recordings]
+    recordings = [refilled(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
     fitted = fit(

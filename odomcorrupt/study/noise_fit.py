@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from odomcorrupt.errors import FitError
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.laws import Coefficients, variances
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.study.headings import UNKNOWN_RAD
 from odomcorrupt.study.likelihood import Whitener, band_of, factored, floor_band, truth_pieces, truth_weights
@@ -47,21 +47,25 @@ class LawPieces:
     """
 
     def __init__(self, law: Law, nodes: Nodes, steps: Increments) -> None:
-        def piece(*ones: int) -> Array:
-            unit = {name: float(i in ones) for i, name in enumerate(NAMES)}
-            return nodes.covariance(law, Coefficients(**unit), steps)
+        def of(*ones: int) -> Coefficients:
+            return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
+
+        def rows(*ones: int) -> Array:
+            v = variances(law, of(*ones), steps)
+            return np.stack((v.rot1, v.trans, v.across, v.rot2))
 
         self._degree = law.degree
-        self._single = [piece(i) for i in range(len(NAMES))]
-        self.active = [i for i, single in enumerate(self._single) if single.any()]
+        single = [rows(i) for i in range(len(NAMES))]
+        self.active = [i for i, own in enumerate(single) if own.any()]
         """Which coefficients do anything under this law and on this drive."""
+        self._single = {i: nodes.covariance(law, of(i), steps) for i in self.active}
         self._pairs: list[tuple[int, int, Array]] = []
-        if law.degree == 2:
-            for i, j in combinations(self.active, 2):
-                both = piece(i, j)
-                cross = both - self._single[i] - self._single[j]
-                if np.abs(cross).max() > 1e-12 * np.abs(both).max():
-                    self._pairs.append((i, j, cross))
+        for i, j in combinations(self.active, 2) if law.degree == 2 else ():
+            both = rows(i, j)
+            # most pairs add up, and carrying their noise to the nodes is the dear part
+            if np.abs(both - single[i] - single[j]).max() > 1e-12 * np.abs(both).max():
+                cross = nodes.covariance(law, of(i, j), steps) - self._single[i] - self._single[j]
+                self._pairs.append((i, j, cross))
 
     def parts(self) -> list[Array]:
         """Return the matrices (K, 3, 3) that `shares` weighs."""
@@ -162,7 +166,7 @@ class NoiseTask:
         return estimated(blank, white, self._stacked)
 
     def climb(self, free: Array, *, fixed: int | None = None) -> Array:
-        """Return the noise parameters of largest likelihood; one of them may be held where it is."""
+        """Return the noise of largest likelihood; with one of its numbers held, nearly so (a profile is shallow)."""
         active = len(self._pieces.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
@@ -175,7 +179,7 @@ class NoiseTask:
             np.clip(free, low, high),
             method="L-BFGS-B",
             bounds=list(zip(low, high, strict=True)),
-            options={"eps": 1e-4, "ftol": 1e-8, "maxiter": 60},
+            options={"eps": 1e-4, "ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
         )
         climbed: Array = found.x
         return climbed

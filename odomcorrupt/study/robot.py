@@ -66,8 +66,7 @@ def fit_robot(
 
     Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
     """
-    if any(effect.name == "lost_increments" for effect in effects):
-        recordings = [refilled(recording) for recording in recordings]
+    recordings = [refilled(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     if clocks is None:
         clocks = find_clocks(recordings, approach)

@@ -34,6 +34,8 @@ LEVEL = 0.01
 """Probability of naming any effect on data without one."""
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _SHORTLIST = 4
+_WORTH_A_REFIT = 0.25
+"""Part of the leader's evidence below which a refit would not turn the tables."""
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
@@ -126,14 +128,15 @@ def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
     trials = {s.effect.name: len(f) for s, f in zip(scores, families, strict=True)}
     count = len(fitted.problem.nodes)
     ranked = sorted(scores, key=lambda s: _evidence(s, trials[s.effect.name], count), reverse=True)
-    candidates = []
-    refits = 0
+    candidates: list[Candidate] = []
+    refits, leader = 0, -np.inf
     for score in ranked:
         refused = _objection(score)
-        if refused or refits == _SHORTLIST:
+        weight = _evidence(score, trials[score.effect.name], count)
+        if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
             continue
-        refits += 1
+        refits, leader = refits + 1, max(leader, weight)
         candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
     return sorted(candidates, key=lambda c: (c.refused == "", c.gain, -c.score.p), reverse=True)
 
