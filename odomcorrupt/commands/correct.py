@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._model import choose_model
+from odomcorrupt.commands._poses import POSE
 from odomcorrupt.commands._progress import Progress, say
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ __all__ = ["command"]
     default="model",
     help="Covariances: those of the model's noise, or as they are. [default: model]",
 )
+@click.option("--start", type=POSE, help="Where the drive began, for effects of places. [default: as odometry has it]")
 @click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
@@ -52,6 +54,8 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
     It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
     Random effects cannot be undone; the summary names them.
     """
+    import numpy as np
+
     from odomcorrupt.correct.run import correct_bag
     from odomcorrupt.correct.summary import correction_summary
     from odomcorrupt.corrupt.run import Container
@@ -77,6 +81,7 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
                 keep_localisation=given["keep_localisation"],
             ),
             container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
+            start_xyt=None if given["start"] is None else np.array(given["start"]),
             watch=progress,
         )
     say(correction_summary(corrected))

@@ -12,6 +12,7 @@ from odomcorrupt.corrupt.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corrupt.path import Knots
 from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
 from odomcorrupt.errors import BagError
+from odomcorrupt.pose import compose, inverse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,9 +41,13 @@ class MeasuredPath:
         if len(knots):
             self._parts[-1].append(knots)
 
-    def corrected(self, model: MotionModel) -> list[Knots | None]:
-        """Return each stretch corrected; None for one in which nothing was measured."""
+    def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[Knots | None]:
+        """Return each stretch corrected; None for one in which nothing was measured.
+
+        start_xyt : (3,) where the first pose lies in the frame whose places effects read; None: where it says
+        """
         stretches: list[Knots | None] = []
+        frame_xyt: Array | None = None
         first_ns: int | None = None
         for parts in self._parts:
             if not parts:
@@ -50,9 +55,10 @@ class MeasuredPath:
                 continue
             stamps_ns = np.concatenate([knots.stamps_ns for knots in parts])
             first_ns = int(stamps_ns[0]) if first_ns is None else first_ns
-            stretches.append(
-                corrected_knots(model, stamps_ns, np.concatenate([k.clean_xyt for k in parts]), first_ns=first_ns)
-            )
+            xyt = np.concatenate([knots.clean_xyt for knots in parts])
+            if start_xyt is not None and frame_xyt is None:
+                frame_xyt = compose(start_xyt, inverse(xyt[0]))
+            stretches.append(corrected_knots(model, stamps_ns, xyt, first_ns=first_ns, frame_xyt=frame_xyt))
         return stretches
 
 
@@ -89,7 +95,14 @@ class CorrectedPath:
         )  # fmt: skip
 
 
-def corrected_knots(model: MotionModel, stamps_ns: NDArray[np.int64], measured_xyt: Array, *, first_ns: int) -> Knots:
+def corrected_knots(
+    model: MotionModel,
+    stamps_ns: NDArray[np.int64],
+    measured_xyt: Array,
+    *,
+    first_ns: int,
+    frame_xyt: Array | None = None,
+) -> Knots:
     """Return the corrected path of one stretch of n poses, with the sums that the noise's covariances need.
 
     Parameters
@@ -100,12 +113,14 @@ def corrected_knots(model: MotionModel, stamps_ns: NDArray[np.int64], measured_x
         Measured poses, metres and radians, finite.
     first_ns
         First stamp of the odometry, from which clocks count.
+    frame_xyt : (3,)
+        Pose of the odom frame in the frame whose places effects read, None where it is the same.
 
     """
     clocks = [effect for effect in model.effects if effect.clock]
     t_ns = true_stamps(clocks, stamps_ns, first_ns)
     t_s = (t_ns - t_ns[0]) * np.float64(1e-9)
-    undone = undo_effects(model.effects, t_s, measured_xyt, model.track_m)
+    undone = undo_effects(model.effects, t_s, measured_xyt, model.track_m, frame_xyt=frame_xyt)
     origin_xy = measured_xyt[0, :2].copy()
     sums = _sums(model.noise, undone, measured_xyt + undone.error_xyt, origin_xy)
     world = np.diff(measured_xyt[:, :2], axis=0)

@@ -9,6 +9,7 @@ import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.correct.clock import ClockPutRight
 from odomcorrupt.correct.path import CorrectedPath, MeasuredPath
+from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.corrupt.run import corrupt_bag
 from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.laws import Coefficients
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.targets import Frames
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
 
 __all__ = ["SILENT", "Corrected", "Effects", "correct_bag", "split_effects"]
 
@@ -54,6 +56,7 @@ def split_effects(model: MotionModel) -> Effects:
 class Corrected:
     """What a correction did.
 
+    strayed : effects that read places, and took the odom frame's for the truth's because nothing else was said
     drift : drawn values tell how far the odometry was moved, expected ones what the noise still does to it
     restarts, late, unusable : as in corruption
     losses : what could not be read of a damaged input, in sentences
@@ -61,6 +64,7 @@ class Corrected:
 
     model: MotionModel
     effects: Effects
+    strayed: tuple[Effect, ...]
     driver: str
     frames: Frames
     changes: Changes
@@ -78,9 +82,12 @@ def correct_bag(
     *,
     options: Options,
     container: Container,
+    start_xyt: Array | None = None,
     watch: Callable[[Block], None] = lambda _: None,
 ) -> Corrected:
     """Correct a bag; a target of None is a pipe. The output appears when it is complete, or not at all.
+
+    start_xyt : (3,) where the odometry begins, metres and radians, in the frame whose places effects read
 
     Raises
     ------
@@ -98,10 +105,10 @@ def correct_bag(
             source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch
         )  # fmt: skip
         return Corrected(
-            model, effects, copied.driver, copied.frames, copied.changes, copied.drift,
+            model, effects, (), copied.driver, copied.frames, copied.changes, copied.drift,
             copied.restarts, copied.late, copied.unusable, copied.losses,
         )  # fmt: skip
-    path = CorrectedPath(_measured(source, options, container).corrected(model))
+    path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockPutRight(clocks)))
@@ -117,11 +124,12 @@ def correct_bag(
                 watch(block)
             writer.provenance("odomcorrupt_correct", _provenance(model))
         losses = tuple(reader.losses)
+    strayed = tuple(effect for effect in still if start_xyt is None and asks_for_places(effect))
     drift, frames = transform.drift.result(), transform.driver.frames
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     assert frames is not None  # noqa: S101 - as above
     return Corrected(
-        model, effects, transform.driver.name, frames, transform.changes, drift,
+        model, effects, strayed, transform.driver.name, frames, transform.changes, drift,
         transform.order.restarts, transform.order.late, transform.unusable, losses,
     )  # fmt: skip
 

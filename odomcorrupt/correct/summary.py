@@ -37,9 +37,16 @@ def correction_summary(corrected: Corrected) -> str:
     parts += [
         f"{effect.name} cannot be undone: {_WHY_NOT.get(effect.name, _RANDOM)}." for effect in corrected.effects.left
     ]
+    if corrected.strayed:
+        names = ", ".join(effect.name for effect in corrected.strayed)
+        parts.append(
+            f"{names}: acts by place or heading in the frame of the truth, which was taken to be "
+            f"{corrected.frames.odom}; if it is not, say with --start X,Y,THETA where in it this drive began."
+        )
     parts += _remains(corrected)
-    aside = [effect.name for effect in corrected.model.setup.effects]
-    aside += ["clocks"] * bool(corrected.model.setup.clocks)
+    given = {effect.name for effect in undone}
+    aside = [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
+    aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not any(effect.clock for effect in undone))
     if aside:
         parts.append(
             f"[setup] belongs to the recordings that were fitted and stays out of this: {', '.join(aside)}; "

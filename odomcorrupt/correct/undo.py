@@ -11,7 +11,7 @@ from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.errors import EffectError
 from odomcorrupt.increments import Increments, accumulate, increments
 from odomcorrupt.motion import corrected_increments, motion_of
-from odomcorrupt.pose import rotate
+from odomcorrupt.pose import compose, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,11 +45,30 @@ class Undone:
     jump: NDArray[np.bool_]
 
 
-def undo_effects(effects: Sequence[Effect], t_s: Array, measured_xyt: Array, track_m: float | None) -> Undone:
-    """Return the path of n poses (n, 3) at t_s (n,) seconds with the effects taken out; the first pose stays.
+def undo_effects(
+    effects: Sequence[Effect],
+    t_s: Array,
+    measured_xyt: Array,
+    track_m: float | None,
+    *,
+    frame_xyt: Array | None = None,
+) -> Undone:
+    """Return the path of n poses with the effects taken out; the first pose stays.
 
     Nothing is driven across a jump of the pose, so the correction is held there. What is carried is the error and not
     the path itself: where no effect acts, it is zero to the last bit.
+
+    Parameters
+    ----------
+    effects : any order
+    t_s : (n,)
+        Ascending true times, seconds.
+    measured_xyt : (n, 3)
+        Measured poses in the odom frame, metres and radians.
+    track_m
+        Nominal distance between the wheels, where it is known.
+    frame_xyt : (3,)
+        Pose of the odom frame in the frame whose places effects read; None where that is the odom frame itself.
 
     Raises
     ------
@@ -57,6 +76,7 @@ def undo_effects(effects: Sequence[Effect], t_s: Array, measured_xyt: Array, tra
         Where no true motion explains the odometry.
 
     """
+    frame_xyt = np.zeros(3) if frame_xyt is None else frame_xyt
     steps = increments(measured_xyt)
     dt_s = np.diff(t_s)
     world = np.diff(measured_xyt[:, :2], axis=0)
@@ -64,17 +84,19 @@ def undo_effects(effects: Sequence[Effect], t_s: Array, measured_xyt: Array, tra
     raw = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
     raw[jump] = 0.0
     driven_s = np.where(jump, 0.0, dt_s)
-    smooth = accumulate(measured_xyt[0], _increments(raw))
+    smooth = accumulate(compose(frame_xyt, measured_xyt[0]), _increments(raw))
     motion = replace(motion_of(t_s - t_s[0], smooth, track_m=track_m), dt_s=driven_s)
     before = np.stack((motion.v, motion.vy, motion.omega), axis=1) * driven_s[:, None]
 
     # a path without jumps finds the places by itself; across jumps they are found from round to round
-    place = measured_xyt[:-1] if jump.any() and any(effect.reads_truth for effect in effects) else None
+    place = (
+        compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
+    )
     for _ in range(MAX_ROUNDS):
         after = corrected_increments(effects, motion, place)
         added = np.stack((after.ds_m, after.dl_m, after.dtheta_rad), axis=1) - before
         error = _error(raw, added, world, measured_xyt)
-        found = (measured_xyt + error)[:-1]
+        found = compose(frame_xyt, (measured_xyt + error)[:-1])
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
             return Undone(error, _increments(raw + added), driven_s, jump)
         place = found

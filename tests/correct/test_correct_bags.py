@@ -122,6 +122,20 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
 
 
+def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
+    source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
+    start = rows_of(source, "/odom").xyt[0]
+    assert run(["correct", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
+    assert "slope: acts by place or heading" in capsys.readouterr().err
+    same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
+    for name, option in (("same", same), ("turned", turned)):
+        assert run(["correct", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0
+        assert "--start" not in capsys.readouterr().err
+    silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
+    assert differ(same_path, silent) < 1e-9
+    assert differ(other, silent) > 0.05
+
+
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
 def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
     target = tmp_path / "out.mcap"

@@ -9,15 +9,18 @@ import pytest
 
 from odomcorrupt.correct.clock import ClockPutRight, true_stamps
 from odomcorrupt.correct.path import CorrectedPath, corrected_knots
+from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.correct.undo import undo_effects
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import BagError
 from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.pose import compose, inverse
 
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
 SYSTEMATIC = [name for name, kind in registry().items() if kind.kind != "noise" and not kind.clock]
@@ -68,6 +71,26 @@ def test_a_mixture_is_taken_out_across_a_jump_of_the_pose():
     assert left < 1e-9
     undone = undo_effects(MIXTURE, (stamps_ns - stamps_ns[0]) * 1e-9, clean, 0.4)
     assert undone.jump.nonzero()[0].tolist() == [899]
+
+
+def test_places_are_those_of_the_frame_that_effects_read():
+    stamps_ns, clean = drive()
+    chosen = model(usual("slope"), usual("region_slip"))
+    t_s = (stamps_ns - stamps_ns[0]) * 1e-9
+    wrong = clean + NoisyPath(chosen, 1).feed(stamps_ns, clean).error_xyt
+    frame = np.array([7.0, -3.0, 2.0])  # of odometry that begins elsewhere and looks elsewhere
+    moved = compose(inverse(frame), wrong)
+    back = compose(frame, moved + undo_effects(chosen.effects, t_s, moved, 0.4, frame_xyt=frame).error_xyt)
+    assert np.abs(back - clean).max() < 1e-9
+    unaware = compose(frame, moved + undo_effects(chosen.effects, t_s, moved, 0.4).error_xyt)
+    assert np.abs(unaware - clean).max() > 0.02
+
+
+def test_effects_that_ask_for_places_are_known():
+    asking = {name for name in SYSTEMATIC if asks_for_places(usual(name))}
+    assert asking == {"slope", "region_slip"}
+    assert asks_for_places(user_effect("bend", "yaw += k * sin(theta)", {"k": 0.01}))
+    assert not asks_for_places(user_effect("skid", "along += k * a", {"k": 0.01}))
 
 
 def test_messages_with_the_same_stamp_keep_what_they_moved():

@@ -1,0 +1,77 @@
+"""odomcorrupt export: a model's numbers as parameters of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from odomcorrupt.export.amcl import Turn
+
+__all__ = ["command"]
+
+
+@click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
+@click.argument("model", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--to",
+    "target",
+    type=click.Choice(["ros2_control", "nav2", "robot_localization"]),
+    required=True,
+    help="Wheel multipliers, amcl's alphas, or covariances.",
+)
+@click.option("--track", type=float, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
+@click.option("--update-min-d", type=float, default=0.25, show_default=True, metavar="M", help="Of amcl.")
+@click.option("--update-min-a", type=float, default=0.2, show_default=True, metavar="RAD", help="Of amcl.")
+@click.option(
+    "--turn",
+    type=click.Choice(["rolling", "spot"]),
+    default="rolling",
+    show_default=True,
+    help="The turn on which amcl is to agree with the model: along an arc, or on the spot.",
+)
+@click.option("--speed", type=float, default=0.5, show_default=True, metavar="M/S", help="For what depends on it.")
+@click.option("--turn-rate", type=float, default=0.5, show_default=True, metavar="RAD/S", help="Likewise.")
+@click.option("--rate", type=float, default=50.0, show_default=True, metavar="HZ", help="Of odometry messages.")
+@click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
+def command(
+    model: Path,
+    target: str,
+    track: float | None,
+    update_min_d: float,
+    update_min_a: float,
+    turn: Turn,
+    speed: float,
+    turn_rate: float,
+    rate: float,
+    controller: str,
+) -> None:
+    """Print a model as YAML to paste, with what it cannot express in comments.
+
+    Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
+    """
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.export.amcl import amcl_alphas
+    from odomcorrupt.export.growth import Steady
+    from odomcorrupt.export.text import amcl_text, twists_text, wheels_text
+    from odomcorrupt.export.twists import twist_variances
+    from odomcorrupt.export.wheels import wheel_multipliers
+    from odomcorrupt.modelfile import read_model
+
+    robot = read_model(model)
+    if track is not None and not 0.0 < track < 100.0:
+        raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
+    if target == "ros2_control":
+        click.echo(wheels_text(robot, wheel_multipliers(robot, track), controller))
+        return
+    try:
+        drive = Steady(speed, turn_rate, rate)
+        if target == "nav2":
+            alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
+            click.echo(amcl_text(robot, alphas, update_min_d, update_min_a, turn))
+        else:
+            click.echo(twists_text(robot, twist_variances(robot.noise, drive), drive, controller))
+    except ModelError as error:
+        raise click.UsageError(str(error)) from error

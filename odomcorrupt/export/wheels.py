@@ -1,0 +1,57 @@
+"""Multipliers of diff_drive_controller: wheels and track as they really are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.unequal_wheels import UnequalWheels
+from odomcorrupt.effects.wheel_scale import WheelScale
+from odomcorrupt.effects.wheelbase import Wheelbase
+from odomcorrupt.errors import ModelError
+
+if TYPE_CHECKING:
+    from odomcorrupt.model import MotionModel
+
+__all__ = ["WHEEL_EFFECTS", "WheelMultipliers", "wheel_multipliers"]
+
+WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
+"""Effects that are nothing but a wrong radius or a wrong track."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelMultipliers:
+    """True over nominal: the distance between the wheels, and either radius."""
+
+    separation: float
+    left_radius: float
+    right_radius: float
+
+
+def wheel_multipliers(model: MotionModel, track_m: float | None = None) -> WheelMultipliers:
+    """Return the multipliers with which a controller computes v = v' + f_along and omega = omega' + f_yaw.
+
+    track_m : nominal distance between the wheels, where the model does not know it
+
+    Raises
+    ------
+    ModelError
+        Where the track is needed and not known, or the effects leave no wheel of positive size.
+
+    """
+    scale = 1.0 + sum(effect.e for effect in model.effects if isinstance(effect, WheelScale))
+    turns = scale - sum(effect.e / (1.0 + effect.e) for effect in model.effects if isinstance(effect, Wheelbase))
+    curvature = sum(effect.curvature for effect in model.effects if isinstance(effect, UnequalWheels))
+    track = track_m if track_m is not None else model.track_m
+    if curvature and track is None:
+        raise ModelError(
+            "unequal_wheels: its curvature tells the radii apart only with the distance between the wheels; "
+            "give --track, or write [robot] track in the model file"
+        )
+    if not (scale > 0.0 and turns > 0.0):
+        raise ModelError(f"wheel_scale and wheelbase: radius times {scale:g}, turns times {turns:g}; no robot is that")
+    separation = scale / turns
+    half = 0.5 * curvature * separation * (track or 0.0)
+    if not abs(half) < scale:
+        raise ModelError(f"unequal_wheels: curvature {curvature:g} rad/m leaves one wheel no radius on {track} m")
+    return WheelMultipliers(separation, scale - half, scale + half)

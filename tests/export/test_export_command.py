@@ -1,0 +1,124 @@
+"""What the command prints is YAML that ROS reads as numbers, with what is left out in its comments."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from ruamel.yaml import YAML
+
+from odomcorrupt.cli import run
+
+MODEL = """schema = 1
+[noise]
+law = "{law}"
+rot_rot = 0.03
+rot_trans = 0.01
+trans_trans = 0.02
+trans_rot = 0.000001
+[[effect]]
+name = "wheelbase"
+e = 0.03
+[[effect]]
+name = "unequal_wheels"
+curvature = 0.01
+[[effect]]
+name = "side_slip"
+k = 0.02
+[[effect]]
+name = "gauss_markov"
+sigma = 0.02
+{more}
+"""
+
+
+@pytest.fixture
+def export(tmp_path, capsys):
+    """Export a model; return exit code, the parsed YAML, what was printed, and what was said."""
+
+    def call(target, *args, law="diffusion", more="[robot]\ntrack = 0.4"):
+        path = tmp_path / "robot.toml"
+        path.write_text(MODEL.format(law=law, more=more))
+        code = run(["export", str(path), "--to", target, *args])
+        printed = capsys.readouterr()
+        return code, YAML(typ="safe").load(io.StringIO(printed.out)), printed.out, printed.err
+
+    return call
+
+
+def comments(text):
+    return " ".join(line.removeprefix("# ") for line in text.splitlines() if line.startswith("# "))
+
+
+def test_wheel_multipliers(export):
+    code, found, text, _ = export("ros2_control", "--controller", "base_controller")
+    assert code == 0
+    values = found["base_controller"]["ros__parameters"]
+    assert values["wheel_separation_multiplier"] == pytest.approx(1.03)
+    difference = values["right_wheel_radius_multiplier"] - values["left_wheel_radius_multiplier"]
+    assert difference == pytest.approx(0.01 * 1.03 * 0.4, abs=1e-5)
+    said = comments(text)
+    assert "side_slip" in said
+    assert "because it is random: gauss_markov" in said
+    assert "wheelbase" not in said
+
+
+def test_a_gyros_gain_is_not_taken_for_a_track(export):
+    _, found, text, _ = export("ros2_control", more='[[effect]]\nname = "gyro_scale"\ne = 0.05\n[robot]\ntrack = 0.4')
+    assert found["diff_drive_controller"]["ros__parameters"]["wheel_separation_multiplier"] == pytest.approx(1.03)
+    assert "gyro_scale is left out: it is the gain of a heading sensor" in comments(text)
+
+
+def test_a_missing_track_is_asked_for(export):
+    code, _, text, said = export("ros2_control", more="")
+    assert (code, text) == (1, "")
+    assert "give --track" in said
+    assert export("ros2_control", "--track", "0.4", more="")[0] == 0
+
+
+def test_alphas_of_amcl(export):
+    code, found, text, _ = export("nav2", "--update-min-d", "0.5", "--update-min-a", "0.1")
+    assert code == 0
+    values = found["amcl"]["ros__parameters"]
+    assert values["alpha2"] == pytest.approx(0.01**2 / (2 * 0.5))
+    assert values["alpha3"] == pytest.approx(0.02**2 / 0.5)
+    assert values["alpha1"] == pytest.approx(2 * 0.03**2 / 0.1)
+    assert export("nav2", "--turn", "spot")[1]["amcl"]["ros__parameters"]["alpha1"] == pytest.approx(0.03**2 / 0.2)
+    assert (values["update_min_d"], values["update_min_a"]) == (0.5, 0.1)
+    assert "wheelbase, unequal_wheels, side_slip" in comments(text)
+    assert "depends on the message rate" not in comments(text)
+
+
+def test_alphas_that_depend_on_the_rate_say_which_one_was_assumed(export):
+    assert "0.5 m/s, 0.5 rad/s and 20 Hz" in comments(export("nav2", "--rate", "20", law="linear")[2])
+
+
+def test_covariances_for_robot_localization(export):
+    code, found, text, _ = export("robot_localization", "--speed", "0.4", "--rate", "20")
+    assert code == 0
+    diagonal = found["diff_drive_controller"]["ros__parameters"]["twist_covariance_diagonal"]
+    assert len(diagonal) == 6
+    assert diagonal[0] == pytest.approx((0.02**2 * 0.4 + 1e-12 * 0.5) * 20, rel=1e-3)
+    assert diagonal[5] == pytest.approx((0.03**2 * 0.5 + 0.01**2 * 0.4) * 20, rel=1e-3)
+    config = found["ekf_filter_node"]["ros__parameters"]["odom0_config"]
+    assert [i for i, used in enumerate(config) if used] == [6, 7, 11]
+    assert len(config) == 15
+    assert "0.4 m/s, 0.5 rad/s and 20 Hz" in comments(text)
+
+
+def test_every_number_is_a_float_of_yaml_1_1_and_1_2(export):
+    for target in ("ros2_control", "nav2", "robot_localization"):
+        _, found, text, _ = export(target)
+        numbers = [v for node in found.values() for v in node["ros__parameters"].values() if not isinstance(v, str)]
+        flat = [x for v in numbers for x in (v if isinstance(v, list) else [v])]
+        assert all(isinstance(x, (bool, float)) for x in flat)
+        old = YAML(typ="safe")
+        old.version = (1, 1)
+        assert old.load(io.StringIO(text)) == found
+
+
+@pytest.mark.parametrize("flag", ["--update-min-d", "--update-min-a", "--rate", "--speed"])
+def test_what_must_move_is_refused_in_one_line_where_it_does_not(export, flag):
+    code, _, text, said = export("nav2", flag, "0")
+    assert (code, text) == (2, "")
+    assert len(said.splitlines()) == 1
