@@ -16,7 +16,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.clock import Clock
 from odomcorrupt.study.noise_fit import LawPieces, NoiseFit, fit_noise
 from odomcorrupt.study.problem import pose_problem
-from odomcorrupt.study.random_gain import WANDERING, with_random
+from odomcorrupt.study.random_process import WANDERING, with_random
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

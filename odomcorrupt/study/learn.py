@@ -13,7 +13,8 @@ from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.encoders import encoder_effects, refilled
 from odomcorrupt.study.events import slip_bursts
 from odomcorrupt.study.fit import Fit, believed_columns, fit
-from odomcorrupt.study.random_gain import WANDERING, RandomGain, random_gains
+from odomcorrupt.study.random_gain import RandomGain, random_gains
+from odomcorrupt.study.random_process import WANDERING
 from odomcorrupt.study.search import Candidate, Clocks, find_clocks, next_effect, ten_second_error
 from odomcorrupt.study.unknown import Unknown, unknown_dependences
 

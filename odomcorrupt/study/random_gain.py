@@ -7,35 +7,24 @@ marginal likelihood is a sum over eigenvalues, so all amplitudes of one correlat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky, eigh
+from scipy.linalg import eigh
 
-from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.noise_fit import estimated
+from odomcorrupt.study.random_process import processes, rooted, unit_column
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fit import Fit
-    from odomcorrupt.study.noise_fit import NoiseFit
-    from odomcorrupt.study.problem import Problem
+    from odomcorrupt.study.random_process import Process
 
-__all__ = ["NAMED_NATS", "WANDERING", "RandomGain", "random_gains", "with_random"]
+__all__ = ["NAMED_NATS", "RandomGain", "random_gains"]
 
 NAMED_NATS = 6.0
 """Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
-WANDERING = ("gauss_markov", "gyro_bias_walk")
-"""Random effects that a fit can believe."""
-_TAUS_S = (2.0, 5.0, 15.0, 40.0)
-_MOST_KNOTS = 240
-_WALK_S = 20.0
-_BREAK_S = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +37,6 @@ class RandomGain:
 
     effect: Effect
     nats: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Process:
-    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density."""
-
-    kind: type[Effect]
-    fixed: dict[str, str | float]
-    scale: str
-    unit: Callable[[Motion], Array]
-    tau: float | None
 
 
 def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
@@ -74,8 +52,8 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
     price = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found = []
-    for process in _processes():
-        design = _rooted(fit.problem, process)
+    for process in processes():
+        design = rooted(fit.problem, process)
         nats, scale = _evidence(fit, believed, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         if nats - price > NAMED_NATS and (effect.name, getattr(effect, "channel", "")) not in have:
@@ -83,82 +61,13 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
     return sorted(found, key=lambda g: g.nats, reverse=True)
 
 
-def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with wandering gains in its covariance, everything linear estimated anew."""
-    if not random:
-        return noise
-    white = noise.whitener
-    designs = []
-    for effect in random:
-        process = next(p for p in _processes(effect) if p.kind is type(effect) and _same(p, effect))
-        designs.append(getattr(effect, process.scale) * white.whiten(_rooted(problem, process)))
-    directions, size, _ = np.linalg.svd(np.concatenate(designs, axis=1), full_matrices=False)
-    growth = 1.0 + size**2
-    wider = replace(
-        white,
-        directions=directions,
-        shrink=1.0 / np.sqrt(growth),
-        log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
-    )
-    return estimated(noise, wider, np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2))
-
-
-def _processes(like: Effect | None = None) -> list[_Process]:
-    """Return the processes to try, or with the correlation time of an effect that is believed."""
-    taus = _TAUS_S if like is None else (getattr(like, "tau", _TAUS_S[0]),)
-    kinds = registry()
-    markov = [
-        _Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
-        for channel, unit in (("along", _along), ("yaw", _turn))
-        for tau in taus
-    ]
-    return [*markov, _Process(kinds["gyro_bias_walk"], {}, "density", _bias, None)]
-
-
-def _same(process: _Process, effect: Effect) -> bool:
-    return all(getattr(effect, name) == value for name, value in process.fixed.items())
-
-
-def _along(motion: Motion) -> Array:
-    return stacked(motion.v, 0.0, 0.0, motion.v)
-
-
-def _turn(motion: Motion) -> Array:
-    return stacked(0.0, 0.0, motion.omega, motion.v)
-
-
-def _bias(motion: Motion) -> Array:
-    return stacked(0.0, 0.0, 1.0, motion.v)
-
-
-def _unit_column(problem: Problem, process: _Process) -> Array:
-    return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
-
-
-def _rooted(problem: Problem, process: _Process) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1."""
-    nodes = problem.nodes
-    # runs lie far apart: what wandered in one says nothing about the next
-    time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
-    tau = process.tau
-    gaps = np.diff(time)
-    step = max((_WALK_S if tau is None else tau) / 2.0, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
-    cells = np.unique(np.floor(time / step))
-    knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
-    hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
-    prior = np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
-    root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
-    rooted: Array = _unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
-    return rooted
-
-
-def _evidence(fit: Fit, believed: Array, design: Array, process: _Process) -> tuple[float, float]:
+def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
     whiten = fit.noise.whitener.whiten
     white, r = whiten(design), fit.noise.innovations
     if process.tau is None:
         # a walk starts anywhere: the constant is not its business
-        believed = np.concatenate((believed, _unit_column(fit.problem, process)[:, :, None]), axis=2)
+        believed = np.concatenate((believed, unit_column(fit.problem, process)[:, :, None]), axis=2)
     if believed.shape[2]:
         basis = np.linalg.qr(whiten(believed))[0]
         white = white - basis @ (basis.T @ white)
@@ -171,12 +80,3 @@ def _evidence(fit: Fit, believed: Array, design: Array, process: _Process) -> tu
     gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
     best = int(np.argmax(gains))
     return float(gains[best]), float(scales[best])
-
-
-def _walk(knots: Array) -> Array:
-    """Return the covariance of a random walk of unit density, anew after every long break."""
-    start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
-    begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
-    since = knots - begin + 1.0
-    shared: Array = np.minimum(since[:, None], since) * (begin[:, None] == begin)
-    return shared
