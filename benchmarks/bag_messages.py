@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 START_NS = 1_700_000_000 * 10**9
-IMAGE_BYTES = 300_000
+IMAGE_BYTES = 130_000
 RADIUS_M, SPEED = 5.0, 0.5
 
 TOPICS = {

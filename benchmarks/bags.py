@@ -1,12 +1,12 @@
 """How long a bag takes to be corrupted, beside copying it and beside the loops that people write.
 
-    python benchmarks/bags.py                        # small bags: 10 s of a robot with a camera, 3 rounds
-    python benchmarks/bags.py --seconds 45 --rounds 5     # the sizes of the goals, about 450 MB each
+    python benchmarks/bags.py                        # 30 s of a robot with a camera, 3 rounds
+    python benchmarks/bags.py --seconds 150 --rounds 5    # the sizes of the goals: 600 MB raw
     python benchmarks/bags.py --only "odom mcap zstd"
 
 It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where it is installed, a loop over
 ROS 1's own rosbag, one after the other in every round, and counts the CPU seconds (user + system) of whole processes.
-Medians are printed, and ratios beside the goals. Bags without a camera are 27 times as long: 120 000 messages at 45 s.
+Medians are printed, and ratios beside the goals. Bags without a camera are 8 times as long: 120 000 messages at 150 s.
 Needs the test extra; writes into a folder of its own, and takes it away.
 """
 
@@ -25,7 +25,7 @@ from pathlib import Path
 from bag_files import WRITERS
 
 HERE = Path(__file__).parent
-ODOM_TIMES = 27
+ODOM_TIMES = 8
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def measure(case: Case, folder: Path, seconds: float, rounds: int) -> tuple[floa
 def main() -> None:
     """Print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=10.0, help="of recording with a camera, 10 MB each")
+    parser.add_argument("--seconds", type=float, default=30.0, help="of recording with a camera, 4 MB each")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", action="append", choices=[case.name for case in CASES])
     parser.add_argument("--folder", type=Path, help="where to write the bags")

@@ -11,6 +11,9 @@ from pathlib import Path
 
 import click
 import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapLibraryWriter
 
 import odomcorrupt
 from odomcorrupt.cli import cli, run
@@ -264,6 +267,27 @@ def test_a_run_that_fails_is_one_line_exit_code_one_and_leaves_nothing(corrupt, 
     assert said.startswith("odomcorrupt: ")
     assert said.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_an_mcap_whose_messages_are_compressed_one_by_one_is_refused(corrupt, tmp_path):
+    """As rosbag2 writes them on request; without its metadata.yaml only the messages tell."""
+    packed = tmp_path / "packed.mcap"
+    with Path(OFFICE).open("rb") as source, packed.open("wb") as stream:
+        writer = McapLibraryWriter(stream)
+        writer.start()
+        channels = {}
+        for schema, channel, message in make_reader(source).iter_messages(topics=["/odom", "/imu"]):
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            writer.add_message(channels[channel.topic], message.log_time, zstandard.compress(message.data), 0)
+        writer.finish()
+    code, said, target = corrupt("--seed", "1", source=str(packed))
+    assert code == 1
+    assert said == (
+        "odomcorrupt: /odom: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that\n"
+    )
+    assert not target.exists()
 
 
 def test_an_existing_output_is_refused_and_replaced_on_request(corrupt):

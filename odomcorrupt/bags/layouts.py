@@ -144,8 +144,11 @@ class _CdrCursor(_Cursor):
         super().__init__(data, topic)
         self.take(4, structural=True)
         if data[0] != 0 or data[1] not in _PLAIN_CDR:
-            hint = "; it is compressed by itself, `ros2 bag convert` can undo that" if data[:4] == _ZSTD else ""
-            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one{hint}")
+            if data[:4] == _ZSTD:
+                raise BagError(
+                    f"{topic}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that"
+                )
+            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one")
         self.order, self.largest = _PLAIN_CDR[data[1]]
         # The options (bytes 2, 3) say how much padding follows the message: they do not shape what lies before it.
         self.mask[2:4] = b"\0\0"

@@ -1,7 +1,9 @@
 """Odometry messages put into the order of their stamps, and cut into stretches where time jumps back.
 
 Whatever is decided here depends on stamps and on log times alone, never on how a bag is cut into blocks. Log times
-are running maxima: a message counts as seen when the newest one before it was.
+are running maxima: a message counts as seen when the newest one before it was. A stamp that leaps ahead of the log
+clock is not believed before the next one: where that one is back among those before, the leap was a flaw of one
+message, and neither a restart of time nor the end of the drift.
 """
 
 from __future__ import annotations
@@ -59,18 +61,22 @@ class TimeOrder:
     """Holds messages back until none can come any more that belongs before them.
 
     late : messages more than `WINDOW_NS` of log time behind their neighbours: they are left out
+    leaps : messages whose stamp lies far ahead of both neighbours': they are left out, too
     restarts : how often time jumped back
     """
 
     def __init__(self) -> None:
         self.late = 0
+        self.leaps = 0
         self.restarts = 0
         self._waiting = _NONE  # in the order of arrival
         self._begin()
 
     def _begin(self) -> None:
         self._newest_ns = _LONG_AGO
+        self._seen_ns = _LONG_AGO
         self._released_ns = _LONG_AGO
+        self._ahead: Arrivals | None = None  # one message that leapt ahead
 
     def add(self, new: Arrivals) -> list[Arrivals]:
         """Take messages in the order of arrival; return the ends of stretches that a jump back completes.
@@ -80,19 +86,45 @@ class TimeOrder:
         """
         ended = []
         while len(new):
+            self._judge_ahead(new)
             reach = np.maximum.accumulate(np.concatenate(([self._newest_ns], new.stamps_ns)))
             back = new.stamps_ns < reach[:-1] - WINDOW_NS
-            cut = int(np.argmax(back)) if back.any() else len(new)
+            leap = new.stamps_ns - reach[:-1] - np.diff(new.time_ns, prepend=self._seen_ns) > WINDOW_NS
+            leap[0] &= self._newest_ns != _LONG_AGO
+            odd = back | leap
+            cut = int(np.argmax(odd)) if odd.any() else len(new)
             self._append(new.take(slice(0, cut)), swapped=bool((new.stamps_ns < reach[:-1])[:cut].any()))
-            self._newest_ns = int(reach[cut])
-            if cut < len(new):
+            if cut < len(new) and leap[cut]:
+                self._ahead = new.take(slice(cut, cut + 1))
+                cut += 1
+            elif cut < len(new):
                 ended.append(self.flush())
                 self.restarts += 1
                 self._begin()
             new = new.take(slice(cut, None))
         return ended
 
+    def _judge_ahead(self, after: Arrivals) -> None:
+        """Take the message that leapt ahead, or leave it out where the next one is back among those before."""
+        ahead = self._ahead
+        if ahead is None:
+            return
+        soon = after.time_ns[0] - ahead.time_ns[0] < WINDOW_NS
+        if soon and self._newest_ns - WINDOW_NS <= after.stamps_ns[0] < ahead.stamps_ns[0] - WINDOW_NS:
+            self.leaps += 1
+            self._ahead = None
+        else:
+            self._believe_ahead()
+
+    def _believe_ahead(self) -> None:
+        if self._ahead is not None:
+            ahead, self._ahead = self._ahead, None
+            self._append(ahead, swapped=False)
+
     def _append(self, new: Arrivals, *, swapped: bool) -> None:
+        if len(new):
+            self._newest_ns = max(self._newest_ns, int(new.stamps_ns.max()))
+            self._seen_ns = int(new.time_ns[-1])
         if swapped:
             both = self._waiting.followed_by(new)
             reach = np.maximum.accumulate(both.stamps_ns)
@@ -105,6 +137,8 @@ class TimeOrder:
 
     def release(self, now_ns: int) -> Arrivals:
         """Return, sorted, what no message after log time `now_ns` can precede."""
+        if self._ahead is not None and now_ns - self._ahead.time_ns[0] >= WINDOW_NS:
+            self._believe_ahead()
         ordered = self._sorted()
         if not len(ordered):
             return ordered
@@ -116,6 +150,7 @@ class TimeOrder:
 
     def flush(self) -> Arrivals:
         """Return, sorted, everything that waits: the stretch is over."""
+        self._believe_ahead()
         ordered = self._sorted()
         return self._let_go(ordered, len(ordered))
 

@@ -53,6 +53,7 @@ class Outcome:
     channels : those that carried messages
     restarts : how often time jumped back
     late : odometry messages too late to be put in order
+    leaps : odometry messages whose stamp lies far ahead of their neighbours'
     unusable : odometry poses that are not numbers
     added : how many messages were added, by what they are
     losses : what could not be read of a damaged input, in sentences
@@ -68,6 +69,7 @@ class Outcome:
     channels: tuple[Channel, ...]
     restarts: int
     late: int
+    leaps: int
     unusable: int
     added: Mapping[str, int]
     losses: tuple[str, ...]
@@ -125,7 +127,7 @@ def corrupt_bag(
         channels = tuple(reader.channels[number] for number in sorted(transform.seen))
     return Outcome(
         model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
-        transform.order.restarts, transform.order.late, transform.unusable,
+        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
         _added(transform), losses,
     )  # fmt: skip
 

@@ -28,8 +28,10 @@ TRUTH_TYPES = frozenset({
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/NavSatFix",
     "nav_msgs/msg/Path",
+    "geometry_msgs/msg/PointStamped",
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/TwistWithCovarianceStamped",
 })  # fmt: skip
@@ -150,6 +152,8 @@ def _oddities(outcome: Outcome) -> list[str]:
         said.append(f"The pose jumped {outcome.drift.jumps} times: the correction was held across.")
     if outcome.late:
         said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
+    if outcome.leaps:
+        said.append(f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': no noise of their own.")
     if outcome.unusable:
         said.append(f"{outcome.unusable} odometry poses are not numbers: left alone.")
     return said

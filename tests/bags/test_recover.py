@@ -18,6 +18,7 @@ def recover(source, target, stdin=None):
     with open_reader(source, stdin, recover=True) as reader, open_writer(target, reader) as writer:
         for block in reader.blocks():
             writer.write(block)
+        assert not any("--recover" in loss for loss in reader.losses)
         return list(reader.losses)
 
 

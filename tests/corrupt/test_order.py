@@ -79,3 +79,49 @@ def test_cuts_do_not_change_what_is_decided(seed):
         assert len(pieces) == len(whole)
         assert all(np.array_equal(a, b) for a, b in zip(pieces, whole, strict=True))
         assert (again.late, again.restarts) == (order.late, order.restarts)
+
+
+@pytest.mark.parametrize("cuts", [[], [20], [21], [20, 21], [5, 19, 20, 21, 22, 40]])
+def test_one_stamp_far_in_the_future_is_left_out_and_time_goes_on(cuts):
+    t = np.arange(50) / 10
+    stamps = t.copy()
+    stamps[20] += 1e6
+    stamps[[30, 31]] = stamps[[31, 30]]
+    (out,), order = run(arrivals(stamps, t), cuts)
+    assert np.array_equal(out, np.delete(t, 20))
+    assert (order.late, order.leaps, order.restarts) == (0, 1, 0)
+
+
+@pytest.mark.parametrize("cuts", [[], [20, 21], [21, 22]])
+def test_two_wild_stamps_in_a_row_are_both_left_out(cuts):
+    stamps = np.arange(50) / 10
+    stamps[[20, 21]] = 9e6, 5e6
+    (out,), order = run(arrivals(stamps, np.arange(50) / 10), cuts)
+    assert np.array_equal(out, np.delete(np.arange(50) / 10, [20, 21]))
+    assert (order.leaps, order.restarts) == (2, 0)
+
+
+@pytest.mark.parametrize("cuts", [[], [20], [21]])
+def test_a_gap_in_the_stamps_that_stays_is_a_gap(cuts):
+    stamps = np.arange(50) / 10
+    stamps[20:] += 100.0
+    (out,), order = run(arrivals(stamps, np.arange(50) / 10), cuts)
+    assert np.array_equal(out, stamps)
+    assert (order.leaps, order.restarts) == (0, 0)
+
+
+@pytest.mark.parametrize("cuts", [[], [21], [20, 21]])
+def test_a_leap_that_nothing_follows_for_a_second_is_believed(cuts):
+    t = np.concatenate((np.arange(21) / 10, np.arange(35, 50) / 10))
+    stamps = t.copy()
+    stamps[20] += 50.0
+    stretches, order = run(arrivals(stamps, t), cuts)
+    assert [len(s) for s in stretches] == [21, 15]
+    assert (order.leaps, order.restarts) == (0, 1)
+
+
+def test_a_leap_at_the_very_end_is_kept():
+    stamps = np.arange(50) / 10
+    stamps[-1] += 50.0
+    (out,), _ = run(arrivals(stamps, np.arange(50) / 10), [])
+    assert np.array_equal(out, stamps)

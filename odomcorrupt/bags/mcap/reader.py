@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming, read_chunk, read_pieces
 from odomcorrupt.bags.mcap.contents import read_contents
 from odomcorrupt.bags.mcap.records import (
@@ -147,7 +148,7 @@ class McapReader:
         """Note what cannot be read, or give up where that was not asked for."""
         if not self._recover:
             raise error
-        self.losses.append(str(error))
+        self.losses.append(loss_of(error))
 
     def _chunk_block(self, chunk: Chunk) -> Block:
         contents = read_contents(chunk.data, chunk.indexes, chunk.what)

@@ -8,6 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
 from odomcorrupt.bags.ros1.contents import read_contents
 from odomcorrupt.bags.ros1.records import (
@@ -158,7 +159,7 @@ class Ros1Reader:
         """Note what cannot be read, or give up where that was not asked for."""
         if not self._recover:
             raise error
-        self.losses.append(str(error))
+        self.losses.append(loss_of(error))
 
     def _block(self, chunk: Chunk) -> Block:
         data = np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data
