@@ -90,6 +90,7 @@ def _bias(motion: Motion) -> Array:
 
 
 def unit_column(problem: Problem, process: Process) -> Array:
+    """Return (K, 3): what a constant gain of one does to the residuals."""
     return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
