@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.sentences import SIGNS, judgement_sentence, sentence
+from odomcorrupt.report.sentences import MOST, SIGNS, judgement_sentence, sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.compare import Comparison, Judgement
     from odomcorrupt.study.trajectory_error import TrajectoryError
 
-__all__ = ["comparison_text", "falls_sentence", "ladder_steps"]
+__all__ = ["comparison_text", "falls_sentence", "ladder_steps", "share_of_worst"]
 
-_MOST = 8
 _BAR = 30
 
 
@@ -42,7 +41,7 @@ def failure_lines(judgement: Judgement) -> list[str]:
     """Return the verdict, and where the model fails, the plainest first."""
     lines = [judgement_sentence(judgement)]
     if judgement.failures:
-        shown, more = judgement.failures[:_MOST], len(judgement.failures) - _MOST
+        shown, more = judgement.failures[:MOST], len(judgement.failures) - MOST
         lines += [f"  {number}. {sentence(f)}" for number, f in enumerate(shown, start=1)]
         lines += [f"  and {more} more, see --json"] if more > 0 else []
     else:
@@ -96,14 +95,20 @@ def ladder_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | N
     return [*steps, *((j.name, j.ten_second_error_m, j) for j in comparison.judgements)]
 
 
+def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: float) -> float:
+    """Return an error over the largest of the ladder; 0 where it is not known."""
+    worst = max((e for _, e, _ in steps if isfinite(e)), default=0.0)
+    return error / worst if isfinite(error) and worst > 0.0 else 0.0
+
+
 def _ladder_lines(comparison: Comparison) -> list[str]:
     steps = ladder_steps(comparison)
     lines = [f"{_held(comparison)} position error (RMS) after 10 s, and log likelihood:"]
-    worst = max(error for _, error, _ in steps)
     for name, error, judgement in steps:
-        bar = "#" * round(_BAR * error / worst) if worst > 0.0 else ""
+        bar = "#" * round(_BAR * share_of_worst(steps, error))
         nats = "" if judgement is None else _nats(comparison, judgement)
-        lines.append(f"  {name:<24}{error * 1e3:9.1f} mm  {bar:<{_BAR}}  {nats}".rstrip())
+        size = f"{error * 1e3:9.1f} mm" if isfinite(error) else f"{'-':>12}"
+        lines.append(f"  {name:<24}{size}  {bar:<{_BAR}}  {nats}".rstrip())
     falls = falls_sentence(comparison)
     return [*lines, f"  {falls}"] if falls else lines
 
@@ -123,7 +128,7 @@ def _held(comparison: Comparison) -> str:
 def falls_sentence(comparison: Comparison) -> str:
     """Return by how much the error falls; "" where nothing falls, or where the data were fitted."""
     first, last = comparison.judgements[0], comparison.judgements[-1]
-    if any(j.refitted for j in comparison.judgements) or last.ten_second_error_m >= first.ten_second_error_m:
+    if any(j.refitted for j in comparison.judgements) or not last.ten_second_error_m < first.ten_second_error_m:
         return ""
     ratio = last.ten_second_error_m / first.ten_second_error_m
     return f"the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}"

@@ -9,6 +9,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
 from odomcorrupt.report.figure import BLACK, RED, drawing, new_figure
+from odomcorrupt.report.sentences import MOST
 from odomcorrupt.study.windows import distance_windows, window_errors
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
     axes.add_collection(lines)
     axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
     several = len(judgement.pieces) > 1
-    for number, failure in enumerate(judgement.failures, start=1):
+    for number, failure in enumerate(judgement.failures[:MOST], start=1):
         if not several or failure.recording == piece.recording.name:
             _mark(axes, piece, failure, number)
     axes.autoscale_view()

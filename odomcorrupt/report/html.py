@@ -7,10 +7,10 @@ from html import escape
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.comparison import falls_sentence, ladder_steps
+from odomcorrupt.report.comparison import falls_sentence, ladder_steps, share_of_worst
 from odomcorrupt.report.figure import rendered
 from odomcorrupt.report.pictures import PICTURES
-from odomcorrupt.report.sentences import SIGNS, judgement_sentence, sentence, size
+from odomcorrupt.report.sentences import MOST, SIGNS, judgement_sentence, sentence, size
 from odomcorrupt.report.style import CSS
 
 if TYPE_CHECKING:
@@ -87,8 +87,10 @@ def _words(comparison: Comparison) -> list[str]:
         parts.append(f"<h3>{escape(judgement.name)}</h3>")
         parts.append(f'<p class="{mark}">{escape(judgement_sentence(judgement))}.</p>')
         if judgement.failures:
-            items = "".join(f"<li>{escape(sentence(f))}</li>" for f in judgement.failures)
+            items = "".join(f"<li>{escape(sentence(f))}</li>" for f in judgement.failures[:MOST])
             parts.append(f"<ol>{items}</ol>")
+            more = len(judgement.failures) - MOST
+            parts += [f'<p class="quiet">And {more} more, less plain; --json has them all.</p>'] if more > 0 else []
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
         parts += [f'<p class="quiet">Note: {escape(note)}.</p>' for note in judgement.notes]
@@ -98,10 +100,9 @@ def _words(comparison: Comparison) -> list[str]:
 
 def _ladder_table(comparison: Comparison) -> str:
     steps = ladder_steps(comparison)
-    worst = max(error for _, error, _ in steps)
     rows = []
     for name, error, judgement in steps:
-        width = 6.0 * error / worst if worst > 0.0 else 0.0
+        width = 6.0 * share_of_worst(steps, error)
         cells = [
             escape(name),
             size("along", error, digits=3),
@@ -150,7 +151,7 @@ def _horizon_row(h: Horizon) -> list[str]:
 
 
 def _known(channel: str, value: float) -> str:
-    return size(channel, float(value), digits=3) if isfinite(value) else "–"
+    return size(channel, float(value), digits=3)
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:

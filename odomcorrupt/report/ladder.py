@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,12 +38,12 @@ def draw_errors(comparison: Comparison) -> Figure:
         figure = new_figure(9.0, 5.6 + 0.28 * len(comparison.judgements))
         parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 1.1 + 0.28 * len(comparison.judgements)))
         above, below = parts
-        position, yaw = above.subplots(1, 2)
-        for judgement, colour, marker in zip(comparison.judgements, COLOURS, MARKERS, strict=False):
-            style = {"color": colour, "marker": marker}
-            _curve(position, judgement, _position(judgement), style)
-            _curve(yaw, judgement, _yaw(judgement), style)
-        for axes, what, unit in ((position, "position", "m"), (yaw, "yaw", "deg")):
+        headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
+        wanted = (("position", "m", _position), ("yaw", "deg", _yaw))[: 2 if headed else 1]
+        panels = above.subplots(1, len(wanted), squeeze=False)[0]
+        for axes, (what, unit, pick) in zip(panels, wanted, strict=True):
+            for judgement, colour, marker in zip(comparison.judgements, COLOURS, MARKERS, strict=False):
+                _curve(axes, judgement, pick(judgement), {"color": colour, "marker": marker})
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -50,7 +51,7 @@ def draw_errors(comparison: Comparison) -> Figure:
                 axis.set_minor_formatter(NullFormatter())
             axes.grid(visible=True, which="major", color="0.9")
             axes.set_axisbelow(True)
-        above.legend(*position.get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=9)
+        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=9)
         _bars(below.subplots(), comparison)
     return figure
 
@@ -78,10 +79,14 @@ def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str])
 
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
-    steps = ladder_steps(comparison)
+    # too short a recording has no window of 10 s
+    steps = [step for step in ladder_steps(comparison) if isfinite(step[1])]
+    if not steps:
+        axes.set_axis_off()
+        return
     names, millimetres = [name for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
-    plain = len(steps) - len(comparison.judgements)
-    colours = ["0.65"] * plain + [COLOURS[i % len(COLOURS)] for i in range(len(comparison.judgements))]
+    own = {judgement.name: colour for judgement, colour in zip(comparison.judgements, COLOURS * 9, strict=False)}
+    colours = ["0.65" if judgement is None else own[judgement.name] for _, _, judgement in steps]
     bars = axes.barh(np.arange(len(names)), millimetres, color=colours, height=0.7)
     axes.bar_label(bars, labels=[f"{e:.1f} mm" for e in millimetres], padding=4, fontsize=9)
     axes.set_yticks(np.arange(len(names)), names)

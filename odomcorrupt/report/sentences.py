@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from math import degrees
+from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from odomcorrupt.study.compare import Judgement
     from odomcorrupt.study.failures import Failure
 
-__all__ = ["SIGNS", "judgement_sentence", "sentence", "size"]
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "sentence", "size"]
 
+MOST = 8
+"""Sentences told of a model; JSON has all of them."""
 SIGNS = (
     "Signs: odometry minus truth. Plus means that the odometry ends too far ahead, too far left, or turns too far left."
 )
@@ -22,7 +24,9 @@ _SENSE = {
 
 
 def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -> str:
-    """Return a length (m) or angle (rad) in the unit a person thinks in."""
+    """Return a length (m) or angle (rad) in the unit a person thinks in; a dash where it is not known."""
+    if not isfinite(value):
+        return "–"
     if channel == "yaw":
         return f"{_figures(degrees(value), digits, signed=signed)} deg"
     if abs(value) >= 1.0:
@@ -59,7 +63,7 @@ def sentence(failure: Failure) -> str:
             f"{sense}; the model expects no more than {size(channel, expected)}{tail}"
         )
     per, span = (10.0, "10 m") if failure.per == "m" else (60.0, "minute")
-    besides = "on top of that, " if failure.besides else ""
+    besides = "on top of the above, " if failure.besides else ""
     return (
         f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
         f"{failure.where}: {sense}; the model expects no more than {size(channel, expected * per)}{tail}"

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.approach import choose_approach
 from odomcorrupt.study.calibration import CURVE_M, HORIZONS_M, Horizon
-from odomcorrupt.study.clock import aligned
+from odomcorrupt.study.clock import Clock, aligned
 from odomcorrupt.study.failures import Failure, drift_failures, failures, sudden_failures
 from odomcorrupt.study.fit import fit
 from odomcorrupt.study.judged import Judged, horizons_of, judge_stretch
@@ -94,7 +94,8 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        raw_error_m=_ten_seconds(recordings),
+        # a truth of positions alone is given headings, for it takes a pose to start from
+        raw_error_m=_ten_seconds([aligned(r, Clock()) for r in recordings]),
         clock_error_m=_ten_seconds(on_time),
         clock_trajectory=trajectory_error(on_time),
         judgements=tuple(_judgement(name, models[name], pieces, first) for name, pieces in judged.items()),

@@ -7,19 +7,23 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import BASE
 from matplotlib.image import imread
 
 from odomcorrupt.report.comparison_json import comparison_json
 from odomcorrupt.report.figure import rendered
 from odomcorrupt.report.html import report_html
 from odomcorrupt.report.pictures import PICTURES
-from odomcorrupt.report.sentences import judgement_sentence, sentence
+from odomcorrupt.report.sentences import MOST, judgement_sentence, sentence
+from odomcorrupt.study.compare import compare
+from odomcorrupt.study.trajectory import Trajectory
 
 CHROMIUM = Path("/usr/bin/chromium")
 VOID = {"meta", "img", "link", "br", "hr"}
@@ -72,9 +76,9 @@ def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
     text = unescape(page)
     for judgement in comparison.judgements:
         assert judgement_sentence(judgement) in text
-        for failure in judgement.failures:
+        for failure in judgement.failures[:MOST]:
             assert sentence(failure) in text
-    told = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"]]
+    told = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"][:MOST]]
     assert told
     assert all(s in text for s in told)
     json.dumps(comparison_json(comparison), allow_nan=False)
@@ -95,6 +99,25 @@ def test_every_picture_is_the_same_file_every_time(comparison, name):
     first = rendered(PICTURES[name].draw(comparison), "svg")
     assert rendered(PICTURES[name].draw(comparison), "svg") == first
     assert len(first) < 1_000_000
+
+
+def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case):
+    blind = case.recording.truth.xyt.copy()
+    blind[:, 2] = np.nan
+    truth = Trajectory(case.recording.truth.stamps_ns[::10], blind[::10])
+    found = compare([replace(case.recording, truth=truth)], {"base.toml": BASE})
+    assert np.isfinite(found.raw_error_m)
+    judgement = found.judgements[0]
+    assert set(judgement.pits) == {"along", "across"}
+    assert not any(f.channel == "yaw" for f in judgement.failures)
+    assert np.isnan(judgement.horizons[0].measured[2])
+    assert (
+        json.loads(json.dumps(comparison_json(found), allow_nan=False))["models"][0]["trajectory"]["rpe_1m_rmse_m"]
+        is None
+    )
+    page = report_html(found, version="0")
+    assert "positions only" in page
+    assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", page)).lower().split()
 
 
 def browse(page: Path, folder: Path) -> tuple[list[str], list[str]]:
