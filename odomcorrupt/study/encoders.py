@@ -25,6 +25,7 @@ __all__ = ["encoder_effects", "refilled"]
 _MOVING_MPS = 0.05
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
+_CAUGHT_UP = 1.35
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth can tell."""
 _LATTICE = 0.9
@@ -62,7 +63,10 @@ def _lost(recording: Recording) -> tuple[NDArray[np.bool_], int]:
     still = (np.abs(steps.ds_m) < 1e-12) & (np.abs(steps.dl_m) < 1e-12) & (np.abs(steps.dtheta_rad) < 1e-12)
     moving = speed > _MOVING_MPS
     lost = np.zeros(len(steps), dtype=bool)
-    lost[1:-1] = still[1:-1] & moving[:-2] & moving[2:]
+    # a count that only came late is caught up by a neighbour: the two beside it then go farther than those around them
+    way = speed * np.diff(recording.odometry_s)
+    caught_up = way[1:-3] + way[3:-1] > _CAUGHT_UP * (way[:-4] + way[4:])
+    lost[2:-2] = still[2:-2] & moving[1:-3] & moving[3:-1] & ~caught_up
     return lost, max(int(moving.sum() + lost.sum()), 1)
 
 
@@ -75,7 +79,9 @@ def _tick(recording: Recording, track_m: float) -> float | None:
         moved = travel[np.abs(travel) > 1e-6][:1500]
         if len(moved) < 200:
             return None
-        lattices.append(_regularity(moved))
+        # a wheel that has moved at all has moved by a tick: coarser lattices than that only seem to fit small numbers
+        possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
+        lattices.append(np.where(possible, _regularity(moved), 0.0))
     common = np.minimum(*lattices)
     on = np.flatnonzero(common > _LATTICE)
     if not len(on):
