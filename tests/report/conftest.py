@@ -51,6 +51,11 @@ def case(tmp_path_factory):
     return Case(recording, folder / "drive.mcap", folder / "base.toml", folder / "robot.toml")
 
 
+@pytest.fixture
+def base_model():
+    return BASE
+
+
 @pytest.fixture(scope="session")
 def comparison(case):
     robot = replace(BASE, effects=(effect_from_values("unequal_wheels", {"curvature": CURVATURE}),))

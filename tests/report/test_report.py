@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import BASE
 from matplotlib.image import imread
 
 from odomcorrupt.report.comparison_json import comparison_json
@@ -101,11 +100,11 @@ def test_every_picture_is_the_same_file_every_time(comparison, name):
     assert len(first) < 1_000_000
 
 
-def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case):
+def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, base_model):
     blind = case.recording.truth.xyt.copy()
     blind[:, 2] = np.nan
     truth = Trajectory(case.recording.truth.stamps_ns[::10], blind[::10])
-    found = compare([replace(case.recording, truth=truth)], {"base.toml": BASE})
+    found = compare([replace(case.recording, truth=truth)], {"base.toml": base_model})
     assert np.isfinite(found.raw_error_m)
     judgement = found.judgements[0]
     assert set(judgement.pits) == {"along", "across"}
