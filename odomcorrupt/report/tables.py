@@ -27,7 +27,7 @@ def value_text(value: float, error: float | None, unit: str) -> str:
         value, error, unit = degrees(value), None if error is None else degrees(error), "deg" + unit[3:]
     elif unit == "m":
         value, error, unit = value * 1e3, None if error is None else error * 1e3, "mm"
-    elif unit == "s":
+    elif unit == "s" and abs(value) < 1.0:
         value, error, unit = value * 1e3, None if error is None else error * 1e3, "ms"
     elif unit == "":
         value, error, unit = value * 1e2, None if error is None else error * 1e2, "%"
