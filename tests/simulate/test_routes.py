@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, both, way_m
 from mcap.writer import Writer
+from simulated_manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, both, way_m
 
 from odomcorrupt.errors import BagError, TopicError
 from odomcorrupt.simulate import ROUTES, Commands, read_commands, simulate

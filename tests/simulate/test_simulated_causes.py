@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
+from simulated_manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
 
 from odomcorrupt.simulate import Segment, Tracker, simulate
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from manoeuvres import CIRCLE_LEFT, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
+from simulated_manoeuvres import CIRCLE_LEFT, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulate import OUTSIDE, Segment, simulate, simulate_without

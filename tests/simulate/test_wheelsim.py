@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from manoeuvres import (
+from mcap.reader import make_reader
+from simulated_manoeuvres import (
     CIRCLE_LEFT,
     CIRCLE_RIGHT,
     FLAWLESS_RIG,
@@ -18,7 +19,6 @@ from manoeuvres import (
     silent,
     way_m,
 )
-from mcap.reader import make_reader
 
 from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
 from odomcorrupt.simulate.flaws import draw_parameters
