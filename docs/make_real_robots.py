@@ -1,0 +1,272 @@
+"""Write docs/real_robots.md and its pictures: real robots, and the clouds that a model of each makes of another run.
+
+    python docs/make_real_robots.py FOLDER_OF_RECORDINGS
+
+Every robot is learned on one drive. The truth of another drive (the other half, where there is one) is corrupted a
+thousand times with that model, by the code that corrupts bags, and cut into windows of path that do not overlap: the
+measured odometry of a window should lie in the region that holds 90 % of the corrupted ones in 90 % of windows.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import binom
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.pose import between, wrap
+from odomcorrupt.report.figure import BLACK, RED, SKY, drawing, new_figure
+from odomcorrupt.report.sentences import sentence
+from odomcorrupt.report.tables import value_text
+from odomcorrupt.study.compare import compare
+from odomcorrupt.study.learn import learn
+from odomcorrupt.study.replay import Replay, replay
+from odomcorrupt.study.robot import RobotFit, fit_robot
+from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.trajectory import Recording, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from odomcorrupt.study.compare import Judgement
+
+HERE = Path(__file__).parent
+RUNS = 1000
+LENGTHS_M = (1.0, 2.0, 5.0)
+FEWEST = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A robot, the recordings it is learned on and the one it is judged on; the same: first half, second half."""
+
+    key: str
+    title: str
+    learned_on: tuple[str, ...]
+    judged_on: str
+    track_m: float | None = None
+
+
+ROBOTS = (
+    Robot(
+        "differential",
+        "Differential drive, motion capture (OptiOdom)",
+        ("optiodom_diff_free_020120212354_run1", "optiodom_diff_free_030120210001_run1"),
+        "optiodom_diff_free_030120210001_run2",
+        0.2,
+    ),
+    Robot(
+        "tricycle",
+        "Tricycle, motion capture (OptiOdom)",
+        ("optiodom_tricyc_free_140120211508_run1",),
+        "optiodom_tricyc_free_140120211525_run1",
+    ),
+    Robot(
+        "mecanum", "Mecanum, motion capture (Politecnico di Milano)", ("polimi_mecanum_bag1",), "polimi_mecanum_bag2"
+    ),
+    Robot("create1", "iRobot Create 1, commanded velocities (MRCLAM)", ("mrclam6_robot1",), "mrclam6_robot1"),
+    Robot("create2", "iRobot Create 2, commanded velocities (MRCLAM)", ("mrclam6_robot2",), "mrclam6_robot2"),
+    Robot("create3", "iRobot Create 3, commanded velocities (MRCLAM)", ("mrclam6_robot3",), "mrclam6_robot3"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Covered:
+    """Parts of n windows of a length whose measured odometry lies in the runs' 50 and 90 % regions."""
+
+    length_m: float
+    windows: int
+    half: float
+    most: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.half:.0f} / {100 * self.most:.0f} % of {self.windows}"
+
+
+def covered(paths: Replay, truth_m: float, truth_rad: float, length_m: float) -> Covered | None:
+    """Return coverage by windows of path, each started anew; noise of the truth is drawn at both ends."""
+    marks = np.searchsorted(paths.distance_m, np.arange(0.0, paths.distance_m[-1], length_m))
+    if len(marks) - 1 < FEWEST:
+        return None
+    noise = np.random.default_rng(5).standard_normal((RUNS, len(marks), 3)) * [truth_m, truth_m, truth_rad]
+    runs = paths.runs_xyt[:, marks] + noise
+    inside = np.array([window(runs[:, i : i + 2], paths.measured_xyt[marks[i : i + 2]]) for i in range(len(marks) - 1)])
+    return Covered(length_m, len(inside), float(np.mean(inside <= 0.5)), float(np.mean(inside <= 0.9)))
+
+
+def window(runs: np.ndarray, measured: np.ndarray) -> float:
+    """Return which part of the runs (r, 2, 3) ends a window nearer to their middle than the measured (2, 3) does."""
+    ends, own = between(runs[:, 0], runs[:, 1]), between(measured[0], measured[1])
+    middle = ends[0]
+    ends, own = ends - middle, own - middle
+    ends[:, 2], own[2] = wrap(ends[:, 2]), float(wrap(own[2:])[0])
+    centre, spread = ends.mean(axis=0), np.linalg.inv(np.cov(ends.T) + 1e-14 * np.eye(3))
+    far = np.einsum("ri,ij,rj->r", ends - centre, spread, ends - centre)
+    return float(np.mean(far < (own - centre) @ spread @ (own - centre)))
+
+
+def recordings(folder: Path, robot: Robot) -> tuple[list[Recording], Recording]:
+    """Return what is learned on and what is judged."""
+
+    def read(name: str) -> Recording:
+        return read_runs(Source(folder / f"{name}.mcap", track_m=robot.track_m))[0]
+
+    if robot.judged_on not in robot.learned_on:
+        return [read(name) for name in robot.learned_on], read(robot.judged_on)
+    whole = read(robot.judged_on)
+    middle = len(whole.truth) // 2
+    parts = [
+        replace(whole, name=f"{whole.name} {word} half", truth=Trajectory(whole.truth.stamps_ns[s], whole.truth.xyt[s]))
+        for word, s in (("first", slice(0, middle)), ("second", slice(middle, None)))
+    ]
+    return parts[:1], parts[1]
+
+
+def section(folder: Path, robot: Robot) -> list[str]:
+    """Learn, corrupt, judge, draw; return the robot's part of the page."""
+    learning, judging = recordings(folder, robot)
+    learned = learn(learning)
+    random = [gain.effect for gain in learned.noise]
+    known = {"noise alone": [], "with what was learned": [*learned.fit.effects, *random]}
+    fits = {
+        name: fit_robot(learning, effects, law_name="diffusion", clocks=learned.clocks)
+        for name, effects in known.items()
+    }
+    comparison = compare([judging], {name: fit.model for name, fit in fits.items()})
+    clock = comparison.clocks.clocks[0]
+    lines = [f"## {robot.title}", ""]
+    lines.append(
+        f"Learned on {', '.join(r.name for r in learning)}; judged on {judging.name}, whose odometry clock is "
+        f"{clock.offset_s * 1e3:+.0f} ms off and gains {clock.rate * 1e6:+.0f} ppm. Error after 10 s: "
+        f"{comparison.raw_error_m * 1e3:.0f} mm as it came, "
+        f"{comparison.clock_error_m * 1e3:.0f} mm with the clock right."
+    )
+    lines += ["", "| | " + " | ".join(fits) + " |", "|---|" + "---|" * len(fits)]
+    clouds = {j.name: replay(j.pieces[0], runs=RUNS) for j in comparison.judgements}
+    for label, values in rows(fits, comparison.judgements, clouds):
+        lines.append(f"| {label} | " + " | ".join(values) + " |")
+    last = comparison.judgements[-1]
+    lines += ["", *verdict(last, clouds[last.name], judging)]
+    picture = HERE / "images" / f"real_{robot.key}.png"
+    draw(clouds, picture)
+    return [*lines, "", f"![{robot.title}](images/{picture.name})", ""]
+
+
+def rows(
+    fits: dict[str, RobotFit], judgements: tuple[Judgement, ...], clouds: dict[str, Replay]
+) -> list[tuple[str, list[str]]]:
+    """Return the table's rows: a label, and a cell for each model."""
+    models = list(fits.values())
+    table = [("effects", [effects_text(fit) for fit in models])]
+    table += [
+        (f"`{name}`", [f"{getattr(fit.model.noise.coefficients, name):.3g}" for fit in models])
+        for name in ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans")
+    ]
+    table.append(("truth's noise", [truth_text(fit) for fit in models]))
+    table.append(("error after 10 s", [f"{j.ten_second_error_m * 1e3:.1f} mm" for j in judgements]))
+    table.append(("nats per metre", [f"{j.nats.per_m:.1f} ± {j.nats.error:.1f}" for j in judgements]))
+    for length in LENGTHS_M:
+        cells = [next((f"{h.nees:.2f} (chance {h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f})"
+                       for h in j.horizons if h.distance_m == length), "–") for j in judgements]  # fmt: skip
+        table.append((f"NEES over {length:g} m", cells))
+        inside = [cloud_cover(clouds[j.name], j, length) for j in judgements]
+        table.append((f"in the cloud's 50 / 90 % over {length:g} m", [str(c) if c else "–" for c in inside]))
+    return table
+
+
+def cloud_cover(paths: Replay, judgement: Judgement, length_m: float) -> Covered | None:
+    """Return coverage under the truth's noise that the model states."""
+    truth = judgement.pieces[0].truth
+    return covered(paths, truth.xy_m, truth.yaw_rad, length_m)
+
+
+def truth_text(fit: RobotFit) -> str:
+    """Return how noisy the truth is."""
+    truth = fit.model.setup.truth or TruthNoise()
+    return f"{truth.xy_m * 1e3:.2g} mm, {np.degrees(truth.yaw_rad):.2g} deg, {truth.wander * 1e3:.2g} mm/√s"
+
+
+def effects_text(fit: RobotFit) -> str:
+    """Return the effects with their sizes."""
+    effects = [*fit.model.effects, *fit.model.setup.effects]
+    texts = [
+        f"{e.name} " + ", ".join(value_text(getattr(e, p.name), None, p.unit) for p in amplitudes(e)) for e in effects
+    ]
+    return "; ".join(texts) or "none"
+
+
+def verdict(judgement: Judgement, paths: Replay, judging: Recording) -> list[str]:
+    """Say whether the measured odometry is covered; where not, what is left of it and what would explain it."""
+    found = [c for length in LENGTHS_M if (c := cloud_cover(paths, judgement, length)) is not None]
+    # a right model falls this low in one of twenty
+    short = [c for c in found if binom.cdf(round(c.most * c.windows), c.windows, 0.9) < 0.05]
+    if not short:
+        wide = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
+        cautious = " The model expects more than was measured: its noise is too large." if wide else ""
+        return [f"**Covered**: as many windows lie in the cloud's 90 % as chance allows for a right model.{cautious}"]
+    where = ", ".join(f"{c.length_m:g} m" for c in short)
+    lines = [f"**Not covered** over {where}. What is left, odometry minus truth:", ""]
+    rates = [f for f in judgement.failures if f.kind in {"motion", "place", "time"}]
+    lines += [f"- {sentence(f)}" for f in rates[:4]]
+    own = learn([judging])
+    names = [*own.added, *(gain.effect.name for gain in own.noise)]
+    drivers = [f"{u.channel} error follows {u.driver.replace('_', ' ')}" for u in own.unknown[:3]]
+    return [
+        *lines,
+        "",
+        f"Learned on the judged run itself: {', '.join(names) or 'no known effect'}"
+        + (f"; not explained by any known effect: {', '.join(drivers)}." if drivers else "."),
+    ]
+
+
+def draw(clouds: dict[str, Replay], file: Path) -> None:
+    """Draw a hundred of the runs of each model, the truth and the measured odometry."""
+    with drawing():
+        figure = new_figure(8.0, 4.4)
+        panels = figure.subplots(1, len(clouds), sharex=True, sharey=True)
+        for axes, (name, paths) in zip(panels, clouds.items(), strict=True):
+            panel(axes, paths, name)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
+        figure.savefig(file, dpi=75, metadata={"Software": None})
+
+
+def panel(axes: Axes, paths: Replay, name: str) -> None:
+    """Draw one model's runs."""
+    for i, run in enumerate(paths.runs_xyt[:100]):
+        axes.plot(
+            run[:, 0], run[:, 1], color=SKY, linewidth=0.6, alpha=0.4, label="100 corrupted truths" if i == 0 else None
+        )
+    axes.plot(*paths.truth_xyt[:, :2].T, color=BLACK, linewidth=1.2, label="truth")
+    axes.plot(*paths.measured_xyt[:, :2].T, color=RED, linewidth=1.4, label="measured odometry")
+    axes.set(title=name, xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="box")
+    axes.grid(visible=True, color="0.93")
+
+
+def main(folder: Path) -> None:
+    """Write the page."""
+    lines = [
+        "# Real robots: would the model have made this odometry?",
+        "",
+        *(__doc__ or "").split("\n\n")[-1].splitlines(),
+    ]
+    lines += ["", "Made by `docs/make_real_robots.py`. Lengths in m, angles in rad unless said; law `diffusion`."]
+    lines += [
+        "Windows are few, so coverage is coarse: 4 of 6 inside the 90 % region still happens to a right model.",
+        "",
+    ]
+    for robot in ROBOTS:
+        print(robot.title, flush=True)
+        part = section(folder, robot)
+        print("\n".join(part), flush=True)
+        lines += part
+    (HERE / "real_robots.md").write_text("\n".join(lines).rstrip() + "\n")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
