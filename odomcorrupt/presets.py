@@ -1,4 +1,7 @@
-"""Ready-made noise models: law, numbers and where they come from."""
+"""Ready-made noise models: law, numbers and where they come from.
+
+Those of real robots are made again by `benchmarks/fit_presets.py`: noise alone, without what is systematic.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +42,21 @@ PRESETS: Mapping[str, Preset] = {
             "article",
             Noise("linear", Coefficients(0.05, math.radians(10.0), 0.05, 0.01)),
             "Adding noise to odometry data published by the Gazebo simulator (2018); per message",
+        ),
+        Preset(
+            "optitrack-diff-drive",
+            Noise("diffusion", Coefficients(0.0084, 0.0071, 0.0023, 0.00074, 0.0021)),
+            "fitted to seven runs of a small differential drive under OptiTrack (OptiOdom, Sousa et al. 2022)",
+        ),
+        Preset(
+            "optitrack-tricycle",
+            Noise("diffusion", Coefficients(0.026, 0.028, 0.0065, 0.0027, 0.0043)),
+            "fitted to two runs of a tricycle under OptiTrack (OptiOdom, Sousa et al. 2022)",
+        ),
+        Preset(
+            "mrclam-create",
+            Noise("diffusion", Coefficients(0.097, 0.023, 0.014, 0.027, 0.0048)),
+            "fitted to three runs of iRobot Creates whose odometry is their commands (UTIAS MRCLAM 6, Leung et al. 2011)",
         ),
     )
 }

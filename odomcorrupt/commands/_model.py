@@ -40,7 +40,12 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...", help="Systematic error (repeatable)."
         ),
-        click.option("--preset", metavar="NAME", help="Ready-made numbers: typical, article. [default: typical]"),
+        click.option(
+            "--preset",
+            metavar="NAME",
+            help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
+            "[default: typical]",
+        ),
         click.option(
             "--step",
             metavar="STEP",
