@@ -52,7 +52,7 @@ def failure_lines(judgement: Judgement) -> list[str]:
 def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
     row = "  {:>6}{:>9}{:>23}{:>23}{:>20}{:>8}{:>13}{:>13}{:>13}".format
     lines = [
-        row("path", "windows", "along", "across", "yaw", "NEES/3", "by chance", "in 50 %", "in 90 %"),
+        row("path", "windows", "along", "across", "yaw", "NEES", "by chance", "in 50 %", "in 90 %"),
         row(
             "",
             "",

@@ -18,7 +18,7 @@ def test_it_prints_horizons_verdicts_and_sentences(case, capsys):
     assert compare(case, case.base, case.robot) == 0
     out = capsys.readouterr().out
     for words in (
-        "NEES/3",
+        "NEES",
         "base.toml is rejected",
         "the odometry turns too far left",
         "nats/m",
