@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 import pkgutil
 import signal
 import sys
@@ -142,6 +143,8 @@ def _terminated(number: int, _frame: object) -> NoReturn:
 
 def main() -> NoReturn:
     """Be the console script."""
+    # threads of a linear algebra library only wait for each other on matrices as narrow as ours
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
     signal.signal(signal.SIGTERM, _terminated)
     sys.exit(run(sys.argv[1:]))

@@ -33,6 +33,8 @@ __all__ = ["Candidate", "Clocks", "find_clocks", "library", "next_effect"]
 LEVEL = 0.01
 """Probability of naming any effect on data without one."""
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
+_CLOCK_HARM = 1.15
+"""A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
 _SHORTLIST = 4
 _WORTH_A_REFIT = 0.25
 """Part of the leader's evidence below which a refit would not turn the tables."""
@@ -79,7 +81,8 @@ def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[
                 break
             nuisance = best.effects[: len(nuisance)]
         else:
-            return clock, free, errors
+            if phased_rmse([aligned(recording, clock)]) < _CLOCK_HARM * phased_rmse([aligned(recording, Clock())]):
+                return clock, free, errors
     return Clock(), (False, False), (0.0, 0.0)
 
 
