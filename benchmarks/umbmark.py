@@ -10,13 +10,17 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.pose import rotate
 from odomcorrupt.study.learn import learn
 from odomcorrupt.study.robot import fit_robot
-from odomcorrupt.study.sources import read_recording
+from odomcorrupt.study.sources import Source, read_runs
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.trajectory import Recording
 
 TRACK_M = 0.2
 SIDE_M = 1.7
@@ -24,10 +28,15 @@ CLOCKWISE = ("optiodom_diff_square_231220200029_run1", "optiodom_diff_square_231
 COUNTER = ("optiodom_diff_square_231220200029_run4", "optiodom_diff_square_231220200029_run5")
 
 
-def return_error(run):
+def read(folder: Path, names: tuple[str, ...]) -> list[Recording]:
+    """Return the recordings of these names."""
+    return [run for name in names for run in read_runs(Source(folder / f"{name}.mcap", track_m=TRACK_M))]
+
+
+def return_error(run: Recording) -> np.ndarray:
     """Return where the robot is at the end minus where odometry thinks it is, both from the start pose: x, y (m)."""
 
-    def shift(xyt):
+    def shift(xyt: np.ndarray) -> np.ndarray:
         return rotate(xyt[-1, :2] - xyt[0, :2], -xyt[0, 2])
 
     return shift(run.truth.xyt) - shift(run.odometry.xyt)
@@ -36,7 +45,7 @@ def return_error(run):
 def main() -> None:
     """Print both sets of numbers."""
     folder = Path(sys.argv[1])
-    cw, ccw = ([read_recording(folder / f"{n}.mcap", None, None, track_m=TRACK_M) for n in g] for g in (CLOCKWISE, COUNTER))
+    cw, ccw = read(folder, CLOCKWISE), read(folder, COUNTER)
     x_cw, x_ccw = (np.mean([return_error(run) for run in runs], axis=0)[0] for runs in (cw, ccw))
     alpha, beta = (x_cw + x_ccw) / (-4.0 * SIDE_M), (x_cw - x_ccw) / (-4.0 * SIDE_M)
     radius = SIDE_M / 2.0 / np.sin(beta / 2.0)
