@@ -119,7 +119,7 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, tol
         tasks = [task for job, runs in job_runs for task in tasks_of(job, runs, 4 * threads)]
         futures = {client.submit(attempt, task, pure=False, retries=2): task for task in tasks}
         try:
-            for future in distributed.as_completed(futures):
+            for future in distributed.as_completed(futures, loop=client.loop):
                 task = futures[future]
                 failed = future.exception()
                 told(task, future.result() if failed is None else [(run, str(failed)) for run in task.runs])

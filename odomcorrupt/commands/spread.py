@@ -1,0 +1,65 @@
+"""odomcorrupt spread: how far the runs of a batch spread."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing
+from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from odomcorrupt.batch.spread import SpreadReport
+
+__all__ = ["command"]
+
+
+@click.command("spread", short_help="Compare the spread of a batch's runs with the prediction.")
+@click.argument("directory", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
+)
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+@click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians.")
+def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: bool) -> None:
+    """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
+    import json
+    from dataclasses import asdict
+
+    from odomcorrupt.batch.spread import measure
+
+    if output is not None:
+        if picture_kind(output) is None:
+            raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")
+        need_pictures()
+        refuse_existing(output, overwrite=overwrite)
+    report = measure(directory)
+    if as_json:
+        rows = [asdict(row) for row in report.rows]
+        words = {"directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
+        click.echo(json.dumps({**words, "rows": rows}, indent=2))
+    else:
+        click.echo(_text(report))
+    if output is not None:
+        from odomcorrupt.report.spread import draw_spread
+
+        save_picture(output, draw_spread(report))
+
+
+def _text(report: SpreadReport) -> str:
+    lines = [
+        f"{report.directory}: {report.runs} runs; standard deviations about their mean, and as linearised (predicted)",
+        "   after m   position m   predicted   heading deg   predicted    mean m   mean deg",
+    ]
+    lines += [
+        f"{row.after_m:10.4g} {row.position_m:12.4g} {row.position_predicted_m:11.4g} "
+        f"{math.degrees(row.heading_rad):13.4g} {math.degrees(row.heading_predicted_rad):11.4g} "
+        f"{row.mean_m:9.3g} {math.degrees(row.mean_rad):10.3g}"
+        for row in report.rows
+    ]
+    if report.random_effects:
+        lines.append(f"The prediction knows nothing of the draws of {', '.join(report.random_effects)}.")
+    return "\n".join(lines)

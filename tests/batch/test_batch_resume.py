@@ -1,0 +1,212 @@
+"""A batch goes on where it was killed, refuses what it was not begun with, and tells what failed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.batch import make as making
+from odomcorrupt.batch.book import BatchError
+from odomcorrupt.batch.estimate import Need, require_space
+from odomcorrupt.cli import run
+from odomcorrupt.commands._rate import left_words
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
+    return tmp_path
+
+
+def files_of(directory):
+    return {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
+
+
+def batch(count, *more, target="runs"):
+    return run(["batch", "in.mcap", target, "--runs", str(count), *TYPED, *more])
+
+
+def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.batch.engine.GROUP", 2)
+    assert batch(12, target="whole") == 0
+    program = "import odomcorrupt.batch.engine as e; e.GROUP = 2; from odomcorrupt.cli import run; import sys; "
+    program += "sys.exit(run(sys.argv[1:]))"
+    words = [sys.executable, "-c", program, "batch", "in.mcap", "runs", "--runs", "12", *TYPED]
+    made = 0
+    for number in range(3):
+        process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+        # a kill while some pass is under way: when two more files have come
+        deadline = time.monotonic() + 30
+        while len(list(here.glob("runs/run_*"))) < made + 2 and time.monotonic() < deadline:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        found = {path.name: path.read_bytes() for path in here.glob("runs/run_*")}
+        assert all(data == (here / "whole" / name).read_bytes() for name, data in found.items())
+        assert made < len(found) < 12, number
+        made = len(found)
+        before = {name: (here / "runs" / name).stat().st_mtime_ns for name in found}
+    assert batch(12) == 0
+    assert files_of(here / "runs") == files_of(here / "whole") | {
+        name: data for name, data in files_of(here / "runs").items() if name in {"manifest.jsonl", "batch.json"}
+    }
+    assert [record["run"] for record in records(here / "runs")] == list(range(12))
+    assert all((here / "runs" / name).stat().st_mtime_ns == then for name, then in before.items())
+    assert not list(here.glob("runs/.*.partial"))
+
+
+def records(directory):
+    return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
+
+
+def test_what_is_made_is_not_made_again_and_what_is_gone_is(here):
+    assert batch(3) == 0
+    times = {path.name: path.stat().st_mtime_ns for path in here.glob("runs/run_*")}
+    gone = here / "runs" / "run_000001.mcap"
+    data = gone.read_bytes()
+    gone.unlink()
+    assert batch(5) == 0
+    assert gone.read_bytes() == data
+    assert all((here / "runs" / name).stat().st_mtime_ns == then for name, then in times.items() if name != gone.name)
+    assert len(records(here / "runs")) == 5
+
+
+def test_a_batch_without_a_seed_goes_on_with_its_own(here):
+    assert run(["batch", "in.mcap", "runs", "--runs", "1"]) == 0
+    first = records(here / "runs")[0]["seed"]
+    assert run(["batch", "in.mcap", "runs", "--runs", "2"]) == 0
+    assert {record["seed"] for record in records(here / "runs")} == {first}
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--effect", "wheel_scale:e=0.01"], "another model"),
+        (["--output", "overlay"], "another --output"),
+        (["--twist", "keep"], "other options"),
+        (["--seed", "8"], "another seed"),
+    ],
+)
+def test_what_was_begun_otherwise_is_refused_with_the_way_out(more, named, here, capsys):
+    assert batch(1) == 0
+    capsys.readouterr()
+    assert batch(2, *more) == 1
+    said = capsys.readouterr().err
+    assert named in said
+    assert "name another directory" in said
+    assert len(list(here.glob("runs/run_*"))) == 1
+
+
+def test_a_changed_input_is_noticed_by_one_byte(here, capsys):
+    assert batch(1) == 0
+    data = bytearray((here / "in.mcap").read_bytes())
+    data[len(data) // 2] ^= 1
+    stat = (here / "in.mcap").stat()
+    (here / "in.mcap").write_bytes(data)
+    os.utime("in.mcap", ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert batch(2) == 1
+    assert "another input" in capsys.readouterr().err
+
+
+def test_a_directory_of_other_things_is_refused(here, capsys):
+    (here / "runs").mkdir()
+    (here / "runs" / "precious").touch()
+    assert batch(1) == 1
+    assert "holds files, but no batch" in capsys.readouterr().err
+    assert [path.name for path in (here / "runs").iterdir()] == ["precious"]
+
+
+def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_told(here, monkeypatch, capsys):
+    failed = {2: 1, 3: 99}
+    begin = making._begin
+
+    def failing(job, number, *rest):
+        if failed.get(number, 0) > 0:
+            failed[number] -= 1
+            raise OSError(f"no luck with {number}")
+        return begin(job, number, *rest)
+
+    monkeypatch.setattr(making, "_begin", failing)
+    assert batch(5) == 1
+    said = capsys.readouterr().err
+    assert "4 runs made now" in said
+    assert "1 runs (3); run 3: no luck with 3" in said
+    assert sorted(path.name for path in here.glob("runs/run_*")) == [f"run_{k:06d}.mcap" for k in (0, 1, 2, 4)]
+    monkeypatch.setattr(making, "_begin", begin)
+    assert batch(5) == 0
+    assert len(records(here / "runs")) == 5
+
+
+def test_processes_and_shards_make_the_same_files_as_one(here):
+    assert batch(7, target="one") == 0
+    assert batch(7, "--jobs", "2", target="jobs") == 0
+    for shard in ("3/3", "1/3", "2/3"):
+        assert batch(7, "--shard", shard, target="shards") == 0
+    one = files_of(here / "one")
+    assert {name for name in one if name.startswith("run_")} == {f"run_{k:06d}.mcap" for k in range(7)}
+    assert files_of(here / "jobs") == one
+    assert files_of(here / "shards") == one
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("shard", ["0/3", "4/3", "3", "1/0"])
+def test_shards_are_counted_from_one(shard, capsys):
+    assert batch(1, "--shard", shard) == 2
+    assert "counted from 1" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("here")
+def test_shards_need_a_seed(capsys):
+    assert run(["batch", "in.mcap", "runs", "--runs", "2", "--shard", "1/2"]) == 2
+    assert "same --seed" in capsys.readouterr().err
+
+
+def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
+    assert batch(200, "--dry-run") == 0
+    said = capsys.readouterr().err
+    assert not (here / "runs").exists()
+    assert said.startswith("200 runs to make, about ")
+    assert batch(4) == 0
+    real = sum(path.stat().st_size for path in here.glob("runs/run_*")) / 4 * 200 / 1e9
+    assert float(said.split("about ")[1].split(" GB")[0]) == pytest.approx(real, rel=0.02)
+    assert "less" in said
+
+
+def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsys):
+    monkeypatch.setattr("odomcorrupt.batch.estimate.free_bytes", lambda _: 3_000_000)
+    assert batch(10) == 1
+    said = capsys.readouterr().err
+    assert "0.003 GB are free" in said
+    assert "--output overlay would need" in said
+    assert not (here / "runs").exists()
+    assert batch(1) == 0
+
+
+def test_space_is_compared_with_the_need():
+    require_space(Need(1, 10, 0.0, 5, 10), "here")
+    with pytest.raises(BatchError, match="here: 1 runs need"):
+        require_space(Need(1, 11, 0.0, 5, 10), "here")
+
+
+def test_no_odometry_fails_at_once_and_leaves_nothing(here, capsys):
+    assert batch(3, "--odom-topic", "/nowhere") == 1
+    assert "/nowhere" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+
+
+def test_rate_and_time_left_in_words():
+    assert left_words(10, 40, 5.0) == "10 of 40 runs, 2 a second, 15 s left"
+    assert left_words(10, 1000, 100.0) == "10 of 1000 runs, 0.1 a second, 2.8 h left"
+    assert left_words(1, 11, 60.0) == "1 of 11 runs, 0.0167 a second, 10 min left"
+    assert left_words(0, 5, 1.0) == "0 of 5 runs"
