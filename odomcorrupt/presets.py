@@ -56,7 +56,7 @@ PRESETS: Mapping[str, Preset] = {
         Preset(
             "mrclam-create",
             Noise("diffusion", Coefficients(0.097, 0.023, 0.014, 0.027, 0.0048)),
-            "fitted to three runs of iRobot Creates whose odometry is their commands (UTIAS MRCLAM 6, Leung et al. 2011)",
+            "fitted to three runs of iRobot Creates; odometry is their commands (UTIAS MRCLAM 6, Leung et al. 2011)",
         ),
     )
 }
