@@ -65,4 +65,6 @@ def test_the_error_falls_on_a_drive_that_was_not_fitted(tmp_path, cause):
     began = ",".join(map(str, rows_of(other, "/ground_truth").xyt[0]))
     assert run(["correct", str(other), str(corrected), "--model", str(model), "--start", began]) == 0
     before, after = evo_errors(other), evo_errors(corrected)
-    assert (after < 0.6 * before).all()
+    bends = cause != "slope"  # a slope shifts the robot and leaves its heading alone
+    assert (after[:2] < 0.6 * before[:2]).all()
+    assert after[2] < (0.6 if bends else 1.2) * before[2]
