@@ -15,7 +15,7 @@ from pathlib import Path
 
 from odomcorrupt.presets import PRESETS
 from odomcorrupt.study.robot import fit_robot
-from odomcorrupt.study.sources import read_recording
+from odomcorrupt.study.sources import Source, read_runs
 
 ROBOTS = {
     "optitrack-diff-drive": "optiodom_diff_*.mcap",
@@ -32,7 +32,7 @@ def main() -> None:
         if not files:
             print(f"{name}: no {pattern} in {folder}")
             continue
-        runs = [read_recording(file, None, None) for file in files]
+        runs = [run for file in files for run in read_runs(Source(file))]
         found = fit_robot(runs, [], law_name="diffusion").model.noise.coefficients
         built_in = PRESETS[name].noise.coefficients
         print(f"{name} ({len(files)} runs)")
