@@ -11,8 +11,9 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batch.book import note, write_whole
 from odomcorrupt.batch.job import Task
+from odomcorrupt.batch.portion import LateTopic, portions
 from odomcorrupt.batch.robots import drawn_values
-from odomcorrupt.batch.shared import LateTopic, SharedTransform, portions
+from odomcorrupt.batch.shared import SharedTransform
 from odomcorrupt.batch.sinks import FullSink, OverlaySink, Rests, SplitSink
 from odomcorrupt.batch.strand import Strand
 from odomcorrupt.batch.tum import TumSink

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.batch.job import Job
-    from odomcorrupt.batch.shared import Place, Portion
+    from odomcorrupt.batch.portion import Place, Portion
 
 __all__ = ["FullSink", "OverlaySink", "Rests", "Sink", "SplitSink", "provenance"]
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.batch.shared import Portion
+    from odomcorrupt.batch.portion import Portion
     from odomcorrupt.corrupt.drift import PathWatcher
     from odomcorrupt.corrupt.order import Arrivals
     from odomcorrupt.corrupt.path import Knots

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.batch.shared import Portion
+    from odomcorrupt.batch.portion import Portion
     from odomcorrupt.corrupt.path import Knots
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array

@@ -58,7 +58,7 @@ class Corrected:
 
     strayed : effects that read places, and took the odom frame's for the truth's because nothing else was said
     drift : drawn values tell how far the odometry was moved, expected ones what the noise still does to it
-    restarts, late, unusable : as in corruption
+    restarts, late, leaps, unusable : as in corruption
     losses : what could not be read of a damaged input, in sentences
     """
 
@@ -71,6 +71,7 @@ class Corrected:
     drift: Drift
     restarts: int
     late: int
+    leaps: int
     unusable: int
     losses: tuple[str, ...]
 
@@ -106,7 +107,7 @@ def correct_bag(
         )  # fmt: skip
         return Corrected(
             model, effects, (), copied.driver, copied.frames, copied.changes, copied.drift,
-            copied.restarts, copied.late, copied.unusable, copied.losses,
+            copied.restarts, copied.late, copied.leaps, copied.unusable, copied.losses,
         )  # fmt: skip
     path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
@@ -130,7 +131,7 @@ def correct_bag(
     assert frames is not None  # noqa: S101 - as above
     return Corrected(
         model, effects, strayed, transform.driver.name, frames, transform.changes, drift,
-        transform.order.restarts, transform.order.late, transform.unusable, losses,
+        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable, losses,
     )  # fmt: skip
 
 

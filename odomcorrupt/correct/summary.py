@@ -106,6 +106,8 @@ def _oddities(corrected: Corrected) -> list[str]:
         said.append(f"The pose jumped {corrected.drift.jumps} times: the correction was held across.")
     if corrected.late:
         said.append(f"{corrected.late} odometry messages came more than a second late: moved, but not looked at.")
+    if corrected.leaps:
+        said.append(f"{corrected.leaps} odometry stamps lie far ahead of their neighbours': not looked at.")
     if corrected.unusable:
         said.append(f"{corrected.unusable} odometry poses are not numbers: left alone.")
     return said

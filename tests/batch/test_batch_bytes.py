@@ -71,7 +71,7 @@ def test_every_run_has_the_bytes_of_the_command_in_the_manifest(name, here):
 
 def test_small_portions_and_groups_give_the_same_bytes(here, monkeypatch):
     assert run(["batch", "office.mcap", "one", "--runs", "4", *MODEL, "--seed", "7"]) == 0
-    monkeypatch.setattr("odomcorrupt.batch.shared.PORTION_MESSAGES", 7)
+    monkeypatch.setattr("odomcorrupt.batch.portion.PORTION_MESSAGES", 7)
     monkeypatch.setattr("odomcorrupt.batch.engine.GROUP", 3)
     assert run(["batch", "office.mcap", "two", "--runs", "4", *MODEL, "--seed", "7"]) == 0
     for k in range(4):
