@@ -7,15 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from odomcorrupt.commands._poses import POSE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.mapping.free_path import FreePath
     from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.model import MotionModel
 
-__all__ = ["Condition", "choose_condition", "map_options"]
+__all__ = ["Condition", "choose_condition", "choose_condition_of_run", "map_options"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,26 @@ class Condition:
     space: FreeSpace
     check: Check
     tries: int
+
+    def path(self, model: MotionModel, seed: int, run: int) -> FreePath | None:
+        """Return where one run of corruption goes within it; None where no noise is drawn, and nothing moves."""
+        from odomcorrupt.mapping.free_path import FreePath
+        from odomcorrupt.mapping.motions import without_effects
+
+        if without_effects(model).noise.coefficients.silent:
+            return None
+        return FreePath(model, self.space, seed=seed, run=run, check=self.check, tries=self.tries)
+
+    def told(self) -> dict[str, str]:
+        """Return what an output notes of it: a hash stands for the map, no file is named."""
+        import hashlib
+
+        grid = self.space.grid
+        digest = hashlib.sha256(self.space.blocked.tobytes())
+        digest.update(repr((self.space.blocked.shape, grid.resolution_m, grid.origin_xyt.tolist())).encode())
+        pose = ",".join(repr(float(value)) for value in self.space.map_from_odom)
+        words = f"{self.check}, {self.tries} tries, odom at {pose}, blocked cells {digest.hexdigest()[:16]}"
+        return {"map": words}
 
 
 def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -60,7 +84,9 @@ def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def choose_condition(given: Mapping[str, Any], bag: Path | None, odom_frame: str) -> Condition | None:
+def choose_condition(
+    given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
+) -> Condition | None:
     """Return what the options ask for, None where they name no map."""
     import numpy as np
 
@@ -71,19 +97,18 @@ def choose_condition(given: Mapping[str, Any], bag: Path | None, odom_frame: str
 
     name = given["map_"]
     if name is None:
-        if given["map_pose"] is not None:
-            raise click.UsageError("--map-pose: says where odom is in a map; name the map with --map")
+        _refuse_alone(given)
         return None
     frame = "map"
-    if name.endswith((".yaml", ".yml")):
+    if _is_file(name):
         grid = read_map(Path(name))
     elif bag is None:
         raise click.UsageError(f"--map {name}: without a bag a map is a .yaml file")
     else:
-        grid, frame = read_recorded_map(bag, name)
+        grid, frame = read_recorded_map(bag, name, recover=recover)
     pose = np.zeros(3) if given["map_pose"] is None else np.array(given["map_pose"])
     if given["map_pose"] is None and bag is not None and frame.lstrip("/") != odom_frame.lstrip("/"):
-        found = read_map_from_odom(bag, frame, odom_frame)
+        found = read_map_from_odom(bag, frame, odom_frame, recover=recover)
         if found is None:
             raise MapError(
                 f"{bag}: TF has nothing between {frame!r} and {odom_frame!r}; say where odom is in the map with "
@@ -92,3 +117,48 @@ def choose_condition(given: Mapping[str, Any], bag: Path | None, odom_frame: str
         pose = found
     space = free_space(grid, given["radius"], unknown=given["unknown"], map_from_odom=pose)
     return Condition(space, given["check"], given["tries"])
+
+
+def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> Condition | None:
+    """Return what the options ask of the corruption of a bag, None where they name no map; a source of None is a pipe.
+
+    Raises
+    ------
+    click.UsageError
+        Where a pipe would have to be read twice, or the map has nothing to hold.
+    MapError
+        Where the map cannot be read, or nothing says where odom is in it.
+
+    """
+    from odomcorrupt.mapping.recorded import read_odom_frame
+
+    name = given["map_"]
+    if name is None:
+        _refuse_alone(given)
+        return None
+    if options.keep_localisation:
+        raise click.UsageError(
+            "--map and --keep-localisation: with map -> base kept true nothing in the map is drawn; leave out one"
+        )
+    if source is None and (given["map_pose"] is None or not _is_file(name)):
+        raise click.UsageError(
+            f"--map {name}: INPUT is a pipe and read once; name a map's .yaml, and say with --map-pose where odom is "
+            "in it"
+        )
+    frame = ""
+    if source is not None and given["map_pose"] is None:
+        frame = read_odom_frame(source, options, recover=given["recover"])
+    return choose_condition(given, source, frame, recover=given["recover"])
+
+
+def _is_file(name: str) -> bool:
+    return name.endswith((".yaml", ".yml"))
+
+
+def _refuse_alone(given: Mapping[str, Any]) -> None:
+    """Refuse options that say more of a map, where none is named."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given
+        if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"{option.opts[0]}: says more of a map; name the map with --map")

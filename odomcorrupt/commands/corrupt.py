@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress, say
 
@@ -41,6 +42,7 @@ __all__ = ["command"]
     help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
 )
 @click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction.")
+@map_options
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
@@ -50,7 +52,8 @@ __all__ = ["command"]
 def command(input_: str, output: str, **given: Any) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.
 
-    INPUT and OUTPUT are bags of any kind; - is a pipe.
+    INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
+    has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
     from odomcorrupt.corrupt.run import Container, corrupt_bag
     from odomcorrupt.corrupt.summary import summary
@@ -66,26 +69,32 @@ def command(input_: str, output: str, **given: Any) -> int:
         raise click.UsageError("INPUT is - but stdin is a terminal; feed it a bag")
     if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
         raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
+    source = None if input_ == "-" else Path(input_)
+    options = Options(
+        odom_topic=given["odom_topic"],
+        odom_frame=given["odom_frame"],
+        base_frame=given["base_frame"],
+        keep_twist=given["twist"] == "keep",
+        keep_covariance=given["covariance"] == "keep",
+        keep_truth=given["keep_truth"],
+        keep_localisation=given["keep_localisation"],
+        new_odom_frame=given["new_odom_frame"],
+    )
     seed = draw_seed() if given["seed"] is None else given["seed"]
+    condition = choose_condition_of_run(given, source, options)
+    path = None if condition is None else condition.path(chosen.model, seed, given["run"])
     with Progress() as progress:
         outcome = corrupt_bag(
-            None if input_ == "-" else Path(input_),
+            source,
             None if output == "-" else Path(output),
             chosen.model,
             seed=seed,
             run=given["run"],
-            options=Options(
-                odom_topic=given["odom_topic"],
-                odom_frame=given["odom_frame"],
-                base_frame=given["base_frame"],
-                keep_twist=given["twist"] == "keep",
-                keep_covariance=given["covariance"] == "keep",
-                keep_truth=given["keep_truth"],
-                keep_localisation=given["keep_localisation"],
-                new_odom_frame=given["new_odom_frame"],
-            ),
+            options=options,
             container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
             watch=progress,
+            path=path,
+            told={} if condition is None else condition.told(),
         )
-    say(summary(outcome, chosen.origin))
+    say(" ".join([summary(outcome, chosen.origin), *([] if path is None else [path.account()])]))
     return 3 if outcome.losses else 0

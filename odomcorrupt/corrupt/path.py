@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
 
-__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "PathSource"]
+__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "Normals", "PathSource"]
 
 JUMP_SPEED = 20.0
 """A clean pose that moves faster than this, m/s, was set and not driven: no noise is drawn across it."""
@@ -81,12 +81,22 @@ class PathSource(Protocol):
         """Return where the next n poses go."""
 
 
-class NoisyPath:
-    """Draws the noisy path of one run; a restart of time begins a new one with the same streams of numbers."""
+class Normals(Protocol):
+    """Whoever has standard normals: a generator of numpy, or one that replays some."""
 
-    def __init__(self, model: MotionModel, seed: int, run: int = 0) -> None:
+    def standard_normal(self, size: tuple[int, int]) -> Array:
+        """Return (n, 4) for n increments: of rot1, trans, across, rot2."""
+
+
+class NoisyPath:
+    """Draws the noisy path of one run; a restart of time begins a new one with the same streams of numbers.
+
+    normals : where the noise's numbers come from, in place of the run's own stream
+    """
+
+    def __init__(self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None) -> None:
         self._noise, self._law = model.noise, model.noise.law
-        self._rng = stream(seed, run, "noise")
+        self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
         self._effects = EffectInverse(model, seed, run)
         self.restart()
 
@@ -100,6 +110,10 @@ class NoisyPath:
         self._sums = np.zeros((SUMS, 1))
         self._travelled_m = 0.0
         self._origin = np.zeros(2)
+
+    def push(self, shift_xy: Array) -> None:
+        """Move the noisy robot by (2,) metres where it stands; the path goes on from there."""
+        self._error = self._error + np.append(shift_xy, 0.0)
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
         """Return the noisy path at the next n poses.

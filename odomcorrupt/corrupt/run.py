@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block, Channel
     from odomcorrupt.corrupt.drift import Drift
     from odomcorrupt.corrupt.patch import Changes
+    from odomcorrupt.corrupt.path import PathSource
     from odomcorrupt.corrupt.targets import Frames
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.model import MotionModel
@@ -85,10 +86,14 @@ def corrupt_bag(
     options: Options,
     container: Container,
     watch: Callable[[Block], None] = lambda _: None,
+    path: PathSource | None = None,
+    told: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Corrupt a bag; None is a pipe. The output appears when it is complete, or not at all.
 
     watch : told of every block written
+    path : where the odometry is moved to, in place of the noisy path that the model draws
+    told : what is noted in the output besides model, seed, run and version
 
     Raises
     ------
@@ -100,7 +105,7 @@ def corrupt_bag(
         Where an effect is too strong for this drive.
 
     """
-    transform = Transform(model, seed, run, options)
+    transform = Transform(model, seed, run, options, path=path)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     with open_reader(source, recover=container.recover) as reader:
         transform.driver.prepare(reader, reader.name)
@@ -118,7 +123,7 @@ def corrupt_bag(
                     writer.write(block)
                     watch(block)
                 if not silent:
-                    writer.provenance("odomcorrupt", _provenance(model, seed, run))
+                    writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
         drift = transform.drift.result()
         assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
         frames = transform.driver.frames

@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
-from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.increments import Increments, increments
 from odomcorrupt.mapping.conditioned import MAX_TRIES
+from odomcorrupt.mapping.motions import MotionReader, moved, must_be_free, rounds, swing_of, without_effects
 from odomcorrupt.pose import compose, inverse
 from odomcorrupt.rng import stream
 
@@ -26,8 +23,6 @@ __all__ = ["FreePaths", "FreeRuns", "free_paths"]
 
 _AT_ONCE = 1024
 """Increments that are held in memory together."""
-
-_FIRST_TRIES = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +95,10 @@ class FreeRuns:
         check: Check = "endpoint",
         tries: int = MAX_TRIES,
     ) -> None:
-        if model.effects:
-            raise ModelError(f"--map: {model.effects[0].name} is no noise and cannot be drawn again; leave effects out")
-        self._noise, self._space = model.noise, space
+        self._reader, self._space = MotionReader(without_effects(model)), space
         self._own = [stream(seed, run, "noise") for run in runs]
         again = [stream(seed, run, "map") for run in runs]
-        self._walk = _Walk(space, check, tries, again, 0.5 if model.noise.law.arc else 1.0)
+        self._walk = _Walk(space, check, tries, again, swing_of(model))
         self.restart()
 
     @property
@@ -120,8 +113,8 @@ class FreeRuns:
 
     def restart(self) -> None:
         """Begin a new path: the next pose is a first pose, and unchanged."""
-        self._growth = StepGrowth()
-        self._last: tuple[int, Array, Array] | None = None
+        self._reader.restart()
+        self._pose = np.zeros((0, 3))
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Array:
         """Return the runs (runs, n, 3) at the next n poses; stamps ascend. See `NoisyPath.feed`.
@@ -132,41 +125,21 @@ class FreeRuns:
             Where the first pose is not free.
 
         """
-        if self._last is None:
-            _must_be_free(self._space, clean_xyt[:1])
-            self._last = int(stamps_ns[0]), clean_xyt[0], np.repeat(clean_xyt[:1], len(self._own), axis=0)
-        before_ns, before_xyt, pose = self._last
-        poses = np.concatenate((before_xyt[None], clean_xyt))
-        dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
-        travel = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-        jump = travel > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
-        whole = increments(poses)
-        # across a jump nothing is driven, but the odom frame's correction is held
-        steps = Increments(*(np.where(jump, 0.0, part) for part in (whole.ds_m, whole.dl_m, whole.dtheta_rad)))
-        grown = noise_variances(self._noise, steps, np.where(jump, 0.0, dt_s), self._growth)
-        v = grown.variances
-        sd = np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
-        bearing = np.arctan2(steps.dl_m, steps.ds_m) * self._noise.law.along_travel
-        motion = np.column_stack((steps.ds_m, steps.dl_m, steps.dtheta_rad, bearing))
-        normals = np.stack([rng.standard_normal((len(motion), 4)) for rng in self._own], axis=1)
-        out = np.empty((len(pose), len(motion), 3))
-        for i in range(len(motion)):
-            if jump[i]:
+        if not self._reader.begun:
+            must_be_free(self._space, clean_xyt[0])
+            self._pose = np.repeat(clean_xyt[:1], len(self._own), axis=0)
+        motions, pose = self._reader.read(stamps_ns, clean_xyt), self._pose
+        poses = motions.clean_xyt
+        normals = np.stack([rng.standard_normal((len(clean_xyt), 4)) for rng in self._own], axis=1)
+        out = np.empty((len(pose), len(clean_xyt), 3))
+        for i in range(len(clean_xyt)):
+            if motions.jump[i]:
                 pose = compose(compose(pose, inverse(poses[i])), poses[i + 1])
             else:
-                pose = self._walk.on(pose, motion[i], sd[i], normals[i])
+                pose = self._walk.on(pose, motions.step[i], motions.sd[i], normals[i])
             out[:, i] = pose
-        self._growth, self._last = grown.growth, (int(stamps_ns[-1]), clean_xyt[-1], pose)
+        self._pose = pose
         return out
-
-
-def _must_be_free(space: FreeSpace, first_xyt: Array) -> None:
-    if not space.free(first_xyt[:, :2])[0]:
-        x, y = first_xyt[0, :2]
-        raise MapError(
-            f"the drive begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
-            "--map-pose and --robot-radius"
-        )
 
 
 class _Walk:
@@ -175,20 +148,21 @@ class _Walk:
     def __init__(
         self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator], swing: float
     ) -> None:
-        self._space, self._check, self._tries, self._again, self._swing = space, check, tries, again, swing
+        self._space, self._check, self._again, self._swing = space, check, again, swing
+        self._rounds = rounds(tries)
         self.redrawn = self.blocked = 0
 
     def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> Array:
         """Return poses (runs, 3) after an increment with normals (runs, 4) of rot1, trans, across, rot2."""
-        ahead = self._moved(pose, step, normals * sd)
+        ahead = moved(pose, step, normals * sd, self._swing)
         if not (sd.any() or step[:3].any()):
             return ahead
-        stuck = np.flatnonzero(~self._space.allows(pose[:, :2], ahead[:, :2], self._check))
+        bad = ~self._space.allows(pose[:, :2], ahead[:, :2], self._check)
+        # a robot whose pose was set into a wall is let out of it
+        stuck = np.flatnonzero(bad & self._space.free(pose[:, :2]))
         self.redrawn += len(stuck)
-        left = self._tries - 1
-        # a few tries are mostly enough, and a robot that is stuck takes all
-        for count in (min(_FIRST_TRIES, left), max(left - _FIRST_TRIES, 0)):
-            if len(stuck) and count:
+        for count in self._rounds:
+            if len(stuck):
                 stuck = self._again_from(pose, step, sd, stuck, count, ahead)
         self.blocked += len(stuck)
         ahead[stuck, :2] = pose[stuck, :2]
@@ -200,23 +174,9 @@ class _Walk:
         """Draw so many candidates for each stuck run, put the first free one into `ahead`, return who is stuck yet."""
         noise = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck]) * sd
         origin = np.repeat(pose[stuck], count, axis=0)
-        candidates = self._moved(origin, step, noise)
+        candidates = moved(origin, step, noise, self._swing)
         good = self._space.allows(origin[:, :2], candidates[:, :2], self._check).reshape(-1, count)
         found = good.any(axis=1)
         first = np.argmax(good, axis=1)
         ahead[stuck[found]] = candidates.reshape(-1, count, 3)[found, first[found]]
         return stuck[~found]
-
-    def _moved(self, pose: Array, step: Array, noise: Array) -> Array:
-        ds, dl, turn, bearing = step
-        along = noise[:, 1] * np.cos(bearing) - noise[:, 2] * np.sin(bearing) + ds
-        across = noise[:, 1] * np.sin(bearing) + noise[:, 2] * np.cos(bearing) + dl
-        heading = pose[:, 2] + self._swing * noise[:, 0] + turn / 2.0
-        c, s = np.cos(heading), np.sin(heading)
-        return np.column_stack(
-            (
-                pose[:, 0] + c * along - s * across,
-                pose[:, 1] + s * along + c * across,
-                pose[:, 2] + turn + noise[:, 0] + noise[:, 3],
-            )
-        )

@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corrupt.driver import Driver
+from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -15,9 +18,10 @@ from odomcorrupt.mapping.messages import GRID, read_grid
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.pose import Array
 
-__all__ = ["RecordedMap", "read_map_from_odom", "read_recorded_map"]
+__all__ = ["RecordedMap", "read_map_from_odom", "read_odom_frame", "read_recorded_map"]
 
 OCCUPIED_PERCENT, FREE_PERCENT = 65, 25
 """What counts as a wall and as free in an OccupancyGrid, as map_server's thresholds say."""
@@ -30,10 +34,10 @@ class RecordedMap(NamedTuple):
     frame_id: str
 
 
-def read_recorded_map(path: Path, topic: str) -> RecordedMap:
+def read_recorded_map(path: Path, topic: str, *, recover: bool = False) -> RecordedMap:
     """Read the last nav_msgs/OccupancyGrid of a topic."""
     latest: tuple[bytes, str, str] | None = None
-    with open_reader(path) as reader:
+    with open_reader(path, recover=recover) as reader:
         channels = [c for c in reader.channels.values() if c.topic.lstrip("/") == topic.lstrip("/")]
         if not channels or channels[0].msgtype != GRID:
             found = ", ".join(sorted({c.topic for c in reader.channels.values() if c.msgtype == GRID})) or "none"
@@ -56,10 +60,34 @@ def read_recorded_map(path: Path, topic: str) -> RecordedMap:
     return RecordedMap(Grid(cells, message.resolution_m, message.origin_xyt), message.frame_id)
 
 
-def read_map_from_odom(path: Path, map_frame: str, odom_frame: str) -> Array | None:
+def read_map_from_odom(path: Path, map_frame: str, odom_frame: str, *, recover: bool = False) -> Array | None:
     """Return the pose (3,) of the odom frame in the map by the first transforms of a bag; None where TF has none."""
     tree = FrameTree()
-    with open_reader(path) as reader:
+    with open_reader(path, recover=recover) as reader:
         for block in reader.blocks():
             tree.take(block, reader.channels.values())
-    return tree.pose(map_frame, odom_frame)
+            pose = tree.pose(map_frame, odom_frame)
+            if pose is not None:
+                return pose
+    return None
+
+
+def read_odom_frame(path: Path, options: Options, *, recover: bool = False) -> str:
+    """Return the frame that the odometry of a bag is in, by its first message.
+
+    Raises
+    ------
+    TopicError
+        Where no odometry is there.
+
+    """
+    driver = Driver(options.odom_topic, options.odom_frame, options.base_frame)
+    with open_reader(path, recover=recover) as reader:
+        driver.prepare(reader, reader.name)
+        for block in reader.blocks():
+            channels = [reader.channels[int(number)] for number in np.unique(block.table["channel"])]
+            wanted = [c for c in channels if c.encoding in ENCODINGS and c.msgtype in (ODOMETRY, *TRANSFORMS)]
+            driver.read(block, [(c, layout) for c in wanted for layout in locate(block, c)], block.table["log_ns"])
+            if driver.frames is not None:
+                return driver.frames.odom
+        raise TopicError(f"{reader.name}: {driver.name} has no message with a pose{driver.elsewhere}")

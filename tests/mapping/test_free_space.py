@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from rooms import MODEL, RESOLUTION, drive, room
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import MapError
@@ -8,22 +9,8 @@ from odomcorrupt.mapping.conditioned import move_sampled_in_map
 from odomcorrupt.mapping.conditioned_path import FreeRuns, free_paths
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
-from odomcorrupt.model import MotionModel
-from odomcorrupt.presets import preset_named
 from odomcorrupt.sampling.move import move_between
 from odomcorrupt.sampling.samples import move_sampled
-
-RESOLUTION = 0.1
-
-
-def room(*walls):
-    """Ten by ten metres about the origin; walls are boxes x0, y0, x1, y1."""
-    cells = np.zeros((100, 100), dtype=np.uint8)
-    for x0, y0, x1, y1 in walls:
-        c = (np.array([x0, y0, x1, y1]) / RESOLUTION + 50).astype(int)
-        cells[c[1] : c[3], c[0] : c[2]] = OCCUPIED
-    return Grid(cells, RESOLUTION, np.array([-5.0, -5.0, 0.0]))
-
 
 WALL = (2.0, -1.0, 2.2, 1.0)
 AHEAD = move_between(np.zeros(3), np.array([3.0, 0.0, 0.0]))
@@ -105,15 +92,6 @@ def test_where_nothing_is_free_it_is_said():
     inside = move_between(np.array([2.0, 0.0, 0.0]), np.array([3.0, 0.0, 0.0]))
     with pytest.raises(MapError, match="begins at"):
         move_sampled_in_map(inside, NOISE, 30, np.random.default_rng(1), boxed)
-
-
-def drive(n=300):
-    xyt = np.zeros((n, 3))
-    xyt[:, 0] = np.linspace(0, 4, n)
-    return np.arange(n) * 10**7, xyt
-
-
-MODEL = MotionModel(preset_named("typical").noise)
 
 
 def test_paths_stay_free_and_do_not_depend_on_their_company():

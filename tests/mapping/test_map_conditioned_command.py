@@ -104,7 +104,7 @@ def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
         def __exit__(self, *_):
             return None
 
-    monkeypatch.setattr(recorded, "open_reader", lambda _path: Bag())
+    monkeypatch.setattr(recorded, "open_reader", lambda _path, **_: Bag())
     found = read_recorded_map(Path("bag"), "map")
     assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
     assert found.frame_id == "map"

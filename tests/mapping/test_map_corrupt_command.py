@@ -1,0 +1,121 @@
+"""Corruption with `--map`, as a user runs it."""
+
+import io
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.commands._poses import POSE
+from odomcorrupt.drive.read import read_drive
+from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.grid import OCCUPIED, Grid
+from odomcorrupt.mapping.mapfile import format_map, read_map
+from odomcorrupt.mapping.recorded import read_map_from_odom
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+MAPS, OLIN = SHARED / "bags" / "maps", SHARED / "bags" / "olin_tb4"
+OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
+ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
+
+
+def test_no_pose_is_written_into_a_wall_and_without_the_map_some_are(tmp_path, capsys):
+    cases = (
+        (SHARED / "real" / "rob521_gazebo.mcap", MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
+        (SHARED / "bags" / "evo" / "nav2_turtlebot.mcap", MAPS / "depot.yaml", None, 7),
+        (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg", 7),
+    )
+    there = [case for case in cases if case[0].exists() and case[1].exists()]
+    if not there:
+        pytest.skip("shared data absent: no bags with maps")
+    for bag, yaml, pose, seed in there:
+        where = [] if pose is None else ["--map-pose", pose]
+        arguments = [str(bag), *ALPHA, "--seed", str(seed)]
+        found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))
+        walls = free_space(read_map(yaml), 0.0, unknown="free", map_from_odom=found)
+        with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
+        kind = bag.suffix
+        for name, more in (("with", with_map), ("without", [])):
+            out = tmp_path / f"{bag.stem}_{name}{kind}"
+            assert run([arguments[0], str(out), *arguments[1:], *more]) == 0
+            said = capsys.readouterr().err
+            assert ("increments were drawn again" in said) is (name == "with")
+            free = walls.free(read_drive(out, "/odom").xyt[:, :2])
+            assert free.all() is np.bool_(name == "with"), (bag.name, name)
+
+
+@pytest.fixture
+def corridor(tmp_path):
+    """Walls 0.4 m to both sides of the office's own path."""
+    xy = read_drive(OFFICE, "/odom").xyt[:, :2]
+    low = np.floor(xy.min(axis=0) - 1.0)
+    columns, rows = (np.ceil((xy.max(axis=0) + 1.0 - low) / 0.1)).astype(int)
+    middle = low + 0.1 * (np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1) + 0.5)
+    gap = np.full((rows, columns), np.inf)
+    for place in xy[::5]:
+        gap = np.minimum(gap, np.hypot(*np.moveaxis(middle - place, -1, 0)))
+    image, text = format_map(Grid((gap > 0.4).astype(np.uint8) * OCCUPIED, 0.1, np.append(low, 0.0)), "map.pgm")
+    (tmp_path / "map.pgm").write_bytes(image)
+    (tmp_path / "map.yaml").write_text(text)
+    return tmp_path / "map.yaml"
+
+
+def feed(monkeypatch, path):
+    class Pipe:
+        buffer = io.BytesIO(path.read_bytes())
+
+        def isatty(self):
+            return False
+
+    monkeypatch.setattr(sys, "stdin", Pipe())
+
+
+def test_file_and_pipe_give_the_same_bytes_and_the_map_is_noted_in_them(corridor, tmp_path, capsys, monkeypatch):
+    words = ["--seed", "7", *ALPHA, "--odom-topic", "/odom", "--map", str(corridor), "--map-pose", "0,0,0"]
+    assert run([str(OFFICE), str(tmp_path / "a.mcap"), *words, "--robot-radius", "0"]) == 0
+    said = capsys.readouterr().err
+    assert int(said.split("Map: ")[1].split(" of ")[0]) > 100
+    feed(monkeypatch, OFFICE)
+    assert run(["-", str(tmp_path / "b.mcap"), *words, "--robot-radius", "0"]) == 0
+    data = (tmp_path / "a.mcap").read_bytes()
+    assert data == (tmp_path / "b.mcap").read_bytes()
+    assert b"endpoint, 100 tries, odom at 0.0,0.0,0.0, blocked cells" in data
+    assert str(tmp_path).encode() not in data
+
+
+def test_without_noise_the_file_is_copied(corridor, tmp_path):
+    words = [str(OFFICE), str(tmp_path / "a.mcap"), "--alpha", "0", "0", "0", "0", "--seed", "1"]
+    assert run([*words, "--map", str(corridor), "--map-pose", "0,0,0"]) == 0
+    assert (tmp_path / "a.mcap").read_bytes() == OFFICE.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "word"),
+    [
+        (["--map", "MAP"], 1, "TF has nothing between 'map' and 'odom'"),
+        (["--map", "/map"], 1, "no nav_msgs/OccupancyGrid on /map"),
+        (["--map", "MAP", "--map-pose", "0,0,0", "--effect", "wheel_scale:e=0.02"], 1, "wheel_scale is no noise"),
+        (["--map", "MAP", "--map-pose", "0,0,0", "--keep-localisation"], 2, "leave out one"),
+        (["--map", "MAP", "--map-pose", "90,0,0"], 1, "the drive begins at"),
+        (["--map-pose", "0,0,0"], 2, "name the map with --map"),
+        (["--map-check", "path"], 2, "name the map with --map"),
+        (["--robot-radius", "0.1"], 2, "name the map with --map"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(more, code, word, corridor, tmp_path, capsys):
+    words = [str(corridor) if one == "MAP" else one for one in more]
+    before = set(tmp_path.iterdir())
+    assert run([str(OFFICE), str(tmp_path / "out.mcap"), *ALPHA, "--seed", "1", *words]) == code
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert word in lines[0]
+    assert set(tmp_path.iterdir()) == before
+
+
+def test_pipe_needs_a_map_file_and_a_pose(corridor, tmp_path, capsys, monkeypatch):
+    for where in (["--map", str(corridor)], ["--map", "/map", "--map-pose", "0,0,0"]):
+        feed(monkeypatch, OFFICE)
+        assert run(["-", str(tmp_path / "out.mcap"), "--odom-topic", "/odom", "--seed", "1", *where]) == 2
+        assert "INPUT is a pipe and read once" in capsys.readouterr().err
