@@ -35,7 +35,7 @@ class Correction:
     """The correction at n stamps.
 
     xyt : (n, 3) of the odom frame, metres and radians
-    sums : (SUMS, n) running sums for covariances
+    sums : (SUMS or more, n) running sums for covariances
     origin_xy : (2, n) where the sums began, metres
     stretch : (n,) which stretch each belongs to, counted from 0
     held : (n,) whether the curve ended before the stamp
@@ -113,7 +113,7 @@ class Curve:
             none = np.zeros(0, dtype=np.int64)
             self._stretches.append(
                 _Stretch(
-                    self._count, none, none, np.zeros((0, 3)), np.zeros((SUMS, 0)), knots.origin_xy.copy(),
+                    self._count, none, none, np.zeros((0, 3)), knots.sums[:, :0], knots.origin_xy.copy(),
                     int(knots.stamps_ns[0]), int(time_ns[0]),
                 )
             )  # fmt: skip
@@ -136,7 +136,7 @@ class Curve:
         n = len(stamps_ns)
         out = Correction(
             np.zeros((n, 3)),
-            np.zeros((SUMS, n)),
+            np.zeros((self._stretches[0].sums.shape[0] if self._stretches else SUMS, n)),
             np.zeros((2, n)),
             np.zeros(n, dtype=np.int64),
             np.zeros(n, dtype=bool),

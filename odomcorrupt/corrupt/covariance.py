@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corrupt.wander import wandered_covariance
+
 if TYPE_CHECKING:
     from odomcorrupt.laws import Variances
     from odomcorrupt.pose import Array
@@ -19,7 +21,10 @@ if TYPE_CHECKING:
 __all__ = ["FLOOR", "SUMS", "NoiseSteps", "pose_covariance", "sum_terms", "twist_covariance"]
 
 SUMS = 15
-"""Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six for the body."""
+"""Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six for the body.
+
+Where effects draw, the rows of `wander` follow; the body's six hold both.
+"""
 
 FLOOR = 1e-9
 """Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none."""
@@ -77,13 +82,13 @@ def sum_terms(steps: NoiseSteps) -> Array:
 
 
 def pose_covariance(sums: Array, xy_m: Array) -> Array:
-    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (SUMS, n) and positions (2, n).
+    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (SUMS or more, n) and positions (2, n).
 
     Positions are noisy and counted from where the sums began, metres.
     """
     s0, sx, sy, sxx, sxy, syy, txx, txy, tyy = sums[:9]
     x, y = xy_m
-    return _symmetric(
+    noise = _symmetric(
         y * y * s0 - 2.0 * y * sy + syy + txx,
         txy - (x * y * s0 - x * sy - y * sx + sxy),
         x * x * s0 - 2.0 * x * sx + sxx + tyy,
@@ -91,11 +96,12 @@ def pose_covariance(sums: Array, xy_m: Array) -> Array:
         x * s0 - sx,
         s0,
     )
+    return noise if len(sums) == SUMS else noise + wandered_covariance(sums[SUMS:], xy_m)
 
 
 def twist_covariance(grown: Array, dt_s: Array) -> Array:
     """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals in which the sums grew by (SUMS, n)."""
-    return _symmetric(*grown[9:] / (dt_s * dt_s))
+    return _symmetric(*grown[9:SUMS] / (dt_s * dt_s))
 
 
 def _symmetric(*upper: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from odomcorrupt.corrupt.covariance import pose_covariance
+from odomcorrupt.corrupt.covariance import SUMS, pose_covariance
 from odomcorrupt.pose import between
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ class DriftMeter:
 
 def _expected(end: _Place, sums_before: Array) -> tuple[float, float]:
     noisy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
-    grown = (end.sums - sums_before)[:, None]
+    grown = (end.sums - sums_before)[:SUMS, None]  # what wanders goes on from leg to leg: no sum of legs
     variances = np.diagonal(pose_covariance(grown, noisy[:, None])[0])
     return float(np.sqrt(max(variances[0] + variances[1], 0.0))), float(np.sqrt(max(variances[2], 0.0)))
 

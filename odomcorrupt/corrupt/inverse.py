@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corrupt.wander import wanders
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from odomcorrupt.effects.effect import Effect, State
+    from odomcorrupt.effects.effect import Effect, Gain, State
     from odomcorrupt.increments import Increments
     from odomcorrupt.model import MotionModel
     from odomcorrupt.motion import Accelerations, SpeedMemory
@@ -50,7 +51,11 @@ class Drive:
 
 
 class EffectInverse:
-    """The effects of a model acting on a stream of increments; their states pass from call to call."""
+    """The effects of a model acting on a stream of increments; their states pass from call to call.
+
+    wandering : the effects that draw something whose variance they state
+    gains : what these drew from in the last call of `error`
+    """
 
     def __init__(self, model: MotionModel, seed: int, run: int) -> None:
         ordinals: dict[str, int] = {}
@@ -68,6 +73,8 @@ class EffectInverse:
         self._recording = [pair for pair in started if pair[0].layer == "record"]
         self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
+        self.wandering = tuple(effect for effect, _ in motion + self._recording if wanders(effect, model.track_m))
+        self.gains: tuple[Gain, ...] = ()
         self.restart()
 
     def restart(self) -> None:
@@ -106,7 +113,7 @@ class EffectInverse:
 
     def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
-        if not self._effects or n == 0:
+        if not (self._effects or self.wandering) or n == 0:
             return np.zeros((n, 3))
         dt = drive.dt_s[:, None]
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
@@ -140,6 +147,9 @@ class EffectInverse:
                 f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle after "
                 f"{MAX_ROUNDS} rounds; make them weaker"
             )
+        if self.wandering:
+            true = _motion(clean, drive, faster, distance[1:], self._track_m)
+            self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
         self._states = states
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])

@@ -15,6 +15,7 @@ from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.rigid import SpatialPoses, from_left, from_right
 from odomcorrupt.corrupt.targets import ODOMETRY, plain
 from odomcorrupt.corrupt.twist import TopicTwist
+from odomcorrupt.corrupt.wander import wanders
 from odomcorrupt.pose import yaw_from_quaternion
 
 if TYPE_CHECKING:
@@ -73,7 +74,8 @@ class Patcher:
         self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
         self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
         self._twist = not keep_twist
-        self._covariance = not (keep_covariance or model.noise.coefficients.silent)
+        drawn = any(wanders(e, model.track_m) for e in model.effects)
+        self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
         self._twists: dict[str, TopicTwist] = {}
 
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:

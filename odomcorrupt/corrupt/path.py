@@ -16,6 +16,7 @@ import numpy as np
 from odomcorrupt.corrupt.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corrupt.inverse import Drive, EffectInverse
 from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
+from odomcorrupt.corrupt.wander import WANDER, Wander
 from odomcorrupt.increments import Increments
 from odomcorrupt.pose import rotate, wrap
 from odomcorrupt.rng import stream
@@ -42,7 +43,7 @@ class Knots:
     stamps_ns : (n,) header stamps
     clean_xyt : (n, 3) metres, radians; headings as they came
     error_xyt : (n, 3) noisy minus clean, in odom axes
-    sums : (SUMS, n) running sums for covariances, see `covariance`
+    sums : (SUMS, n) running sums for covariances, see `covariance`; more rows where effects draw, see `wander`
     origin_xy : (2,) where these sums began, metres
     travelled_m : (n,) clean distance since the path began, metres; jumps do not count
     jumps : how many of the increments that end here were jumps
@@ -98,16 +99,18 @@ class NoisyPath:
         self._noise, self._law = model.noise, model.noise.law
         self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
         self._effects = EffectInverse(model, seed, run)
+        self._wander = Wander()
         self.restart()
 
     def restart(self) -> None:
         """Begin a new path: the next pose is a first pose, and unchanged."""
         self._effects.restart()
+        self._wander.restart()
         self._growth = StepGrowth()
         self._last: tuple[int, Array] | None = None
         self._first_ns = 0
         self._error = np.zeros(3)
-        self._sums = np.zeros((SUMS, 1))
+        self._sums = np.zeros((SUMS + (WANDER if self._effects.wandering else 0), 1))
         self._travelled_m = 0.0
         self._origin = np.zeros(2)
 
@@ -132,9 +135,7 @@ class NoisyPath:
             self._last = (int(stamps_ns[0]), clean_xyt[0])
         if n == 0 or self._last is None:
             nothing, none = np.zeros((0, 3)), np.zeros(0)
-            return Knots(
-                stamps_ns, clean_xyt, nothing, np.zeros((SUMS, 0)), self._origin, none, jumps=0, sideways_m=0.0
-            )
+            return Knots(stamps_ns, clean_xyt, nothing, self._sums[:, :0], self._origin, none, jumps=0, sideways_m=0.0)
         before_ns, before_xyt = self._last
         poses: Array = np.concatenate((before_xyt[None], clean_xyt))
         dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
@@ -174,7 +175,8 @@ class NoisyPath:
 
         noisy = (poses[:, :2] + error[:, :2] - self._origin).T
         moved = (steps.ds_m + along, steps.dl_m + across)
-        terms = sum_terms(NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc))
+        stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
+        terms = self._sum_terms(stepped, driven_s)
         sums = np.cumsum(np.concatenate((self._sums, terms), axis=1), axis=1)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
 
@@ -185,6 +187,16 @@ class NoisyPath:
             stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:],
             int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()),
         )  # fmt: skip
+
+    def _sum_terms(self, stepped: NoiseSteps, driven_s: Array) -> Array:
+        """Return what n intervals add to the running sums: of the noise, and of what effects draw."""
+        terms = sum_terms(stepped)
+        if not self._effects.wandering:
+            return terms
+        middle_xy = (stepped.start_xy + stepped.end_xy) / 2.0
+        grown = self._wander.grow(self._effects.gains, driven_s, middle_xy, stepped.travel_rad)
+        terms[9:] += grown.body
+        return np.concatenate((terms, grown.path))
 
 
 def _cos_less_one(angle_rad: Array) -> Array:

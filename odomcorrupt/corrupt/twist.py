@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.covariance import SUMS, twist_covariance
+from odomcorrupt.corrupt.covariance import twist_covariance
 from odomcorrupt.pose import rotate, wrap
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class TopicTwist:
     def _begin(self, stretch: int) -> None:
         self._stretch = stretch
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
-        self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((SUMS, 0))
+        self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
         self._known, self._added, self._covariance = False, np.zeros(3), np.zeros((3, 3))
 
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
@@ -77,6 +77,8 @@ class TopicTwist:
     def _within_stretch(
         self, stamps_ns: NDArray[np.int64], clean_xyt: Array, correction_xyt: Array, sums: Array
     ) -> TwistChange:
+        if not len(self._stamps_ns):
+            self._sums = sums[:, :0]
         floor = self._stamps_ns[-1] if len(self._stamps_ns) else np.iinfo(np.int64).min
         reach = np.maximum.accumulate(np.concatenate(([floor], stamps_ns)))
         ahead = np.flatnonzero(stamps_ns > reach[:-1])

@@ -25,6 +25,7 @@ __all__ = [
     "About",
     "Drawn",
     "Effect",
+    "Gain",
     "Moments",
     "Motion",
     "Parameter",
@@ -123,6 +124,22 @@ class Moments(NamedTuple):
     variance: Array
 
 
+class Gain(NamedTuple):
+    """A random number that wanders, and what odometry does where it departs from its mean by one.
+
+    From interval to interval the number keeps the part `keep` of itself and is kicked with the variance `kick`.
+
+    f : (n, 3) forward m/s, leftward m/s, yaw rad/s; its sign does not matter
+    keep, kick : (n,)
+    start : its variance before the first interval
+    """
+
+    f: Array
+    keep: Array
+    kick: Array
+    start: float
+
+
 class About(NamedTuple):
     """What a person wants to know of an effect.
 
@@ -198,6 +215,13 @@ class Effect:
     def moments(self, motion: Motion) -> Moments | None:  # noqa: ARG002 - for effects that draw
         """Return expectation and variance of f on a true motion; None for an effect that draws nothing."""
         return None
+
+    def gains(self, motion: Motion) -> tuple[Gain, ...]:  # noqa: ARG002 - for effects that draw
+        """Return what it draws on a true motion, numbers independent of each other; none where it does not state them.
+
+        For covariances: to first order, odometry departs from the truth by the sum of their own departures times `f`.
+        """
+        return ()
 
     def stamp_shift_s(self, t_s: Array) -> Array:
         """Return by how much (n,) seconds the odometry's stamps run ahead of true time t_s (n,)."""

@@ -11,6 +11,7 @@ from odomcorrupt.effects.draws import again, autoregression
 from odomcorrupt.effects.effect import (
     About,
     Effect,
+    Gain,
     Kind,
     Moments,
     Motion,
@@ -70,6 +71,12 @@ class GaussMarkov(Effect):
     def moments(self, motion: Motion) -> Moments:
         """Return the stationary variance of the gain times the speed squared."""
         return Moments(np.zeros((len(motion), 3)), self._on_channel((self.sigma * self._speed(motion)) ** 2))
+
+    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+        """Return the gain: it decays with tau and is kicked to stay as wide as it is."""
+        keep = np.exp(-motion.dt_s / self.tau)
+        variance = self.sigma**2
+        return (Gain(self._on_channel(self._speed(motion)), keep, variance * (1.0 - keep**2), variance),)
 
     def _speed(self, motion: Motion) -> Array:
         return motion.omega if self.channel == "yaw" else motion.v

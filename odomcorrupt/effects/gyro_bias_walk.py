@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.draws import again
-from odomcorrupt.effects.effect import About, Effect, Kind, Moments, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Gain,
+    Kind,
+    Moments,
+    Motion,
+    State,
+    TwistError,
+    parameter,
+    stacked,
+)
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -52,3 +63,8 @@ class GyroBiasWalk(Effect):
         nothing = np.zeros_like(motion.v)
         variance = self.density**2 * np.cumsum(motion.dt_s)
         return Moments(np.zeros((len(motion), 3)), stacked(nothing, nothing, variance, nothing))
+
+    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+        """Return the bias: nothing at first, it forgets nothing."""
+        one = np.ones_like(motion.v)
+        return (Gain(stacked(0.0, 0.0, -one, one), one, self.density**2 * motion.dt_s, 0.0),)

@@ -11,6 +11,7 @@ from odomcorrupt.effects.draws import again
 from odomcorrupt.effects.effect import (
     About,
     Effect,
+    Gain,
     Kind,
     Layer,
     Moments,
@@ -68,3 +69,9 @@ class LostIncrements(Effect):
         """Return the mean loss and its variance."""
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         return Moments(self.fraction * twist, self.fraction * (1.0 - self.fraction) * twist**2)
+
+    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+        """Return one chance per increment, which remembers nothing; the mean loss is no part of it."""
+        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
+        variance = self.fraction * (1.0 - self.fraction)
+        return (Gain(twist, np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)

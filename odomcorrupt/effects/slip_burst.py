@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.draws import again
-from odomcorrupt.effects.effect import About, Effect, Kind, Moments, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Gain,
+    Kind,
+    Moments,
+    Motion,
+    State,
+    TwistError,
+    parameter,
+    stacked,
+)
 from odomcorrupt.effects.wheels import Rims, body_of, rims_of
 
 if TYPE_CHECKING:
@@ -120,3 +131,30 @@ class SlipBurst(Effect):
         sides = [self._lost(motion, Rims(r * one, f * one)) for r, f in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))]
         mean = on[:, None] * self.slip * np.mean(sides, axis=0)
         return Moments(mean, on[:, None] * square * np.mean(np.square(sides), axis=0) - mean**2)
+
+    def gains(self, motion: Motion) -> tuple[Gain, ...]:
+        """Return what both wheels report too much alike, and what one does more, as Markov numbers.
+
+        A wheel that loses the part s of its way reports 1 / (1 - s) of what the robot drives, s spread evenly. A
+        burst's slip is the same all through it: the correlation of two moments is a triangle as long as a burst, of
+        which exp(-t / tau) with tau half of it has the integral.
+        """
+        on = 1.0 - np.exp(-self.rate * self.duration)
+        lasts_s = on / self.rate if self.rate > 0.0 else self.duration
+        keep = np.exp(-2.0 * motion.dt_s / lasts_s)
+        low, high = self.slip - self._spread(), self.slip + self._spread()
+        longer = np.log((1.0 - low) / (1.0 - high)) / (high - low) if high > low else 1.0 / (1.0 - low)
+        mean, square = on * (longer - 1.0), on * (1.0 / ((1.0 - low) * (1.0 - high)) - 2.0 * longer + 1.0)
+        one = np.ones(len(motion))
+        if motion.track_m is None:
+            return (_stationary(self._lost(motion, Rims(one, one)), keep, square - mean**2),)
+        # right, left, or both, each as often: half of sum and of difference have these squares, and no correlation
+        alike = square / 2.0 - (mean * 2.0 / 3.0) ** 2
+        both, right, left = (
+            self._lost(motion, Rims(r * one, f * one)) for r, f in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
+        )
+        return _stationary(both, keep, alike), _stationary(right - left, keep, square / 6.0)
+
+
+def _stationary(f: Array, keep: Array, variance: float) -> Gain:
+    return Gain(f, keep, variance * (1.0 - keep**2), variance)
