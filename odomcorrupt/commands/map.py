@@ -104,7 +104,7 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
     from odomcorrupt.mapping.raycast import canvas_for
     from odomcorrupt.mapping.scans import read_rays
     from odomcorrupt.mapping.survey import place, slow_rays, survey
-    from odomcorrupt.study.trajectory import Trajectory
+    from odomcorrupt.study.recordings.trajectory import Trajectory
 
     drive = read_drive(bag, given["odom_topic"])
     mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))
@@ -125,29 +125,36 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
 
 
 def _table(surveys: Sequence[Survey]) -> str:
-    from odomcorrupt.mapping.thickness import WINDOW_M
+    from odomcorrupt.mapping.thickness import WINDOW_M, added_thickness
 
     lines = [
-        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; neighbours in {WINDOW_M:g} m)",
-        "  after      " + "  ".join(f"{s.name:>20}" for s in surveys),
+        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m)",
+        "  after      " + "  ".join(f"{name:>20}" for name in (*(s.name for s in surveys), "added by noise")),
     ]
+    clean, noisy = (s.thickness_m for s in surveys[:2])
+    added = added_thickness(clean, noisy)
     for i, mark in enumerate(surveys[0].marks_m):
-        lines.append(f"  {mark:7.2f} m  " + "  ".join(f"{100.0 * s.thickness_m[i]:20.2f}" for s in surveys))
-    clean, noisy = (s.thickness_m[-1] for s in surveys[:2])
-    added = max(noisy**2 - clean**2, 0.0) ** 0.5
+        values = (*(s.thickness_m[i] for s in surveys), added[i])
+        lines.append(f"  {mark:7.2f} m  " + "  ".join(f"{100.0 * value:20.2f}" for value in values))
     return "\n".join(
-        [*lines, f"walls became {noisy / clean:.2f} times as thick: {100.0 * added:.2f} cm were added to them"]
+        [
+            *lines,
+            f"walls became {noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them",
+        ]
     )
 
 
 def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
     import json
 
+    from odomcorrupt.mapping.thickness import added_thickness
+
     content = {
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
         "travelled_m": surveys[0].marks_m.tolist(),
         "thickness_m": {s.name: s.thickness_m.tolist() for s in surveys},
+        "added_m": added_thickness(surveys[0].thickness_m, surveys[1].thickness_m).tolist(),
         "notes": list(notes),
     }
     return json.dumps(content, indent=1)

@@ -18,12 +18,18 @@ if TYPE_CHECKING:
 
     from odomcorrupt.pose import Array
 
-__all__ = ["WINDOW_M", "wall_thickness"]
+__all__ = ["WINDOW_M", "added_thickness", "wall_thickness"]
 
 WINDOW_M = 1.0
 """Side of the square of neighbours; walls that lie further apart than half of it are two walls."""
 
 MIN_NEIGHBOURS = 8
+
+
+def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
+    """Return what noise adds to walls (k,), metres: variances of independent errors add up, and so differ."""
+    out: Array = np.sqrt(np.maximum(noisy_m**2 - clean_m**2, 0.0))
+    return out
 
 
 def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:

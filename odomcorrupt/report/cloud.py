@@ -62,11 +62,16 @@ def draw_cloud(cloud: Cloud, title: str, space: FreeSpace | None = None) -> Figu
         if space is None:
             axes.plot([], [], color=BLUE, linewidth=1.6, label=f"their {SIGMAS:g} sigma ellipse")
         axes.set(xlabel="x (m)", ylabel="y (m)", title=title)
-        every = np.concatenate((cloud.xyt.reshape(-1, 3), cloud.path_xyt))[:, :2]
-        low, high = every.min(axis=0), every.max(axis=0)
-        pad = 0.06 * float((high - low).max())
-        axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
-        axes.set_aspect("equal", adjustable="datalim" if space is None else "box")
+        if space is None:
+            axes.margins(0.06)
+            axes.set_aspect("equal", adjustable="datalim")
+        else:
+            # the whole map may be far larger than where the robot was
+            every = np.concatenate((cloud.xyt.reshape(-1, 3), cloud.path_xyt))[:, :2]
+            low, high = every.min(axis=0), every.max(axis=0)
+            pad = 0.06 * float((high - low).max())
+            axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
+            axes.set_aspect("equal", adjustable="box")
         axes.grid(visible=True, color="0.92")
         axes.set_axisbelow(True)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=9)

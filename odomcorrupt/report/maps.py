@@ -9,6 +9,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.transforms import Affine2D
 
 from odomcorrupt.mapping.grid import OCCUPIED
+from odomcorrupt.mapping.thickness import added_thickness
 from odomcorrupt.report.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
 
 if TYPE_CHECKING:
@@ -80,7 +81,9 @@ def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:
             survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
             label=survey.name,
         )  # fmt: skip
+    added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
+    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label="added by noise")
     axes.set(xlabel="distance travelled (m)", ylabel="wall thickness (cm)", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), neighbours within {window_m / 2:g} m")
+    axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")
-    axes.legend(loc="lower right", ncols=len(surveys))
+    axes.legend(loc="lower right", ncols=len(surveys) + 1)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.mapping.thickness import MIN_NEIGHBOURS, WINDOW_M, wall_thickness
+from odomcorrupt.mapping.thickness import MIN_NEIGHBOURS, WINDOW_M, added_thickness, wall_thickness
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])
@@ -35,3 +35,9 @@ def test_doubled_wall_is_half_the_gap_thick():
 
 def test_lonely_points_have_no_thickness():
     assert np.isnan(wall_thickness(np.array([[0.0, 0.0], [100.0, 0.0]])))
+
+
+def test_noise_adds_what_it_adds_whatever_was_there():
+    clean = np.array([0.03, 0.04, 0.05])
+    np.testing.assert_allclose(added_thickness(clean, np.hypot(clean, 0.02)), 0.02)
+    assert added_thickness(clean, clean / 2).tolist() == [0.0, 0.0, 0.0]
