@@ -1,7 +1,7 @@
 """The one shape in which every bag format is read and written: blocks of messages.
 
-A block is one chunk of a bag (or batch of rows), decompressed into a writable buffer, with a table that says where
-each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else of a block
+A block is one chunk of a bag (or several, or a batch of rows), decompressed into a writable buffer, with a table that
+says where each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else of a block
 is ever parsed, so what is not patched comes through bit-identical.
 """
 
@@ -64,12 +64,14 @@ class Block:
     table : (n,) of dtype TABLE
     raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
     added : messages to append, in order
+    ends : where the chunks end that the block was joined from; none of a block that is one chunk
     """
 
     data: NDArray[np.uint8]
     table: NDArray[np.void]
     raw: Any = None
     added: list[Message] = field(default_factory=list)
+    ends: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

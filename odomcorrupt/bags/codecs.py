@@ -14,10 +14,12 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["compress", "compress_for_ros1", "decompress", "require_level"]
+__all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "require_level"]
 
 _PIECE_BYTES = 1 << 20
 _LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
+_LARGEST_BYTES = 1 << 30
+"""What a compressed chunk may become: a thousand times what recorders write, and still no danger to a machine."""
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
@@ -29,6 +31,11 @@ def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np
     size : how many bytes the bag says they become
     what : what errors call the chunk
     """
+    if codec != "none" and size > _LARGEST_BYTES:
+        raise BagError(
+            f"{what}: says it unpacks to {size} bytes, more than the {_LARGEST_BYTES} that a chunk may; it is damaged, "
+            "or to be recorded again in smaller chunks"
+        )
     try:
         if codec == "zstd":
             out = _unzstd(data, size)
@@ -46,6 +53,22 @@ def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np
             "what is whole"
         )
     return np.frombuffer(out, dtype=np.uint8)
+
+
+def beginning(codec: str, data: bytes) -> bytes:
+    """Return what comes out of a compressed chunk that was cut, as far as it goes."""
+    try:
+        if codec == "zstd":
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        if codec == "lz4":
+            context = lz4.frame.create_decompression_context()
+            out: bytes = lz4.frame.decompress_chunk(context, data, max_length=_LARGEST_BYTES)[0]
+            return out
+        if codec == "bz2":
+            return bz2.BZ2Decompressor().decompress(data, max_length=_LARGEST_BYTES)
+    except _Damage:
+        return b""
+    return data
 
 
 def _unzstd(data: memoryview, size: int) -> bytearray:

@@ -6,6 +6,7 @@ import sys
 from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.bags.codecs import require_level
+from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
 from odomcorrupt.bags.mcap.writer import McapWriter
@@ -51,11 +52,17 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: b
         Where it is no bag, or its beginning or end is damaged.
 
     """
-    if path is None or str(path) == "-":
-        return _reader(None, Source(sys.stdin.buffer if stream is None else stream, "stdin"), recover=recover)
-    if path.is_dir():
-        return Rosbag2Reader(path, recover=recover)
-    return _reader(path, Source.of_file(path), recover=recover)
+    try:
+        if path is None or str(path) == "-":
+            source = Source(sys.stdin.buffer if stream is None else stream, "stdin")
+            return _reader(None, source.spooled() if recover else source, recover=recover)
+        if path.is_dir():
+            return Rosbag2Reader(path, recover=recover)
+        return _reader(path, Source.of_file(path), recover=recover)
+    except BagError as error:
+        if recover:
+            raise BagError(f"{loss_of(error)}; nothing can be recovered of it") from error
+        raise
 
 
 def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:

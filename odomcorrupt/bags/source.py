@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
@@ -19,6 +21,9 @@ __all__ = ["Source"]
 _BUFFER_BYTES = 1 << 18
 _TRUSTED_BYTES = 1 << 24
 """How much a pipe's claim of a length is allocated at once; beyond, memory grows with the bytes that really come."""
+
+_LARGEST_BYTES = 1 << 32
+"""More than that no chunk can have; an endless pipe must not fill the memory."""
 
 
 class Source:
@@ -48,6 +53,21 @@ class Source:
         source = cls(stream, str(path))
         source._owned = True
         source.size = path.stat().st_size if stream.seekable() else None
+        return source
+
+    def spooled(self) -> Self:
+        """Return the rest of a pipe as a file without a name, in which one can go back."""
+        stream = tempfile.TemporaryFile(prefix="odomcorrupt")  # noqa: SIM115 - closed by the source that is returned
+        try:
+            shutil.copyfileobj(self._stream, stream, _BUFFER_BYTES)
+            size = stream.tell()
+            stream.seek(0)
+        except OSError as error:
+            stream.close()
+            raise BagError(f"{self.name}: cannot be kept while it is read: {error.strerror}; name a file") from error
+        source = type(self)(stream, self.name)
+        source._owned = True  # noqa: SLF001 - its own class
+        source.size = size
         return source
 
     def sniff(self, size: int) -> bytes:
@@ -110,6 +130,8 @@ class Source:
             return data
         pieces: list[NDArray[np.uint8]] = []
         for begin in range(0, size, _TRUSTED_BYTES):
+            if begin >= _LARGEST_BYTES:
+                raise BagError(f"{self.name}: {what} claims {size} bytes at once; damaged, or to be read from a file")
             pieces.append(np.empty(min(_TRUSTED_BYTES, size - begin), dtype=np.uint8))
             self._fill(pieces[-1].data, what)
         return np.concatenate(pieces)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -13,6 +14,7 @@ from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming, read_chunk, read_pieces
 from odomcorrupt.bags.mcap.contents import read_contents
 from odomcorrupt.bags.mcap.records import (
+    ATTACHMENT,
     CHANNEL,
     CHUNK,
     DATA_END,
@@ -21,10 +23,18 @@ from odomcorrupt.bags.mcap.records import (
     MAGIC,
     MESSAGE,
     MESSAGE_INDEX,
+    METADATA,
     RECORD_HEADER_BYTES,
     SCHEMA,
     ChannelRecord,
     SchemaRecord,
+)
+from odomcorrupt.bags.mcap.resync import (
+    next_record,
+    only_known,
+    read_chunk_or_beginning,
+    stands_here,
+    whole_records,
 )
 from odomcorrupt.bags.mcap.summary import Summary, read_summary
 from odomcorrupt.bags.source import Source
@@ -44,6 +54,8 @@ __all__ = ["McapReader"]
 _BATCH_BYTES = 1 << 20
 _LOOSE = (MESSAGE, SCHEMA, CHANNEL)
 _ENDS = (DATA_END, FOOTER)
+_DATA = (CHUNK, MESSAGE, MESSAGE_INDEX, ATTACHMENT, METADATA)
+"""Records that have no place behind the end of the data section."""
 
 
 class McapReader:
@@ -71,14 +83,19 @@ class McapReader:
         self.header = self._read_header(source)
         self._data_start = source.position
         self._begun = False
-        if self.complete and source.size is not None:
+        self._count = 0
+        if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
+                self._learn_summary()
             except BagError:
                 # What is lost shows when the blocks are read; here it is only the way to the channels.
                 if not recover:
                     raise
-            self._learn_all()
+            if self.complete:
+                self._learn_all()
+            else:
+                source.seek(self._data_start)
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the file says of a channel's type."""
@@ -89,19 +106,24 @@ class McapReader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         self.losses.clear()
-        if not self.complete:
+        self._count = 0
+        if self.complete:
+            with Source.of_file(self.paths[0]) as source:
+                source.seek(self._data_start)
+                yield from self._blocks(source)
+        else:
             if self._begun:
                 raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
             self._begun = True
             yield from self._blocks(self._source)
-            try:
-                self._finish(self._source)
-            except BagError as error:
-                self._lose(error)
-            return
-        with Source.of_file(self.paths[0]) as source:
-            source.seek(self._data_start)
-            yield from self._blocks(source)
+        stated = self.summary.message_count
+        if stated is not None and self._count < stated and not self.losses:
+            self._lose(
+                BagError(
+                    f"{self.name}: its statistics tell of {stated} messages, {self._count} are there: the bag is "
+                    "damaged; --recover saves those"
+                )
+            )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
         pending: Chunk | Loose | None = None
@@ -109,40 +131,97 @@ class McapReader:
             if pending and not _continues(pending, opcode):
                 done, pending = pending, None
                 yield from self._finished(done)
-            end = source.position + length
+            begin = source.position - RECORD_HEADER_BYTES
             try:
                 if opcode in _LOOSE and pending is None:
                     pending = Loose()
                 if pending:
                     pending.append(opcode, source.read(length, what), f"{self.name}: {what}")
                 elif opcode == CHUNK:
-                    pending = read_chunk(source, length, what)
+                    pending = self._chunk(source, length, what)
                 else:
                     yield from _alone(source, opcode, length, what)
             except BagError as error:
                 self._lose(error)
-                if not source.skip_to(end):
-                    break
+                if not (source.skip_to(begin + RECORD_HEADER_BYTES + length) and stands_here(source)):
+                    next_record(source, begin)
         if pending:
             yield from self._finished(pending)
 
+    def _chunk(self, source: Source, length: int, what: str) -> Chunk:
+        if not self._recover:
+            return read_chunk(source, length, what)
+        chunk, lost = read_chunk_or_beginning(source, length, what)
+        if lost:
+            self.losses.append(lost)
+        return chunk
+
     def _records(self, source: Source) -> Iterator[tuple[int, int, str]]:
         """Yield opcode, length and name of the data section's records, whose contents are read by the caller."""
-        opcode, length, what = 0, 0, ""
+        opcode, length, what, last = 0, 0, "", source.position
         try:
             while opcode not in _ENDS:
                 what = f"record at byte {source.position}"
+                if self._recover and not stands_here(source):
+                    self.losses.append(f"{self.name}: {what} is none: the bag is truncated or damaged")
+                    if not next_record(source, last):
+                        return
+                    what = f"record at byte {source.position}"
+                last = source.position
                 opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
-                yield opcode, length, what
-            source.read(length, what)
+                if opcode not in _ENDS:
+                    yield opcode, length, what
+                elif self._ends(source, opcode, length, what):
+                    return
+                else:
+                    opcode = 0
         except BagError as error:
             self._lose(error)
 
-    def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
+    def _ends(self, source: Source, opcode: int, length: int, what: str) -> bool:
+        """Read what follows the data section's end; tell whether that is all, or go to data that stands behind it."""
+        source.read(length, what)
+        private: list[bytes] = []
         try:
-            yield self._chunk_block(part) if isinstance(part, Chunk) else self._loose_block(part)
+            while opcode != FOOTER:
+                if source.sniff(len(MAGIC)) == MAGIC:
+                    break
+                begin = source.position
+                what = f"record at byte {begin}"
+                opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
+                if opcode in _DATA:
+                    self._lose(BagError(f"{self.name}: {what} is data behind the data's end; the bag is damaged"))
+                    source.seek(begin)
+                    return False
+                self.summary.keep(opcode, source.read(length, what), self.name, private)
+            if source.read(len(MAGIC), "magic at the end") != MAGIC:
+                self._lose(BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged"))
         except BagError as error:
             self._lose(error)
+        self.summary.private = private
+        return True
+
+    def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
+        try:
+            block = self._chunk_block(part) if isinstance(part, Chunk) else self._loose_block(part)
+        except BagError as error:
+            self._lose(error)
+            block = self._salvaged(part)
+        self._count += len(block.table)
+        yield block
+
+    def _salvaged(self, part: Chunk | Loose) -> Block:
+        """Return what is whole of a chunk or of messages outside chunks."""
+        data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
+        data = whole_records(data)
+        contents = read_contents(data, [], "")
+        for other in contents.others:
+            if other.opcode in (SCHEMA, CHANNEL):
+                # One that cannot be understood is missed where messages are its.
+                with suppress(BagError):
+                    self._learn(other.opcode, data[other.start : other.end].tobytes())
+        framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
+        return only_known(Block(data, contents.table, framing), self.channels)
 
     def _lose(self, error: BagError) -> None:
         """Note what cannot be read, or give up where that was not asked for."""
@@ -188,12 +267,14 @@ class McapReader:
             channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel)
         )
 
-    def _learn_all(self) -> None:
-        """Learn every channel of a file: from its summary, or from its data where the summary does not tell all."""
+    def _learn_summary(self) -> None:
         for schema in self.summary.schemas:
             self._learn(SCHEMA, schema)
         for channel in self.summary.channels:
             self._learn(CHANNEL, channel)
+
+    def _learn_all(self) -> None:
+        """Learn the channels of a file that its summary does not tell."""
         if len(self.channels) != self.summary.channel_count:
             for _ in self.blocks():
                 if len(self.channels) == self.summary.channel_count:
@@ -206,17 +287,6 @@ class McapReader:
         if opcode != HEADER:
             raise BagError(f"{self.name}: its first record is {opcode:#04x}, not a header; the bag is damaged")
         return source.read(length, "header")
-
-    def _finish(self, source: Source) -> None:
-        """Read a pipe to its end: the summary, and that there is one tells that nothing was cut."""
-        if source.sniff(len(MAGIC)) == MAGIC:
-            return
-        opcode = DATA_END
-        while opcode != FOOTER:
-            opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, "summary"))
-            self.summary.keep(opcode, source.read(length, "summary"), self.name)
-        if source.read(len(MAGIC), "magic at the end") != MAGIC:
-            raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")
 
     def __enter__(self) -> Self:
         return self

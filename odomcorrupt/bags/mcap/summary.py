@@ -33,27 +33,29 @@ class Summary:
     """What a summary section says.
 
     schemas, channels : contents of the records repeated there
-    channel_count : from the statistics, or None without them
+    channel_count, message_count : from the statistics, or None without them
     private : whole records of applications
     """
 
     schemas: list[bytes] = field(default_factory=list)
     channels: list[bytes] = field(default_factory=list)
     channel_count: int | None = None
+    message_count: int | None = None
     private: list[bytes] = field(default_factory=list)
 
-    def keep(self, opcode: int, content: bytes, what: str) -> None:
-        """Remember a record of the summary section, where it matters."""
+    def keep(self, opcode: int, content: bytes, what: str, private: list[bytes] | None = None) -> None:
+        """Remember a record of the summary section, where it matters; those of applications in a list of their own."""
         if opcode == SCHEMA:
             self.schemas.append(content)
         elif opcode == CHANNEL:
             self.channels.append(content)
         elif opcode == STATISTICS:
             fields = Fields(content, what)
-            fields.number("Q"), fields.number("H")
+            self.message_count = fields.number("Q")
+            fields.number("H")
             self.channel_count = fields.number("I")
         elif opcode >= PRIVATE:
-            self.private.append(struct.pack("<BQ", opcode, len(content)) + content)
+            (self.private if private is None else private).append(struct.pack("<BQ", opcode, len(content)) + content)
 
 
 def read_summary(source: Source, size: int) -> Summary:

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["Chunk", "Head", "Ros1Framing", "read_chunk", "read_head"]
+__all__ = ["CODECS", "Chunk", "Head", "Ros1Framing", "read_chunk", "read_head"]
 
-_CODECS = ("none", "lz4", "bz2")
+CODECS = ("none", "lz4", "bz2")
 _HEADER_LIMIT = 1 << 24
 
 
@@ -57,8 +57,8 @@ class Head(NamedTuple):
     what: str
 
 
-def read_head(source: Source) -> Head:
-    """Read a record up to its data."""
+def read_head(source: Source, *, whole: bool = True) -> Head:
+    """Read a record up to its data, which must be there as a whole unless that is not asked for."""
     what = f"record at byte {source.position}"
     named = f"{source.name}: {what}"
     length = int.from_bytes(source.read(4, what), "little")
@@ -67,7 +67,8 @@ def read_head(source: Source) -> Head:
     header = source.read(length, what)
     fields = parse_fields(header, named)
     size = int.from_bytes(source.read(4, what), "little")
-    source.require(size, what)
+    if whole:
+        source.require(size, what)
     return Head(number(fields, "op", named), header, fields, size, what)
 
 
@@ -76,7 +77,7 @@ def read_chunk(source: Source, head: Head) -> Chunk:
     named = f"{source.name}: {head.what}"
     codec = head.fields.get("compression", b"").decode(errors="replace")
     size = number(head.fields, "size", named)
-    if codec not in _CODECS:
+    if codec not in CODECS:
         raise BagError(f"{named}: compression {codec!r} is not known (none, lz4, bz2); recompress the bag")
     if codec == "none":
         data = source.read_array(head.size, head.what)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -23,6 +24,7 @@ from odomcorrupt.bags.ros1.records import (
     number,
     pack_record,
 )
+from odomcorrupt.bags.ros1.resync import next_record, read_chunk_or_beginning, stands_here, whole_records
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -58,6 +60,30 @@ class Ros1Reader:
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
+        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self._count = 0
+        try:
+            self._read_header(source)
+        except BagError:
+            if not recover:
+                raise
+            # The records are looked for where they stand.
+            self.losses.append(f"{self.name}: its header is damaged")
+            next_record(source, len(MAGIC))
+        self._data_start = source.position
+        self._header_losses = len(self.losses)
+        if recover:
+            for _ in self._blocks(source):
+                pass
+            source.seek(self._data_start)
+            return
+        if not self._index_at:
+            raise BagError(f"{self.name}: is not indexed, its recording was never closed; --recover reads it")
+        if self.complete:
+            source.require(self._index_at - self._data_start, "index")
+            source.seek(self._index_at)
+            self._read_index(source)
+
+    def _read_header(self, source: Source) -> None:
         head = read_head(source)
         if head.op != BAG_HEADER:
             raise BagError(f"{self.name}: its first record is {head.op:#04x}, not a bag header; the bag is damaged")
@@ -67,18 +93,6 @@ class Ros1Reader:
         self._index_at = number(head.fields, "index_pos", self.name)
         self._chunk_count = number(head.fields, "chunk_count", self.name)
         self._connection_count = number(head.fields, "conn_count", self.name)
-        self._data_start = source.position
-        if recover:
-            if self.complete:
-                for _ in self.blocks():
-                    pass
-            return
-        if not self._index_at:
-            raise BagError(f"{self.name}: is not indexed, its recording was never closed; --recover reads it")
-        if self.complete:
-            source.require(self._index_at - self._data_start, "index")
-            source.seek(self._index_at)
-            self._read_index(source)
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the bag says of a channel's type."""
@@ -89,18 +103,26 @@ class Ros1Reader:
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
-        self.losses.clear()
+        del self.losses[self._header_losses :]
+        self._count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 source.seek(self._data_start)
                 yield from self._blocks(source)
-            return
-        if self._begun:
-            raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
-        self._begun = True
-        yield from self._blocks(self._source)
-        if not self._recover:
-            self._read_index(self._source)
+        else:
+            if self._begun:
+                raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
+            self._begun = True
+            yield from self._blocks(self._source)
+            if not self._recover:
+                self._read_index(self._source)
+        if self._count < self._stated and not self.losses:
+            self._lose(
+                BagError(
+                    f"{self.name}: its index tells of {self._stated} messages, {self._count} are there: the bag is "
+                    "damaged; --recover saves those"
+                )
+            )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
         chunk: Chunk | None = None
@@ -108,28 +130,46 @@ class Ros1Reader:
             if chunk and not (head.op == INDEX or (head.op == MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
                 done, chunk = chunk, None
                 yield from self._finished(done)
-            end = source.position + head.size
+            begin, end = source.position - 8 - len(head.header), source.position + head.size
             try:
                 if head.op == CHUNK:
-                    chunk = read_chunk(source, head)
+                    chunk = self._chunk(source, head)
                 else:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
                 self._lose(error)
-                if not source.skip_to(end):
-                    break
+                if not (source.skip_to(end) and (source.at_end() or stands_here(source))):
+                    next_record(source, begin)
         if chunk:
             yield from self._finished(chunk)
 
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
-        try:
-            while source.position < self._index_at if not self._recover else not source.at_end():
-                yield read_head(source)
-        except BagError as error:
-            self._lose(error)
-        if source.position != self._index_at and not self._recover:
+        last = source.position
+        while self._recover and not source.at_end():
+            if not stands_here(source):
+                self.losses.append(
+                    f"{self.name}: record at byte {source.position} is none: the bag is truncated or damaged"
+                )
+                if not next_record(source, last):
+                    return
+            last = source.position
+            yield read_head(source, whole=False)
+        if self._recover:
+            self._stated = self._seen
+            return
+        while source.position < self._index_at:
+            yield read_head(source)
+        if source.position != self._index_at:
             raise BagError(f"{self.name}: chunks reach beyond the index at byte {self._index_at}; the bag is damaged")
+
+    def _chunk(self, source: Source, head: Head) -> Chunk:
+        if not self._recover:
+            return read_chunk(source, head)
+        chunk, lost = read_chunk_or_beginning(source, head)
+        if lost:
+            self.losses.append(lost)
+        return chunk
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
         """Take note of a record between chunks; return the chunk that is being collected."""
@@ -142,7 +182,9 @@ class Ros1Reader:
             # The recorder died while it wrote this chunk: its messages stand outside of it.
             chunk = chunk or Chunk(np.empty(0, dtype=np.uint8), "none", f"{self.name}: {head.what}")
             chunk.open.extend(pack_record(head.header, data))
-        elif not (head.op == CHUNK_INFO and self._recover):
+        elif head.op == CHUNK_INFO and self._recover:
+            self._seen += _counted(data)
+        else:
             raise BagError(
                 f"{self.name}: {head.what} is of kind {head.op:#04x}, which belongs into a chunk or the index; the bag "
                 "is damaged, --recover saves what is whole"
@@ -151,9 +193,30 @@ class Ros1Reader:
 
     def _finished(self, chunk: Chunk) -> Iterator[Block]:
         try:
-            yield self._block(chunk)
+            block = self._block(chunk)
         except BagError as error:
             self._lose(error)
+            block = self._salvaged(chunk)
+        self._count += len(block.table)
+        yield block
+
+    def _salvaged(self, chunk: Chunk) -> Block:
+        """Return what is whole of a chunk, without messages of connections that nobody defined."""
+        data = whole_records(np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data)
+        contents = read_contents(data, [], "")
+        for header, fields in contents.connections:
+            # One that cannot be understood is missed where messages are its.
+            with suppress(BagError):
+                self._learn(header, fields)
+        known = np.array([number in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
+        keep = np.ones(data.size, dtype=bool)
+        ends = contents.table["offset"] + contents.table["length"]
+        for begin, end in zip(contents.starts[~known].tolist(), ends[~known].tolist(), strict=True):
+            keep[begin:end] = False
+        if not keep.all():
+            data = data[keep]
+            contents = read_contents(data, [], "")
+        return Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
 
     def _lose(self, error: BagError) -> None:
         """Note what cannot be read, or give up where that was not asked for."""
@@ -185,7 +248,9 @@ class Ros1Reader:
             data = source.read(head.size, head.what)
             if head.op == CONNECTION:
                 self._learn(head.header, data)
-            elif head.op != CHUNK_INFO:
+            elif head.op == CHUNK_INFO:
+                self._stated += _counted(data)
+            else:
                 raise BagError(f"{self.name}: {head.what} is of kind {head.op:#04x} in the index; the bag is damaged")
 
     def __enter__(self) -> Self:
@@ -195,3 +260,8 @@ class Ros1Reader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _counted(data: bytes) -> int:
+    """Return how many messages a chunk info tells of."""
+    return int(np.frombuffer(data[: len(data) // 8 * 8], dtype="<u4")[1::2].sum())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -41,10 +42,15 @@ class Rosbag2Reader:
         self.directory = path if path.is_dir() else None
         self.metadata = found.metadata
         self.paths = [path, *found.files]
-        self.parts = [open_part(file, recover=recover) for file in found.files]
-        self.kind: Kind = self.parts[0].kind
-        if any(part.kind != self.kind for part in self.parts):
-            raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
+        self.parts: list[SqliteReader | McapReader] = []
+        with ExitStack() as opened:
+            for file in found.files:
+                self.parts.append(open_part(file, recover=recover))
+                opened.push(self.parts[-1])
+            self.kind: Kind = self.parts[0].kind
+            if any(part.kind != self.kind for part in self.parts):
+                raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
+            opened.pop_all()
         self.channels: Mapping[int, Channel] = self.parts[0].channels
         self.numbers: list[dict[int, int]] = []
         self._origins: dict[int, tuple[SqliteReader | McapReader, Channel]] = {}

@@ -1,0 +1,85 @@
+"""Chunks that lie side by side in memory as one block: numpy then works on hundreds of messages, not on a dozen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import Block
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.ros1.chunk import Ros1Framing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+__all__ = ["joined"]
+
+_ENOUGH_MESSAGES = 2000
+"""More at once would save no more time."""
+
+
+def joined(blocks: Iterable[Block]) -> Iterator[Block]:
+    """Yield blocks, those joined that can be: chunks of one compression, next to each other, of few messages."""
+    run = _Run()
+    for block in blocks:
+        if run.blocks and not run.goes_on_with(block):
+            yield run.block()
+            run = _Run()
+        run.add(block)
+    if run.blocks:
+        yield run.block()
+
+
+@dataclass(slots=True)
+class _Run:
+    blocks: list[Block] = field(default_factory=list)
+    messages: int = 0
+    end: int = 0
+
+    def add(self, block: Block) -> None:
+        self.blocks.append(block)
+        self.messages += len(block.table)
+        self.end = _address(block) + block.data.size
+
+    def goes_on_with(self, block: Block) -> bool:
+        last = self.blocks[-1]
+        return (
+            self.messages + len(block.table) <= _ENOUGH_MESSAGES
+            and _address(block) == self.end
+            and block.data.base is last.data.base
+            and isinstance(block.data.base, np.ndarray)
+            and _alike(last.raw, block.raw)
+        )
+
+    def block(self) -> Block:
+        first = self.blocks[0]
+        whole = first.data.base
+        if len(self.blocks) == 1 or not isinstance(whole, np.ndarray):
+            return first
+        ends = np.cumsum([block.data.size for block in self.blocks]).tolist()
+        begins = [0, *ends[:-1]]
+        at = _address(first) - _address_of(whole)
+        table = np.concatenate([block.table for block in self.blocks])
+        table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
+        raw = first.raw
+        if isinstance(raw, Ros1Framing):
+            starts = [block.raw.starts + begin for block, begin in zip(self.blocks, begins, strict=True)]
+            raw = Ros1Framing(raw.codec, np.concatenate(starts))
+        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends))
+
+
+def _alike(one: object, other: object) -> bool:
+    """Tell whether two blocks are chunks that are written back in the same way."""
+    if isinstance(one, Ros1Framing) and isinstance(other, Ros1Framing):
+        return one.codec == other.codec
+    return isinstance(one, McapFraming) and one == other and one.kind == "chunk"
+
+
+def _address(block: Block) -> int:
+    return _address_of(block.data)
+
+
+def _address_of(data: np.ndarray[tuple[int], np.dtype[np.uint8]]) -> int:
+    return int(data.__array_interface__["data"][0])

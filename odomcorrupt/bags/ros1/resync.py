@@ -1,0 +1,105 @@
+"""Find the way back in a damaged ROS 1 bag: where a record begins that can be believed, and what a cut chunk holds."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.codecs import beginning
+from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, read_chunk
+from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.source import Source
+
+__all__ = ["next_record", "read_chunk_or_beginning", "stands_here", "whole_records"]
+
+_WINDOW_BYTES = 1 << 20
+_LOOK_BYTES = 1 << 13
+_BACK_BYTES = 256
+"""How far before its kind a record may begin: other fields of its header stand there."""
+_OP = b"\x04\0\0\0op="
+_STRONG = (CHUNK, INDEX)
+"""What is looked for in the bytes of a chunk: its messages may be damaged, too."""
+_KINDS = (MESSAGE, INDEX, CHUNK, CHUNK_INFO, CONNECTION)
+
+
+def stands_here(source: Source) -> bool:
+    """Tell whether the next bytes of a file can be a record."""
+    return _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - source.position) is not None
+
+
+def next_record(source: Source, begin: int) -> bool:
+    """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one."""
+    source.seek(begin)
+    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - begin)
+    wanted = _STRONG if kind == CHUNK else _KINDS
+    at = begin + 1
+    while True:
+        source.seek(at)
+        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        hit = window.find(_OP)
+        while 0 <= hit < _WINDOW_BYTES:
+            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1):
+                if _kind_at(window, start, (source.size or 0) - at - start) in wanted:
+                    source.seek(at + start)
+                    return True
+            hit = window.find(_OP, hit + 1)
+        if len(window) < _WINDOW_BYTES + _LOOK_BYTES:
+            return False
+        at += _WINDOW_BYTES - _BACK_BYTES
+
+
+def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
+    """Read a chunk record, or of one that the file's end cuts what is whole; return it and what is lost, if any."""
+    left = (source.size or 0) - source.position
+    if head.size <= left:
+        return read_chunk(source, head), ""
+    codec = head.fields.get("compression", b"").decode(errors="replace")
+    data = np.frombuffer(bytearray(beginning(codec, source.read(left, head.what))), dtype=np.uint8)
+    lost = f"{source.name}: {head.what} needs {head.size} bytes, {left} are left: the bag is truncated in a chunk"
+    return Chunk(whole_records(data), codec, f"{source.name}: {head.what}"), lost
+
+
+def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the records (size,) that are whole, up to the first one that is not."""
+    view, at = data.tobytes(), 0
+    while (kind := _kind_at(view, at, len(view) - at)) in (MESSAGE, CONNECTION):
+        middle = at + 4 + int.from_bytes(view[at : at + 4], "little")
+        after = middle + 4 + int.from_bytes(view[middle : middle + 4], "little")
+        if after > len(view) or (kind == MESSAGE and not _is_message(view[at + 4 : middle])):
+            break
+        at = after
+    return data[:at]
+
+
+def _is_message(header: bytes) -> bool:
+    try:
+        fields = parse_fields(header, "")
+        number(fields, "conn", "")
+        number(fields, "time", "")
+    except BagError:
+        return False
+    return True
+
+
+def _kind_at(window: bytes, at: int, left: int) -> int | None:
+    """Return the kind of the record that can begin at a byte; None where none does."""
+    length = int.from_bytes(window[at : at + 4], "little")
+    header = window[at + 4 : at + 4 + length]
+    if not 9 <= length <= _LOOK_BYTES - 8 or len(header) < length or left < length + 8:
+        return None
+    try:
+        fields = parse_fields(header, "")
+        kind = number(fields, "op", "")
+        size = int.from_bytes(window[at + 4 + length : at + 8 + length], "little")
+        if kind == CHUNK:
+            number(fields, "size", "")
+            return kind if fields.get("compression", b"").decode(errors="replace") in CODECS else None
+    except BagError:
+        return None
+    return kind if kind in _KINDS and size <= left - length - 8 else None
