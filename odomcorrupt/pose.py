@@ -72,6 +72,7 @@ def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
     return compose(start_xyt, np.concatenate((xy, (fraction * turn)[..., None]), axis=-1))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a damaged one gives a heading that is no number
 def yaw_from_quaternion(quat_xyzw: Array) -> Array:
     """Return the heading (...) of quaternions (..., 4), of any length but zero, in radians.
 

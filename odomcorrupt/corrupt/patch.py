@@ -78,6 +78,7 @@ class Patcher:
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
         self._twists: dict[str, TopicTwist] = {}
 
+    @np.errstate(over="ignore", invalid="ignore")  # poses that are no numbers stay none
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
         """Patch a block's targets in place; first_ns is when time began."""
         at = curve.at(
