@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from odomcorrupt.correlation import Correlation
 from odomcorrupt.errors import ModelError
 from odomcorrupt.laws import Coefficients, law_named
 
@@ -101,6 +102,7 @@ class MotionModel:
     """Noise and effects of one robot.
 
     standard_errors maps "effect.parameter" and names of coefficients to one standard error, where a fit made them.
+    correlation says how these errors hang together, of the parameters that it names.
     source says where the numbers come from: "recordings" lists the files that were fitted.
     """
 
@@ -110,6 +112,7 @@ class MotionModel:
     setup: Setup = field(default_factory=Setup)
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     source: Mapping[str, str | float | list[str]] = field(default_factory=dict)
+    correlation: Correlation = field(default_factory=Correlation)
 
     @property
     def silent(self) -> bool:

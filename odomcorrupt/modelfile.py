@@ -10,6 +10,7 @@ import re
 import tomllib
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.correlation import Correlation
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
@@ -64,22 +65,26 @@ def parse_model(text: str) -> MotionModel:
     """Return the model written in TOML text."""
     try:
         table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits is no TOMLDecodeError
         raise ModelError(f"not valid TOML ({error})") from error
-    _only(table, ("schema", "noise", "effect", "robot", "setup", "source"), "the file")
+    _only(table, ("schema", "noise", "effect", "robot", "setup", "source", "fit"), "the file")
     if table.get("schema") != SCHEMA:
         raise ModelError(f"schema: {table.get('schema')!r}; this version reads schema = {SCHEMA}")
     errors: dict[str, float] = {}
     noise = _noise(_table(table, "noise"), errors)
     effects = _effects(table.get("effect", []), errors)
+    fit = _table(table, "fit")
+    _only(fit, ("correlation",), "[fit]")
+    correlation = Correlation.from_table(_table(fit, "correlation"), dict(errors))
     robot = _table(table, "robot")
     _only(robot, ("track", "wheel_radius"), "[robot]")
     track = _number(robot["track"], "robot.track")[0] if "track" in robot else None
     if track is not None and not 0.0 < track < 100.0:
         raise ModelError(f"robot.track: {track}; it must be metres between the wheels, more than zero")
     return MotionModel(
-        noise, effects, track, _setup(_table(table, "setup"), errors), errors, _source(_table(table, "source"))
-    )
+        noise, effects, track, _setup(_table(table, "setup"), errors), errors, _source(_table(table, "source")),
+        correlation,
+    )  # fmt: skip
 
 
 def _noise(table: Mapping[str, Any], errors: dict[str, float]) -> Noise:
@@ -176,6 +181,8 @@ def _measured(value: Any, key: str, errors: dict[str, float], unit: str | None =
 
 def _number(value: Any, key: str) -> tuple[float, float | None]:
     """Return a number and its spread from 0.01, "5deg" or "0.004 +- 0.001"."""
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 1 << 62:
+        raise ModelError(f"{key}: an integer of {value.bit_length()} bits; write a number that a robot can have")
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return float(value), None
     if isinstance(value, str):
@@ -222,11 +229,18 @@ def format_model(model: MotionModel) -> str:
     if model.track_m is not None:
         lines += ["", "[robot]", f"track = {_figure(model.track_m)}  # m"]
     lines += _setup_lines(model.setup, errors)
+    lines += model.correlation.among(_drawn(model)).lines()
     if model.source:
         lines += ["", "[source]"]
         for key, entry in model.source.items():
             lines.append(f"{key} = {_figure(entry) if isinstance(entry, (int, float)) else _text(entry)}")
     return "\n".join(lines) + "\n"
+
+
+def _drawn(model: MotionModel) -> list[str]:
+    """Return the parameters of noise and effects that have a standard error, in the file's order."""
+    names = [*_COEFFICIENTS, *(f"{effect.name}.{p.name}" for effect in model.effects for p in parameters(effect))]
+    return [name for name in dict.fromkeys(names) if name in model.standard_errors]
 
 
 def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.correlation import Correlation
 from odomcorrupt.effects.effect import check_bounds, parameters
 from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.modelfile import format_model, parse_model
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Container, Sequence
     from pathlib import Path
 
     from odomcorrupt.effects.effect import Effect
@@ -40,7 +42,10 @@ def spreads_of(model: MotionModel, only: Container[str] | None) -> tuple[Spread,
     """
 
     def deviation(name: str) -> float:
-        return model.standard_errors.get(name, 0.0) if only is None or name in only else 0.0
+        error = model.standard_errors.get(name, 0.0) if only is None or name in only else 0.0
+        if not math.isfinite(error):
+            raise ModelError(f"{name}: standard error {error:g}; to draw robots, write how far it may be off")
+        return error
 
     noise = [Spread(None, f.name, deviation(f.name)) for f in fields(model.noise.coefficients)]
     effects = [
@@ -70,17 +75,19 @@ def _is_spread(value: Any) -> bool:
 def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: int) -> MotionModel:
     """Return the robot of a run: the model with drawn parameters, rounded as its file will have them.
 
-    Every parameter has a stream of its own, so one more distribution changes no other value. A robot is certain of
-    itself: it carries no standard errors.
+    Every parameter has a stream of its own, so one more distribution changes no value that it does not hang together
+    with. Parameters that the model's correlation ties together are drawn, and where one is beyond its bounds drawn
+    again, together. A robot is certain of itself: it carries no standard errors.
     """
-    noise, effects = model.noise, list(model.effects)
-    for spread in spreads:
-        if spread.effect is None:
-            value = _draw_coefficient(getattr(noise.coefficients, spread.parameter), spread, seed, run)
-            noise = replace(noise, coefficients=replace(noise.coefficients, **{spread.parameter: value}))
-        else:
-            effects[spread.effect] = _draw_effect(effects[spread.effect], spread, seed, run)
-    robot = replace(model, noise=noise, effects=tuple(effects), standard_errors={})
+    named = {_name(model, spread): spread for spread in spreads}
+    known = model.correlation.among(named)
+    groups = known.groups()
+    tied = {name for group in groups for name in group}
+    robot = model
+    for names in [*groups, *((name,) for name in named if name not in tied)]:
+        factor = known.among(names).factor() if len(names) > 1 else [[1.0]]
+        robot = _drawn(robot, [named[name] for name in names], factor, seed, run)
+    robot = replace(robot, standard_errors={}, correlation=Correlation())
     # one number of the file has nine digits: the run alone, made from its file, must have the same bytes
     return parse_model(format_model(robot))
 
@@ -97,27 +104,53 @@ def drawn_values(robot: MotionModel, spreads: tuple[Spread, ...]) -> dict[str, f
     return values
 
 
-def _draw_coefficient(mean: float, spread: Spread, seed: int, run: int) -> float:
-    rng = stream(seed, run, f"robot {spread.parameter}")
-    for _ in range(TRIES):
-        value = mean + spread.deviation * float(rng.standard_normal())
-        if value >= 0.0:
-            return value
-    raise ModelError(f"{spread.parameter}: {mean:g} +- {spread.deviation:g} is hardly ever above 0; give another mean")
+def _name(model: MotionModel, spread: Spread) -> str:
+    """Return a parameter's name among the standard errors."""
+    return spread.parameter if spread.effect is None else f"{model.effects[spread.effect].name}.{spread.parameter}"
 
 
-def _draw_effect(effect: Effect, spread: Spread, seed: int, run: int) -> Effect:
-    mean = getattr(effect, spread.parameter)
-    rng = stream(seed, run, f"robot {effect.name}.{spread.parameter}", spread.effect or 0)
+def _mean(model: MotionModel, spread: Spread) -> float:
+    owner = model.noise.coefficients if spread.effect is None else model.effects[spread.effect]
+    return float(getattr(owner, spread.parameter))
+
+
+def _drawn(
+    model: MotionModel, spreads: Sequence[Spread], factor: Sequence[Sequence[float]], seed: int, run: int
+) -> MotionModel:
+    """Return a model with parameters drawn whose errors are factor (n, n) times standard normals."""
+    names = [_name(model, spread) for spread in spreads]
+    streams = [
+        stream(seed, run, f"robot {name}", 0 if spread.effect is None else spread.effect)
+        for name, spread in zip(names, spreads, strict=True)
+    ]
+    means = [_mean(model, spread) for spread in spreads]
     for _ in range(TRIES):
-        value = mean + spread.deviation * float(rng.standard_normal())
-        drawn: Effect = replace(effect, **{spread.parameter: value})  # type: ignore[type-var]  # every effect is a dataclass
-        try:
-            check_bounds(drawn)
-        except EffectError:
-            continue
-        return drawn
-    raise ModelError(
-        f"{effect.name}.{spread.parameter}: {mean:g} +- {spread.deviation:g} is hardly ever within its bounds; give "
-        "another mean"
-    )
+        normals = [float(rng.standard_normal()) for rng in streams]
+        drawn = model
+        for spread, mean, row in zip(spreads, means, factor, strict=True):
+            error = math.fsum(weight * normal for weight, normal in zip(row, normals, strict=True))
+            changed = _with(drawn, spread, mean + spread.deviation * error)
+            if changed is None:
+                break
+            drawn = changed
+        else:
+            return drawn
+    said = ", ".join(f"{n} {m:g} +- {s.deviation:g}" for n, m, s in zip(names, means, spreads, strict=True))
+    raise ModelError(f"{said}: hardly ever within bounds; give another mean or a smaller spread")
+
+
+def _with(model: MotionModel, spread: Spread, value: float) -> MotionModel | None:
+    """Return a model with one parameter changed; None where that is beyond its bounds."""
+    if spread.effect is None:
+        if not value >= 0.0:
+            return None
+        coefficients = replace(model.noise.coefficients, **{spread.parameter: value})
+        return replace(model, noise=replace(model.noise, coefficients=coefficients))
+    effects = list(model.effects)
+    effect: Effect = replace(effects[spread.effect], **{spread.parameter: value})  # type: ignore[type-var]  # every effect is a dataclass
+    try:
+        check_bounds(effect)
+    except EffectError:
+        return None
+    effects[spread.effect] = effect
+    return replace(model, effects=tuple(effects))

@@ -62,6 +62,62 @@ def test_one_more_distribution_changes_no_other_value():
     assert draw_robot(model, few, 5, 9).effects == draw_robot(model, more, 5, 9).effects
 
 
+CORRELATED = """schema = 1
+[noise]
+rot_rot = 0.03
+rot_trans = { value = 0.02, standard_error = 0.004 }
+trans_trans = { value = 0.02, standard_error = 0.02 }
+trans_rot = 0.0
+[[effect]]
+name = "wheelbase"
+e = { value = 0.01, standard_error = 0.002 }
+[[effect]]
+name = "wheel_scale"
+e = { value = 0.02, standard_error = 0.001 }
+[fit.correlation]
+parameters = ["wheelbase.e", "wheel_scale.e", "rot_trans", "trans_trans"]
+matrix = [
+  [1.0, -0.9, 0.0, 0.0],
+  [-0.9, 1.0, 0.0, 0.0],
+  [0.0, 0.0, 1.0, 0.6],
+  [0.0, 0.0, 0.6, 1.0],
+]
+"""
+
+
+def test_posterior_robots_hang_together_as_the_fit_says():
+    model = parse_model(CORRELATED)
+    spreads = spreads_of(model, None)
+    robots = [draw_robot(model, spreads, 5, k) for k in range(600)]
+    base, scale = (np.array([robot.effects[i].e for robot in robots]) for i in (0, 1))
+    assert np.corrcoef(base, scale)[0, 1] == pytest.approx(-0.9, abs=0.03)
+    assert base.mean() == pytest.approx(0.01, abs=4 * 0.002 / 600**0.5)
+    assert base.std() == pytest.approx(0.002, rel=0.12)
+    assert scale.std() == pytest.approx(0.001, rel=0.12)
+    k = [robot.noise.coefficients for robot in robots]
+    turn, along = np.array([one.rot_trans for one in k]), np.array([one.trans_trans for one in k])
+    # cut off at zero, so a little less than the 0.6 of the whole plane
+    assert 0.4 < np.corrcoef(turn, along)[0, 1] < 0.65
+    assert along.min() >= 0.0
+    assert abs(np.corrcoef(turn, base)[0, 1]) < 0.15
+    assert not robots[0].correlation
+
+
+def test_what_does_not_hang_together_keeps_its_draws():
+    model, free = parse_model(CORRELATED), parse_model(CORRELATED[: CORRELATED.index("[fit")])
+    tied, loose = (draw_robot(one, spreads_of(one, {"wheelbase.e", "rot_trans"}), 5, 9) for one in (model, free))
+    assert tied == loose
+    tied, loose = (draw_robot(one, spreads_of(one, None), 5, 9) for one in (model, free))
+    assert tied.effects[0] == loose.effects[0]
+    assert tied.effects[1] != loose.effects[1]
+
+
+def test_an_error_without_end_is_refused():
+    model = parse_model(CORRELATED.replace("standard_error = 0.02 ", "standard_error = inf "))
+    with pytest.raises(ModelError, match="trans_trans: standard error inf"):
+        spreads_of(model, None)
+
+
 def test_a_mean_beyond_its_bounds_is_refused_and_not_drawn_for_ever():
     model = parse_model(MODEL)
     spreads = tuple(
