@@ -13,9 +13,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.laws import Law
     from odomcorrupt.model import MotionModel, Noise
 
-__all__ = ["AlphaCommand", "Chosen", "choose_model", "model_options"]
+__all__ = ["MODEL_OPTIONS", "AlphaCommand", "Chosen", "choose_model", "model_options"]
+
+MODEL_OPTIONS = ("alpha", "law", "twist_noise", "step", "preset", "effects", "model", "track")
+"""What `choose_model` takes."""
 
 MOST = 6
 """The most coefficients that any law has."""
@@ -34,6 +38,12 @@ class Chosen:
 def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of `choose_model`."""
     for option in (
+        click.option(
+            "--track",
+            type=float,
+            metavar="M",
+            help="Distance between the wheels, for effects of single wheels. [default: the model's]",
+        ),
         click.option(
             "--model", type=click.Path(dir_okay=False, path_type=Path), help="Motion model, as `fit` writes it."
         ),
@@ -98,6 +108,7 @@ def choose_model(
     preset: str | None,
     effects: tuple[str, ...],
     model: Path | None,
+    track: float | None = None,
 ) -> Chosen:
     """Return the model that the options describe; with no numbers at all, the default preset.
 
@@ -117,6 +128,8 @@ def choose_model(
         raise click.UsageError(f"{' and '.join(given)} both bring noise; give one of them")
     if law is not None and alpha is None:
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
+    if track is not None and not 0.0 < track < 100.0:
+        raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
     base = None if model is None else read_model(model)
     try:
         added = tuple(_effect(text) for text in effects)
@@ -127,6 +140,7 @@ def choose_model(
     except ModelError as error:
         raise click.UsageError(str(error)) from error
     start = _model_of(noise) if base is None else replace(base, noise=noise)
+    start = start if track is None else replace(start, track_m=track)
     return Chosen(replace(start, effects=start.effects + added), origin)
 
 
@@ -135,18 +149,39 @@ def _noise(
 ) -> tuple[Noise, str]:
     """Return the noise, and where it comes from; none where only other errors are asked for."""
     from odomcorrupt.laws import Coefficients, law_named
-    from odomcorrupt.model import Noise, parse_alpha
+    from odomcorrupt.model import Noise
     from odomcorrupt.presets import DEFAULT, preset_named
 
     if alpha is not None:
         chosen_law = law_named(law or (base.noise.law_name if base is not None else "diffusion"))
-        return Noise(chosen_law.name, chosen_law.coefficients([parse_alpha(word) for word in alpha.split()])), ""
+        words = alpha.split()
+        names = chosen_law.alphas + ("",) * len(words)
+        values = [_coefficient(word, name, chosen_law) for word, name in zip(words, names, strict=False)]
+        return Noise(chosen_law.name, chosen_law.coefficients(values)), ""
     if base is not None:
         return base.noise, ""
     if preset is None and others:
         return Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), ""
     chosen = preset_named(preset or DEFAULT)
     return chosen.noise, f"preset {chosen.name}: {chosen.source}"
+
+
+def _coefficient(word: str, name: str, law: Law) -> float:
+    """Return a coefficient; angles are taken where an angle is meant, and after what it is meant."""
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.model import parse_alpha
+
+    value = parse_alpha(word)
+    unit = next((unit for unit in ("deg", "rad") if unit in word.split("/", maxsplit=1)[0]), None)
+    after = word.partition("/")[2]
+    cause = "m" if name.endswith("_trans") else "rad"
+    if unit is not None and law.degree == 1:
+        raise ModelError(f"{name}: {word}; alphas of the law {law.name} scale variances, write them without a unit")
+    if unit is not None and name and not name.startswith("rot_"):
+        raise ModelError(f"{name}: {word} is an angle, and it is metres; write a number")
+    if after and name and after != cause:
+        raise ModelError(f"{name}: {word}; it is caused per {cause}, and not per {after}")
+    return value
 
 
 def _refined(noise: Noise, step: str | None, twist_noise: tuple[float, float] | None) -> Noise:

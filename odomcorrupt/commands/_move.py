@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._model import choose_model, model_options
+from odomcorrupt.commands._model import MODEL_OPTIONS, choose_model, model_options
 from odomcorrupt.commands._poses import POSE
 
 if TYPE_CHECKING:
@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 __all__ = ["ARTICLE_CODE", "MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
 
 ARTICLE_CODE = "article-code"
-
-MODEL_OPTIONS = ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")
-"""What `choose_model` takes."""
 
 
 @dataclass(frozen=True, slots=True)

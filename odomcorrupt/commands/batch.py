@@ -23,7 +23,7 @@ __all__ = ["command"]
 
 _MODEL_WORDS = {
     "alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step", "preset": "--preset",
-    "effects": "--effect",
+    "effects": "--effect", "track": "--track",
 }  # fmt: skip
 _OPTION_WORDS = {
     "odom_topic": "--odom-topic", "odom_frame": "--odom-frame", "base_frame": "--base-frame", "twist": "--twist",

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress, say
 
 __all__ = ["command"]
@@ -60,9 +60,7 @@ def command(input_: str, output: str, **given: Any) -> int:
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.rng import draw_seed
 
-    chosen = choose_model(
-        **{name: given[name] for name in ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")}
-    )
+    chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
     if output == "-" and sys.stdout.isatty():
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     if input_ == "-" and sys.stdin.isatty():

@@ -95,7 +95,7 @@ def _page(kind: type[Effect]) -> str:
     lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
     lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
     if kind.needs_track:
-        lines.append("  needs the distance between the wheels: [robot] track in a model file, or --track in the study")
+        lines.append("  needs the distance between the wheels: --track, or [robot] track in a model file")
     if kind.about is not None:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 
@@ -41,9 +41,7 @@ def command(input_: str, output: Path | None, **given: Any) -> None:
     from odomcorrupt.preview.forecast import forecast, read_clean_drive
     from odomcorrupt.preview.text import forecast_json, forecast_text
 
-    chosen = choose_model(
-        **{name: given[name] for name in ("alpha", "law", "twist_noise", "step", "preset", "effects", "model")}
-    )
+    chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
     if output is not None:
         if picture_kind(output) is None:
             raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["CorrectionEdge", "TruthTopic", "pack_transform"]
 
+TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/\w+)*", re.ASCII)
+
 TF = "tf2_msgs/msg/TFMessage"
 
 
@@ -32,6 +35,10 @@ class TruthTopic:
     _channel: Channel | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
+        if not TOPIC.fullmatch(self.topic):
+            raise TopicError(
+                f"{self.topic!r}: is no name for a topic; letters, digits, _ and / make one, as in /odom_true"
+            )
         if any(plain(c.topic) == plain(self.topic) for c in self.reader.channels.values()):
             raise TopicError(f"{self.topic}: is in the bag already; keep the truth under another name")
 
@@ -57,7 +64,18 @@ class CorrectionEdge:
     _channel: Channel | None = field(default=None, init=False)
 
     def add(self, block: Block, targets: list[Target], curve: Curve, odom: str) -> None:
-        """Append one transform for each of the targets' messages to a block."""
+        """Append one transform for each of the targets' messages to a block.
+
+        Raises
+        ------
+        TopicError
+            Where the new frame is the odom frame itself, or empty.
+
+        """
+        if plain(self.frame) in ("", odom):
+            raise TopicError(
+                f"--new-odom-frame {self.frame!r}: must be a frame of its own, above {odom}; name another one"
+            )
         for target in targets:
             if self._channel is None:
                 self._channel = self._open(target.channel)

@@ -39,6 +39,7 @@ class Driver:
     topic : where it is, as asked for until it is seen; None for any TF topic
     frames : known from its first message on, or from the options
     by_edge : whether a TF edge drives
+    zero_stamps : how many of its stamps are zero, for which log times stand in
     """
 
     def __init__(self, topic: str | None, odom_frame: str | None, base_frame: str | None) -> None:
@@ -48,6 +49,7 @@ class Driver:
         self._odom_frame = odom_frame
         self._base_frame = base_frame
         self.by_edge = False
+        self.zero_stamps = 0
         self._edges: set[str] = set()
 
     @property
@@ -151,6 +153,7 @@ class Driver:
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw)))
+        self.zero_stamps += int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
         return Arrivals(stamps_or_log_ns(block, layout, number), time_ns[layout.rows], xyt)
 
 

@@ -63,9 +63,11 @@ class TimeOrder:
     late : messages more than `WINDOW_NS` of log time behind their neighbours: they are left out
     leaps : messages whose stamp lies far ahead of both neighbours': they are left out, too
     restarts : how often time jumped back
+    swapped : messages behind a later one, by no more than the window: they are put in order
     """
 
     def __init__(self) -> None:
+        self.swapped = 0
         self.late = 0
         self.leaps = 0
         self.restarts = 0
@@ -93,7 +95,7 @@ class TimeOrder:
             leap[0] &= self._newest_ns != _LONG_AGO
             odd = back | leap
             cut = int(np.argmax(odd)) if odd.any() else len(new)
-            self._append(new.take(slice(0, cut)), swapped=bool((new.stamps_ns < reach[:-1])[:cut].any()))
+            self._append(new.take(slice(0, cut)), behind=int(np.count_nonzero((new.stamps_ns < reach[:-1])[:cut])))
             if cut < len(new) and leap[cut]:
                 self._ahead = new.take(slice(cut, cut + 1))
                 cut += 1
@@ -119,19 +121,21 @@ class TimeOrder:
     def _believe_ahead(self) -> None:
         if self._ahead is not None:
             ahead, self._ahead = self._ahead, None
-            self._append(ahead, swapped=False)
+            self._append(ahead, behind=0)
 
-    def _append(self, new: Arrivals, *, swapped: bool) -> None:
+    def _append(self, new: Arrivals, *, behind: int) -> None:
         if len(new):
             self._newest_ns = max(self._newest_ns, int(new.stamps_ns.max()))
             self._seen_ns = int(new.time_ns[-1])
-        if swapped:
+        if behind:
             both = self._waiting.followed_by(new)
             reach = np.maximum.accumulate(both.stamps_ns)
             long_seen = np.searchsorted(both.time_ns, new.time_ns - WINDOW_NS, side="right") - 1
             limit = np.where(long_seen >= 0, reach[long_seen], self._released_ns)
             on_time = new.stamps_ns >= np.maximum(limit, self._released_ns)
-            self.late += int(np.count_nonzero(~on_time))
+            late = int(np.count_nonzero(~on_time))
+            self.late += late
+            self.swapped += behind - late
             new = new.take(on_time)
         self._waiting = self._waiting.followed_by(new)
 

@@ -58,6 +58,9 @@ class Outcome:
     unusable : odometry poses that are not numbers
     added : how many messages were added, by what they are
     losses : what could not be read of a damaged input, in sentences
+    swapped : odometry messages that came behind later ones, and were put in order
+    zero_stamps : odometry stamps that are zero, for which log times stood in
+    placed : frames, by channel, of what is drawn in one, see `witnesses`
     """
 
     model: MotionModel
@@ -74,6 +77,9 @@ class Outcome:
     unusable: int
     added: Mapping[str, int]
     losses: tuple[str, ...]
+    swapped: int
+    zero_stamps: int
+    placed: Mapping[int, str]
 
 
 def corrupt_bag(
@@ -133,14 +139,14 @@ def corrupt_bag(
     return Outcome(
         model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
         transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
-        _added(transform), losses,
+        _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
     )  # fmt: skip
 
 
 def _added(transform: Transform) -> Mapping[str, int]:
     added = {}
     if transform.truth is not None:
-        added[f"clean odometry on {transform.truth.topic}"] = transform.truth.count
+        added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
     if transform.edge is not None and transform.driver.frames is not None:
         added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
     return added

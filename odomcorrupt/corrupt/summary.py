@@ -8,38 +8,25 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corrupt.drift import LEG_M
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.targets import ODOMETRY
+from odomcorrupt.corrupt.witnesses import truth_tellers
 from odomcorrupt.effects.effect import choices, parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from odomcorrupt.bags.block import Channel
     from odomcorrupt.corrupt.drift import Drift
     from odomcorrupt.corrupt.run import Outcome
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model import MotionModel
 
-__all__ = ["SIDEWAYS", "model_words", "summary", "truth_tellers"]
-
-TRUTH_TYPES = frozenset({
-    ODOMETRY,
-    "sensor_msgs/msg/Imu",
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/NavSatFix",
-    "nav_msgs/msg/Path",
-    "geometry_msgs/msg/PointStamped",
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/TransformStamped",
-    "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/TwistWithCovarianceStamped",
-})  # fmt: skip
-"""Messages that carry motion or poses, and that nobody moves."""
-
+__all__ = ["SIDEWAYS", "holonomic_words", "model_words", "summary"]
 
 SIDEWAYS = 0.1
 """A robot that goes this part of its way to the left or right is holonomic."""
+
+STRAIGHT = 0.001
+"""One that goes less than this part of its way so is not."""
+
+LOST_RAD = 1.0
+"""Beyond this deviation of the heading a forecast to first order says nothing about positions."""
 
 
 def summary(outcome: Outcome, origin: str) -> str:
@@ -51,23 +38,12 @@ def summary(outcome: Outcome, origin: str) -> str:
         f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
     ]
     if not silent:
-        parts += [_drift(outcome.drift), *_rate(outcome)]
+        parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
     parts += _oddities(outcome)
-    true = truth_tellers(outcome.channels, outcome.changes.odometry)
+    true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
         parts.append(f"Still telling the truth, and hiding the drift from a filter that reads them: {', '.join(true)}.")
     return " ".join(parts)
-
-
-def truth_tellers(channels: Iterable[Channel], moved: Iterable[str]) -> list[str]:
-    """Return the topics, of those that carry messages, that still tell where the robot really is."""
-    moved = set(moved)
-    return sorted({
-        c.topic
-        for c in channels
-        if c.topic not in moved
-        and (c.msgtype in TRUTH_TYPES or (c.msgtype == "nav_msgs/msg/OccupancyGrid" and "costmap" in c.topic))
-    })  # fmt: skip
 
 
 def _is_silent(model: MotionModel) -> bool:
@@ -102,16 +78,23 @@ def _effect(effect: Effect) -> str:
     return f"{effect.name} ({', '.join(values)})"
 
 
-def _drift(drift: Drift) -> str:
+def _drift(drift: Drift, *, noisy: bool) -> str:
     end = f"at the end {_size(drift.end_drawn_m, drift.end_drawn_rad)}"
-    end += f" (noise alone is expected to make {_size(drift.end_expected_m, drift.end_expected_rad)})"
+    if noisy:
+        end += f" (noise alone is expected to make {_expected(drift.end_expected_m, drift.end_expected_rad)})"
     if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
         return f"Drift: {end}."
-    return f"Drift: {end}, per {LEG_M:.0f} m {_size(drift.leg_drawn_m, drift.leg_drawn_rad)} ({_leg(drift)})."
+    leg = f", per {LEG_M:.0f} m {_size(drift.leg_drawn_m, drift.leg_drawn_rad)}"
+    return f"Drift: {end}{leg}{f' ({_leg(drift)})' if noisy else ''}."
 
 
 def _leg(drift: Drift) -> str:
-    return _size(drift.leg_expected_m or 0.0, drift.leg_expected_rad or 0.0)
+    return _expected(drift.leg_expected_m or 0.0, drift.leg_expected_rad or 0.0)
+
+
+def _expected(metres: float, radians: float) -> str:
+    """Return a forecast to first order; where the heading is lost it has nothing to say about the place."""
+    return _size(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
 
 
 def _size(metres: float, radians: float) -> str:
@@ -132,6 +115,17 @@ def _rate(outcome: Outcome) -> list[str]:
     return [f"Once per message acts {' and '.join(what)}: {here}{way_out}."]
 
 
+def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
+    """Return what is to be said where a law and a robot do not fit: sideways motion, and the lack of it."""
+    law = model.noise.law
+    if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:
+        return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
+    if law.along_travel or sideways_m <= SIDEWAYS * distance_m:
+        return []
+    way = f"{sideways_m:.3g} m of {distance_m:.3g} m"
+    return [f"The robot moves sideways ({way}), which the law {law.name} does not know; --law omni does."]
+
+
 def _oddities(outcome: Outcome) -> list[str]:
     said = [
         f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
@@ -139,11 +133,11 @@ def _oddities(outcome: Outcome) -> list[str]:
     ]
     said += [f"Lost: {loss}." for loss in outcome.losses]
     drift = outcome.drift
-    if drift.sideways_m > SIDEWAYS * drift.distance_m and not outcome.model.noise.law.along_travel:
-        said.append(
-            f"The robot moves sideways ({drift.sideways_m:.3g} m of {drift.distance_m:.3g} m), which the law "
-            f"{outcome.model.noise.law_name} does not know; --law omni does."
-        )
+    said += holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
+    if outcome.zero_stamps:
+        said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times stood in for them.")
+    if outcome.swapped:
+        said.append(f"{outcome.swapped} odometry messages came behind later ones: they were put in order.")
     if outcome.changes.held:
         said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
     if outcome.restarts:

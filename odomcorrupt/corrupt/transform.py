@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.joined import joined
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.corrupt.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corrupt.correction import PATIENCE_NS, Curve
@@ -29,6 +30,7 @@ from odomcorrupt.corrupt.targets import (
     plain,
     side_of,
 )  # fmt: skip
+from odomcorrupt.corrupt.witnesses import frame_of
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:
@@ -48,6 +50,9 @@ __all__ = ["WAIT_NS", "Options", "Transform"]
 
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
+
+FAR_M = 1e9
+"""Where no robot is: a pose so far away is no number of use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +93,8 @@ class Transform:
     """One run of one model over one bag.
 
     path : where the odometry is moved to, in place of the noisy path that the model draws
+
+    seen : channels that carried messages; placed : frames of those that are drawn in one, see `witnesses`
     """
 
     def __init__(
@@ -107,6 +114,7 @@ class Transform:
         self.driver = Driver(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
         self.unusable = 0
         self.seen: set[int] = set()
+        self.placed: dict[int, str] = {}
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
@@ -137,7 +145,7 @@ class Transform:
         if self.options.new_odom_frame is not None and writer is not None:
             self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
         waiting: deque[_Held] = deque()
-        for block in reader.blocks():
+        for block in joined(reader.blocks()):
             waiting.append(self._take(block, reader))
             while waiting and self._ready(waiting[0]):
                 yield self._patch(waiting.popleft())
@@ -153,6 +161,10 @@ class Transform:
         """Read what a block tells about the odometry, and let the curve grow."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
         present = set(np.unique(block.table["channel"]).tolist())
+        for number in present - self.seen:
+            frame = frame_of(block, reader.channels[number])
+            if frame is not None:
+                self.placed[number] = frame
         self.seen |= present
         parts = []
         for number in sorted(present):
@@ -167,7 +179,8 @@ class Transform:
         return _Held(block, parts, time_ns)
 
     def _add(self, new: Arrivals) -> None:
-        finite = np.flatnonzero(np.isfinite(new.xyt).all(axis=1))
+        near = (np.abs(new.xyt[:, :2]) < FAR_M).all(axis=1)
+        finite = np.flatnonzero(near & np.isfinite(new.xyt[:, 2]))
         if len(finite) < len(new):
             self.unusable += len(new) - len(finite)
             new = new.take(finite)

@@ -24,8 +24,8 @@ def needed_track_m(name: str, track_m: float | None) -> float:
     """Return the track; EffectError where it is not known."""
     if track_m is None:
         raise EffectError(
-            f"effect {name}: acts on single wheels and the track is not known; write [robot] "
-            "track = 0.4 in a model file (the study takes --track)"
+            f"effect {name}: acts on single wheels and the track is not known; give it in metres with --track, or as "
+            "[robot] track = 0.4 in a model file"
         )
     return track_m
 

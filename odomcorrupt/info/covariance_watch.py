@@ -56,7 +56,7 @@ class CovarianceWatch:
     def oddity(self, *, never_changes: bool) -> str | None:
         """Return what is odd, None for nothing; never_changes: whether it is odd that they do not."""
         if self.zero:
-            return "are all zero"
+            return "are all zero" if self.count else None
         if self.senseless:
             return "are negative or not numbers"
         if self.largest >= HUGE:

@@ -65,7 +65,8 @@ def findings(record: OdometryRecord) -> Findings:
         odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times stand in for them")
     if not finite.all():
         odd.append(f"{np.count_nonzero(~finite)} poses are not numbers")
-    odd += _twist_oddities(record.twist[finite], xyt, dt, good, speed)
+    if record.twist is not None:
+        odd += _twist_oddities(record.twist[finite], xyt, dt, good, speed)
     for name, watch in (("pose", record.pose_covariance), ("twist", record.twist_covariance)):
         said = watch.oddity(never_changes=name == "pose")
         odd += [f"{name} covariances of x, y, yaw {said}"] if said else []
@@ -74,7 +75,7 @@ def findings(record: OdometryRecord) -> Findings:
         duration_s=duration,
         rate_hz=(len(stamps) - 1) / duration if duration > 0.0 and len(stamps) > 1 else None,
         distance_m=float(length[~jump].sum()),
-        reverse_m=float(-steps.ds_m[~jump & (steps.ds_m < 0.0)].sum()),
+        reverse_m=float(np.abs(steps.ds_m[~jump & (steps.ds_m < 0.0)]).sum()),
         sideways_m=float(np.abs(steps.dl_m[~jump]).sum()),
         turned_rad=float(np.abs(steps.dtheta_rad[~jump]).sum()),
         standing_s=float(dt[good & (speed < MOVING) & (turning < MOVING)].sum()),

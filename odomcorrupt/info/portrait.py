@@ -6,13 +6,17 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corrupt.summary import SIDEWAYS, truth_tellers
+from odomcorrupt.corrupt.summary import SIDEWAYS
 from odomcorrupt.corrupt.targets import GLOBAL_FRAMES, Frames, plain, side_of
+from odomcorrupt.corrupt.witnesses import truth_tellers
 from odomcorrupt.errors import TopicError
+from odomcorrupt.info.covariance_watch import CovarianceWatch
 from odomcorrupt.info.findings import disagreement_m, findings
+from odomcorrupt.info.survey import OdometryRecord
+from odomcorrupt.pose import inverse
 
 if TYPE_CHECKING:
-    from odomcorrupt.info.survey import EdgeRecord, OdometryRecord, Survey
+    from odomcorrupt.info.survey import EdgeRecord, Survey
 
 __all__ = ["SCHEMA", "portrait", "portrait_text"]
 
@@ -36,7 +40,11 @@ def portrait(
     """
     driver = _driver(survey, odom_topic)
     frames = _frames(driver, odom_frame, base_frame)
-    moved = {o.topic for o in survey.odometry if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
+    drives = survey.odometry
+    if not drives and frames is not None:
+        drives = _edge_that_drives(survey, frames, odom_topic)
+        driver = drives[0] if drives else None
+    moved = {o.topic for o in drives if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
     return {
         "schema": SCHEMA,
         "driver": None if driver is None else driver.topic,
@@ -46,9 +54,9 @@ def portrait(
             {"topic": t.topic, "type": t.msgtype, "messages": t.count, "rate_hz": t.rate_hz}
             for t in survey.topics.values()
         ],
-        "odometry": [_odometry(o, survey, frames, moved=o.topic in moved) for o in survey.odometry],
+        "odometry": [_odometry(o, survey, frames, moved=o.topic in moved) for o in drives],
         "edges": [_edge(e, frames) for e in survey.edges],
-        "still_true": truth_tellers(survey.channels, moved) if moved else [],
+        "still_true": [] if frames is None else truth_tellers(survey.channels, moved, survey.placed, frames.odom),
         "remarks": _remarks(survey, driver, frames, asked_frame=odom_frame),
     }
 
@@ -59,6 +67,8 @@ def _driver(survey: Survey, asked: str | None) -> OdometryRecord | None:
     for record in survey.odometry:
         if plain(record.topic) == plain(asked):
             return record
+    if not survey.odometry and any(plain(edge.topic) == plain(asked) for edge in survey.edges):
+        return None
     topics = ", ".join(o.topic for o in survey.odometry) or "no topic"
     raise TopicError(f"{asked}: is no nav_msgs/Odometry with messages ({topics} is); name another one")
 
@@ -69,6 +79,22 @@ def _frames(driver: OdometryRecord | None, odom: str | None, base: str | None) -
         return None
     child = plain(base if base is not None else "" if driver is None else driver.child)
     return Frames(stated if odom is None else plain(odom), child or None)
+
+
+def _edge_that_drives(survey: Survey, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
+    """Return the edge between odom and base as the odometry that it stands for; nothing where there is none."""
+    for edge in survey.edges:
+        asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
+        if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
+            xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
+            name = f"TF {frames.odom} -> {frames.base}"
+            return (
+                OdometryRecord(
+                    name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None,
+                    CovarianceWatch(), CovarianceWatch(), edge.zero_stamps,
+                ),
+            )  # fmt: skip
+    return ()
 
 
 def _odometry(record: OdometryRecord, survey: Survey, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
@@ -101,7 +127,12 @@ def _remarks(
     survey: Survey, driver: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
 ) -> list[str]:
     said = []
-    if not survey.odometry:
+    if not survey.odometry and driver is not None:
+        said.append("no nav_msgs/Odometry topic: TF drives the model")
+    elif not survey.odometry and frames is not None:
+        ends = f"{frames.odom} and {frames.base or 'a base'}"
+        said.append(f"no nav_msgs/Odometry topic, and no transform between {ends}: name an edge of the table")
+    elif not survey.odometry:
         way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if survey.edges else ""
         said.append(f"no nav_msgs/Odometry topic{way_out}")
     elif driver is None:

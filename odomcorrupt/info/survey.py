@@ -12,10 +12,13 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corrupt.driver import stamps_or_log_ns
 from odomcorrupt.corrupt.patch import PLANAR
 from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
+from odomcorrupt.corrupt.witnesses import frame_of
 from odomcorrupt.info.covariance_watch import CovarianceWatch
 from odomcorrupt.pose import yaw_from_quaternion
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
@@ -44,10 +47,10 @@ class TopicRecord:
 
 @dataclass(frozen=True, slots=True)
 class OdometryRecord:
-    """All messages of an odometry topic, in the order of arrival.
+    """All messages of an odometry topic, or all transforms of an edge that stands for one, in the order of arrival.
 
     frame, child : of its first message
-    stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s
+    stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
     pose_covariance, twist_covariance : what was seen of them
     zero_stamps : how many stamps are zero
     """
@@ -57,7 +60,7 @@ class OdometryRecord:
     child: str
     stamps_ns: NDArray[np.int64]
     xyt: Array
-    twist: Array
+    twist: Array | None
     pose_covariance: CovarianceWatch
     twist_covariance: CovarianceWatch
     zero_stamps: int
@@ -65,23 +68,25 @@ class OdometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class EdgeRecord:
-    """All transforms of one edge on one topic: stamps_ns (n,), xyt (n, 3) in the order of arrival."""
+    """All transforms of one edge on one topic: stamps_ns (n,), xyt (n, 3) in the order of arrival; zero stamps."""
 
     topic: str
     parent: str
     child: str
     stamps_ns: NDArray[np.int64]
     xyt: Array
+    zero_stamps: int
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A bag's topics by name, its odometry and its TF edges."""
+    """A bag's topics by name, its odometry, its TF edges; frames by channel, see `corrupt.witnesses`."""
 
     topics: dict[str, TopicRecord]
     odometry: tuple[OdometryRecord, ...]
     edges: tuple[EdgeRecord, ...]
     channels: tuple[Channel, ...]
+    placed: Mapping[int, str]
 
 
 @dataclass(slots=True)
@@ -93,8 +98,8 @@ class _Odometry:
     columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 
 
-def survey(reader: BagReader) -> Survey:
-    """Read a bag through once.
+def survey(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> Survey:
+    """Read a bag through once; watch is told of every block.
 
     Raises
     ------
@@ -104,11 +109,15 @@ def survey(reader: BagReader) -> Survey:
     """
     topics: dict[str, TopicRecord] = {}
     odometry: dict[str, _Odometry] = {}
-    edges: dict[tuple[str, str, str], list[tuple[NDArray[np.int64], Array]]] = defaultdict(list)
+    edges: dict[tuple[str, str, str], list[tuple[NDArray[np.int64], Array, int]]] = defaultdict(list)
     seen: Counter[int] = Counter()
+    placed: dict[int, str] = {}
     for block in reader.blocks():
+        watch(block)
         for number, count in zip(*np.unique(block.table["channel"], return_counts=True), strict=True):
             channel = reader.channels[int(number)]
+            frame = None if channel.id in seen else frame_of(block, channel)
+            placed |= {} if frame is None else {channel.id: frame}
             seen[channel.id] += int(count)
             _count(topics, channel, block)
             if channel.encoding not in ENCODINGS:
@@ -120,17 +129,24 @@ def survey(reader: BagReader) -> Survey:
                 for layout in locate(block, channel):
                     for item_number, item in enumerate(layout.items):
                         key = (channel.topic, plain(item.frame_id), plain(item.child_frame_id))
+                        zeros = int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
                         edges[key].append(
-                            (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number))
+                            (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number), zeros)
                         )
     return Survey(
         dict(sorted(topics.items())),
         tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
         tuple(
-            EdgeRecord(*key, np.concatenate([s for s, _ in parts]), np.concatenate([p for _, p in parts]))
+            EdgeRecord(
+                *key,
+                np.concatenate([s for s, _, _ in parts]),
+                np.concatenate([p for _, p, _ in parts]),
+                sum(z for _, _, z in parts),
+            )
             for key, parts in sorted(edges.items())
         ),
         tuple(reader.channels[number] for number in sorted(seen)),
+        placed,
     )
 
 

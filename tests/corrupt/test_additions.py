@@ -73,6 +73,12 @@ def test_the_truth_does_not_replace_a_topic():
         run(robot(*DRIVE), keep_truth="imu")
 
 
+@pytest.mark.parametrize("name", ["", "two words", "'/odom'", "/", "/9", "odom/"])
+def test_the_truth_needs_a_name_that_a_topic_can_have(name):
+    with pytest.raises(TopicError, match="is no name for a topic"):
+        run(robot(*DRIVE), keep_truth=name)
+
+
 def without_localisation(t, poses):
     return [
         message
@@ -103,6 +109,12 @@ def test_the_correction_as_a_transform_leaves_every_message_and_leads_to_the_sam
 def test_the_correction_is_no_second_parent_of_odom():
     with pytest.raises(TopicError, match="odom already has a parent, map"):
         run(robot(*DRIVE), new_odom_frame="odom1")
+
+
+@pytest.mark.parametrize("frame", ["odom", "/odom", ""])
+def test_the_correction_is_no_transform_of_odom_to_itself(frame):
+    with pytest.raises(TopicError, match="must be a frame of its own"):
+        run(without_localisation(*DRIVE), new_odom_frame=frame)
 
 
 @pytest.mark.parametrize("encoding", ["ros1", "cdr"])

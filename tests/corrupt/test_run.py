@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from drives import model, silent
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corrupt.run import Container, corrupt_bag
-from odomcorrupt.corrupt.summary import summary
+from odomcorrupt.corrupt.summary import holonomic_words, summary
 from odomcorrupt.corrupt.transform import Options
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.increments import Increments, accumulate
@@ -141,6 +142,36 @@ def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
     assert "\n" not in text
     outcome.changes.held = 4
     assert "held for 4 of these" in summary(outcome, "")
+
+
+def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(tmp_path):
+    gyro = effect_from_values("gyro_bias", {"bias": 0.001})
+    text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "a.mcap", silent([gyro])), "")
+    assert "Drift: at the end " in text
+    assert "expected" not in text
+    wild = corrupt(FIXTURES / "office.mcap", tmp_path / "b.mcap", model(coefficients=Coefficients(5, 5, 5, 5)))
+    assert "deg, and so any place)" in summary(wild, "")
+
+
+def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
+    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
+    assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
+    text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
+    assert "7 odometry stamps are zero: log times stood in for them." in text
+    assert "3 odometry messages came behind later ones: they were put in order." in text
+
+
+@pytest.mark.parametrize(
+    ("law", "sideways_m", "said"),
+    [
+        ("linear", 4.0, "The robot moves sideways (4 m of 10 m), which the law linear does not know; --law omni does."),
+        ("linear", 0.5, ""),
+        ("omni", 4.0, ""),
+        ("omni", 0.0, "The law omni is for robots that move sideways, and this one does not; leave --law out."),
+    ],
+)
+def test_a_law_that_does_not_fit_the_robot_is_warned_of(law, sideways_m, said):
+    assert " ".join(holonomic_words(model(law), sideways_m, 10.0)) == said
 
 
 def test_a_silent_summary_promises_no_drift(tmp_path):

@@ -292,8 +292,9 @@ def test_swapped_messages_get_the_correction_of_their_own_stamp():
     for i in (50, 120):
         swapped[i], swapped[i + 5] = swapped[i + 5], swapped[i]
     swapped = [(c, log, data) for (c, _, data), (_, log, _) in zip(swapped, messages, strict=True)]
-    tidy, messy = run(messages)[0], run(swapped)[0]
+    tidy, (messy, transform) = run(messages)[0], run(swapped)
     stamps, noisy = poses_of(messy)
+    assert transform.order.swapped == 10, "each swap puts five messages behind the one that came too soon"
     assert np.array_equal(noisy[np.argsort(stamps)], poses_of(tidy)[1])
 
 
@@ -329,7 +330,8 @@ def test_stamps_of_zero_are_read_as_log_times_and_stay_zero():
     stamped = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
     bare = [(ODOM, int(s), odometry(0, p)) for s, p in zip(t, poses, strict=True)]
     shift = (effect_from_values("time_offset", {"offset": 0.1}),)
-    out, _ = run(bare, model(effects=shift))
+    out, transform = run(bare, model(effects=shift))
+    assert transform.driver.zero_stamps == len(t)
     assert np.array_equal(poses_of(out)[1], poses_of(run(stamped)[0])[1])
     assert not poses_of(out)[0].any()
 

@@ -106,6 +106,27 @@ def test_what_needs_a_choice_is_remarked():
     assert "TF alone can be corrupted" in look(static)["remarks"][0]
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_transforms_alone_are_described_where_their_frames_are_named(turned):
+    t, poses = DRIVE
+    edge = (lambda p: ("base_link", "odom", inverse(p))) if turned else (lambda p: ("odom", "base_link", p))
+    messages = [(TF, int(s), transforms((0, *edge(p)))) for s, p in zip(t, poses, strict=True)]
+    values = look(messages, odom_frame="/odom", base_frame="base_link", odom_topic="/tf")
+    (drive,) = values["odometry"]
+    assert values["driver"] == drive["topic"] == "TF odom -> base_link"
+    assert drive["distance_m"] == pytest.approx(8 * 0.6 + 4 * 0.5 + 3 * 0.3, rel=0.02)
+    assert drive["reverse_m"] == pytest.approx(0.9, rel=0.05)
+    assert drive["oddities"] == ["401 of 401 stamps are zero: log times stand in for them"]
+    assert values["remarks"] == ["no nav_msgs/Odometry topic: TF drives the model"]
+    assert "no transform between odom and wheel" in look(messages, odom_frame="odom", base_frame="wheel")["remarks"][0]
+
+
+def test_a_robot_that_never_reverses_has_gone_no_way_backwards_of_either_sign():
+    t, _ = DRIVE
+    straight = np.column_stack((np.linspace(0.0, 5.0, len(t)), np.zeros(len(t)), np.zeros(len(t))))
+    assert "(0.00 m of it backwards)" in portrait_text(look(alone(t, straight)))
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
