@@ -56,13 +56,17 @@ class Coefficients:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise ModelError(f"coefficient {name}: {value}; it must be a finite number, zero or more")
+            if not 0.0 <= value <= _MOST:
+                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MOST:g}")
 
     @property
     def silent(self) -> bool:
         """Whether no noise is drawn at all."""
         return not any(getattr(self, name) for name in self.__slots__)
+
+
+_MOST = 1e6
+"""Of a coefficient: no robot is near, and squares of it are numbers still."""
 
 
 @dataclass(frozen=True, slots=True)

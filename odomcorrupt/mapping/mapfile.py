@@ -48,7 +48,7 @@ def read_map(path: Path) -> Grid:
         raise MapError(
             f"{path}: resolution {keys['resolution']}, origin {keys['origin']}; they are metres and [x, y, yaw]"
         )
-    value = _read_pgm(path.parent / keys["image"].strip("\"'"))
+    value = _read_pgm(_image(path, keys["image"].strip("\"'")))
     mode = keys.get("mode", "trinary").strip("\"'")
     if mode not in ("trinary", "scale", "raw"):
         raise MapError(f"{path}: mode {mode}; there are trinary, scale and raw")
@@ -98,6 +98,18 @@ def _keys(path: Path) -> dict[str, str]:
             value = ",".join(entry[1:] for entry in items if entry.startswith("-"))
         found[key] = value
     return found
+
+
+def _image(path: Path, name: str) -> Path:
+    """Return where the image lies: in the .yaml's directory or below, for a stranger's map opens no other file."""
+    image = path.parent / name
+    try:
+        inside = image.resolve().is_relative_to(path.parent.resolve())
+    except (OSError, ValueError, RuntimeError) as error:
+        raise MapError(f"{path}: image {name[:80]!r}; it must name a file") from error
+    if not inside:
+        raise MapError(f"{path}: image {name[:80]!r} lies outside of the map's directory; put it beside the .yaml")
+    return image
 
 
 def _number(path: Path, keys: dict[str, str], key: str, default: float) -> float:

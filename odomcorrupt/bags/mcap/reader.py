@@ -36,7 +36,7 @@ from odomcorrupt.bags.mcap.resync import (
     stands_here,
     whole_records,
 )
-from odomcorrupt.bags.mcap.summary import Summary, read_summary
+from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -52,6 +52,8 @@ if TYPE_CHECKING:
 __all__ = ["McapReader"]
 
 _BATCH_BYTES = 1 << 20
+_NAMES_BYTES = 1 << 16
+"""How much of an attachment is looked at."""
 _LOOSE = (MESSAGE, SCHEMA, CHANNEL)
 _ENDS = (DATA_END, FOOTER)
 _DATA = (CHUNK, MESSAGE, MESSAGE_INDEX, ATTACHMENT, METADATA)
@@ -140,6 +142,8 @@ class McapReader:
                 elif opcode == CHUNK:
                     pending = self._chunk(source, length, what)
                 else:
+                    if opcode in (ATTACHMENT, METADATA):
+                        require_named(opcode, source.sniff(min(length, _NAMES_BYTES)), f"{self.name}: {what}")
                     yield from _alone(source, opcode, length, what)
             except BagError as error:
                 self._lose(error)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.mcap.records import (
+    ATTACHMENT,
     CHANNEL,
     FOOTER,
     MAGIC,
@@ -21,7 +22,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from odomcorrupt.bags.source import Source
 
-__all__ = ["PRIVATE", "Summary", "read_summary"]
+__all__ = ["PRIVATE", "Summary", "read_summary", "require_named"]
 
 PRIVATE = 0x80
 """Opcodes from here on belong to applications."""
@@ -56,6 +57,18 @@ class Summary:
             self.channel_count = fields.number("I")
         elif opcode >= PRIVATE:
             (self.private if private is None else private).append(struct.pack("<BQ", opcode, len(content)) + content)
+
+
+def require_named(opcode: int, head: bytes, what: str) -> None:
+    """Refuse an attachment or metadata that does not begin with what the summary tells of it.
+
+    head : its content, or the beginning of it
+    """
+    fields = Fields(head, what)
+    if opcode == ATTACHMENT:
+        fields.number("Q"), fields.number("Q"), fields.string(), fields.string(), fields.number("Q")
+    else:
+        fields.string()
 
 
 def read_summary(source: Source, size: int) -> Summary:

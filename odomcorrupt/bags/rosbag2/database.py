@@ -84,7 +84,9 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
         Where the tables are not those of a rosbag2, or messages are compressed one by one.
 
     """
-    if not {"id", "name", "type"} <= set(columns(connection, "topics")) or not columns(connection, "messages"):
+    tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    # A view may run for ever, and is nothing a recorder makes.
+    if not {"topics", "messages"} <= tables or not {"id", "name", "type"} <= set(columns(connection, "topics")):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
     first = connection.execute("SELECT data FROM messages LIMIT 1").fetchone()
     if first and isinstance(first[0], bytes) and first[0].startswith(ZSTD_MAGIC):
@@ -95,7 +97,13 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
         definitions = {row[0]: (row[1], row[2]) for row in connection.execute(query)}
     cursor = connection.execute("SELECT * FROM topics ORDER BY id")
     names = [column[0] for column in cursor.description]
-    return [_topic(dict(zip(names, row, strict=True)), definitions) for row in cursor]
+    topics = [_topic(dict(zip(names, row, strict=True)), definitions) for row in cursor]
+    for topic in topics:
+        texts = (topic.name, topic.type, topic.encoding, topic.qos, topic.digest)
+        defined = (topic.definition_encoding, topic.definition_text)
+        if not isinstance(topic.id, int) or not all(isinstance(text, str) for text in (*texts, *defined)):
+            raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is no topic; the bag is damaged")
+    return topics
 
 
 def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topic:

@@ -66,10 +66,14 @@ def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
     yaml = _yaml("rt")
     yaml.preserve_quotes = True
     yaml.width = 1 << 30
-    document = yaml.load(text)
-    change(document.get(_ROOT, document))
     out = StringIO()
-    yaml.dump(document, out)
+    try:
+        document = yaml.load(text)
+        change(document.get(_ROOT, document))
+        yaml.dump(document, out)
+    except (_yaml_error(), AttributeError, KeyError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise BagError(f"metadata: not as rosbag2 writes it ({reason[:200]}); remove metadata.yaml") from error
     return out.getvalue()
 
 

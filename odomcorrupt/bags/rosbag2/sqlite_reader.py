@@ -70,7 +70,7 @@ class SqliteReader:
             data: list[bytes] = []
             size = 0
             for row, channel, log_ns, blob in self._rows(connection, only):
-                if not isinstance(blob, bytes) or channel not in self.channels:
+                if not isinstance(blob, bytes) or channel not in self.channels or not isinstance(log_ns, int):
                     raise BagError(f"{self.path}: message {row} has no data or no topic; the bag is damaged")
                 rows.append(row)
                 head.append((channel, log_ns))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Channel, PartContents
@@ -82,8 +82,10 @@ class SqliteWriter:
             if not columns(self._connection, "metadata"):
                 return
             for row, text in self._connection.execute("SELECT rowid, metadata FROM metadata").fetchall():
-                new = edited(text, lambda info: add_provenance(info, name, items))
-                self._connection.execute("UPDATE metadata SET metadata = ? WHERE rowid = ?", (new, row))
+                # What cannot be understood stays as it is.
+                with suppress(BagError):
+                    new = edited(text, lambda info: add_provenance(info, name, items))
+                    self._connection.execute("UPDATE metadata SET metadata = ? WHERE rowid = ?", (new, row))
 
     def write(self, block: Block) -> None:
         """Update the messages of a block that changed, and insert its added ones."""
