@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
+
+from odomcorrupt.commands._bag import bag_options, report_losses, source_of
+from odomcorrupt.commands._progress import Progress
 
 __all__ = ["command"]
 
 
 @click.command("info", short_help="Show a bag's odometry, and what corruption would move.")
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
-@click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
-@click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
+@bag_options
 @click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds.")
 def command(
     input_: str,
     odom_topic: str | None,
     odom_frame: str | None,
     base_frame: str | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags so
-) -> None:
+    recover: bool,  # noqa: FBT001 - click passes flags so
+    as_json: bool,  # noqa: FBT001 - as above
+) -> int:
     """Show a bag's topics, frames and edges, how its robot moved, what is odd, and which topics tell the truth."""
     import json
 
@@ -29,7 +29,9 @@ def command(
     from odomcorrupt.info.portrait import portrait, portrait_text
     from odomcorrupt.info.survey import survey
 
-    with open_reader(None if input_ == "-" else Path(input_)) as reader:
-        seen = survey(reader)
+    with open_reader(source_of(input_), recover=recover) as reader, Progress() as progress:
+        seen = survey(reader, progress)
+        losses = list(reader.losses)
     values = portrait(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     click.echo(json.dumps(values, indent=2) if as_json else portrait_text(values))
+    return report_losses(losses)

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any
 
 import click
 
+from odomcorrupt.commands import corrupt
+from odomcorrupt.commands._bag import bag_options, report_losses, source_of
+from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._progress import Progress
 
 __all__ = ["command"]
 
@@ -18,25 +23,27 @@ __all__ = ["command"]
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @model_options
 @click.option("--seed", type=click.IntRange(0), default=0, metavar="N", help="Of all draws. [default: 0]")
+@click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="The first of the runs. [default: 0]")
 @click.option(
     "--runs", type=click.IntRange(2, 100_000), default=100, metavar="N", help="How many to draw. [default: 100]"
 )
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
-@click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
-@click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
+@bag_options
+@map_options
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 @click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds.")
-def command(input_: str, output: Path | None, **given: Any) -> None:
+def command(input_: str, output: Path | None, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
-    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws.
+    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command which
+    shape its output alone are taken, too, and change nothing here.
     """
     import json
 
     from odomcorrupt.bags.open import open_reader
+    from odomcorrupt.corrupt.path import NoisyPath
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.preview.forecast import forecast, read_clean_drive
     from odomcorrupt.preview.text import forecast_json, forecast_text
@@ -47,15 +54,35 @@ def command(input_: str, output: Path | None, **given: Any) -> None:
             raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")
         need_pictures()
         refuse_existing(output, overwrite=given["overwrite"])
+    source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
-    with open_reader(None if input_ == "-" else Path(input_)) as reader:
-        drive = read_clean_drive(reader, chosen.model, options)
-    outlook = forecast(drive, chosen.model, given["seed"], given["runs"])
+    condition = choose_condition_of_run(given, source, options)
+    with open_reader(source, recover=given["recover"]) as reader, Progress() as progress:
+        drive = read_clean_drive(reader, chosen.model, options, progress)
+        losses = list(reader.losses)
+    paths = (
+        (None if condition is None else condition.path(chosen.model, seed, run)) or NoisyPath(chosen.model, seed, run)
+        for run in range(given["run"], given["run"] + given["runs"])
+    )
+    outlook = forecast(drive, chosen.model, paths, first_run=given["run"])
     if given["as_json"]:
-        click.echo(json.dumps(forecast_json(outlook, given["seed"]), indent=2))
+        click.echo(json.dumps(forecast_json(outlook, chosen.model, seed), indent=2))
     else:
-        click.echo(forecast_text(outlook, chosen.model, chosen.origin, given["seed"]))
+        click.echo(forecast_text(outlook, chosen.model, chosen.origin, seed))
     if output is not None:
         from odomcorrupt.report.fan import draw_fan
 
         save_picture(output, draw_fan(outlook, f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"))
+    return report_losses(losses)
+
+
+def _options_of_the_output() -> list[click.Parameter]:
+    """Return what corruption takes and a forecast has no use for: a command line serves both."""
+    own = {option.name for option in command.params}
+    found = [copy.copy(o) for o in corrupt.command.params if isinstance(o, click.Option) and o.name not in own]
+    for option in found:
+        option.hidden, option.expose_value = True, False
+    return list(found)
+
+
+command.params += _options_of_the_output()

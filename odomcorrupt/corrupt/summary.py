@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.drift import Drift
     from odomcorrupt.corrupt.run import Outcome
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model import MotionModel, Noise
 
-__all__ = ["SIDEWAYS", "holonomic_words", "model_words", "summary"]
+__all__ = ["SIDEWAYS", "holonomic_words", "model_words", "per_message", "summary"]
 
 SIDEWAYS = 0.1
 """A robot that goes this part of its way to the left or right is holonomic."""
@@ -101,17 +101,22 @@ def _size(metres: float, radians: float) -> str:
     return f"{metres:.3g} m, {math.degrees(radians):.3g} deg"
 
 
-def _rate(outcome: Outcome) -> list[str]:
-    """Say it where the drift depends on the message rate."""
-    noise, drift = outcome.model.noise, outcome.drift
+def per_message(noise: Noise) -> list[str]:
+    """Return what of a noise acts once per message, so that its drift depends on the message rate."""
     k = noise.coefficients
     stepwise = noise.law.per_step and noise.step is None and any(getattr(k, name) for name in noise.law.alphas)
-    what = [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
+    return [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
+
+
+def _rate(outcome: Outcome) -> list[str]:
+    """Say it where the drift depends on the message rate."""
+    drift = outcome.drift
+    what = per_message(outcome.model.noise)
     if not what or drift.rate_hz is None:
         return []
     means = f"a drift of {_leg(drift)} per {LEG_M:.0f} m" if drift.leg_expected_m is not None else "the drift above"
     here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and something else at another rate"
-    way_out = "; --step 0.25m,0.2rad or --law diffusion do not depend on it" * stepwise
+    way_out = "; --step 0.25m,0.2rad or --law diffusion do not depend on it" * what[0].startswith("the law")
     return [f"Once per message acts {' and '.join(what)}: {here}{way_out}."]
 
 

@@ -13,10 +13,12 @@ from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.laws import Coefficients
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader
-    from odomcorrupt.corrupt.path import Knots
+    from odomcorrupt.bags.block import BagReader, Block
+    from odomcorrupt.corrupt.path import Knots, PathSource
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
@@ -55,6 +57,7 @@ class Row:
 class Forecast:
     """What a model will do to a drive.
 
+    distance_m, sideways_m : of the clean drive, and how much of it went to the left or right
     half_rate_position, half_rate_heading : by which factor the noise at the end would grow if every second message
         were missing; 1 where it does not depend on the rate
     clean_xy : (m, 2); noisy_xy : (k, m, 2) the first paths, for a picture, metres
@@ -64,6 +67,8 @@ class Forecast:
     distance_m: float
     duration_s: float
     rate_hz: float | None
+    sideways_m: float
+    first_run: int
     runs: int
     rows: tuple[Row, ...]
     half_rate_position: float
@@ -83,8 +88,10 @@ class _Stretches:
         self.parts[-1].append(knots)
 
 
-def read_clean_drive(reader: BagReader, model: MotionModel, options: Options) -> CleanDrive:
-    """Return the clean path of the odometry that would drive the model.
+def read_clean_drive(
+    reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
+) -> CleanDrive:
+    """Return the clean path of the odometry that would drive the model; watch is told of every block.
 
     Raises
     ------
@@ -95,8 +102,8 @@ def read_clean_drive(reader: BagReader, model: MotionModel, options: Options) ->
     silent = replace(model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=())
     transform, stretches = Transform(silent, 0, 0, options), _Stretches()
     transform.watchers.append(stretches)
-    for _ in transform.blocks(reader, reader.name):
-        pass
+    for block in transform.blocks(reader, reader.name):
+        watch(block)
     longest = max((parts for parts in stretches.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
     return CleanDrive(
         transform.driver.name,
@@ -105,28 +112,34 @@ def read_clean_drive(reader: BagReader, model: MotionModel, options: Options) ->
     )
 
 
-def forecast(drive: CleanDrive, model: MotionModel, seed: int, runs: int) -> Forecast:
-    """Return the drift of runs 0 to runs - 1 of a seed over a drive: the runs that corruption would draw."""
-    first = NoisyPath(model, seed, 0).feed(drive.stamps_ns, drive.xyt)
+def forecast(drive: CleanDrive, model: MotionModel, paths: Iterable[PathSource], *, first_run: int = 0) -> Forecast:
+    """Return the drift of runs of a model over a drive.
+
+    paths : of the runs, each new: those that corruption would draw
+    first_run : which run the first of them is
+    """
+    first = NoisyPath(model, 0).feed(drive.stamps_ns, drive.xyt)
     distance_m = float(first.travelled_m[-1])
     marks = [mark for mark in MARKS_M if mark < distance_m]
     places = np.append(np.searchsorted(first.travelled_m, marks), len(first) - 1)
     shown = np.unique(np.linspace(0, len(first) - 1, DRAWN_POINTS).astype(int))
-    errors = np.empty((runs, len(places), 3))
-    paths = np.empty((min(runs, DRAWN_RUNS), len(shown), 2))
-    for run in range(runs):
-        knots = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
-        errors[run] = knots.error_xyt[places]
-        if run < len(paths):
-            paths[run] = drive.xyt[shown, :2] + knots.error_xyt[shown, :2]
+    ends: list[Array] = []
+    noisy: list[Array] = []
+    for path in paths:
+        error_xyt = path.feed(drive.stamps_ns, drive.xyt).error_xyt
+        ends.append(error_xyt[places])
+        if len(noisy) < DRAWN_RUNS:
+            noisy.append(drive.xyt[shown, :2] + error_xyt[shown, :2])
+    errors = np.array(ends)
     duration_s = float(drive.stamps_ns[-1] - drive.stamps_ns[0]) * 1e-9
-    half = NoisyPath(model, seed, 0).feed(drive.stamps_ns[::2], drive.xyt[::2])
+    half = NoisyPath(model, 0).feed(drive.stamps_ns[::2], drive.xyt[::2])
     return Forecast(
-        drive.name, distance_m, duration_s, (len(first) - 1) / duration_s if duration_s > 0.0 else None, runs,
+        drive.name, distance_m, duration_s, (len(first) - 1) / duration_s if duration_s > 0.0 else None,
+        first.sideways_m, first_run, len(errors),
         tuple(_row(after, errors[:, i]) for i, after in enumerate([*marks, distance_m])),
         _growth(half.sums[6, -1] + half.sums[8, -1], first.sums[6, -1] + first.sums[8, -1]),
         _growth(half.sums[0, -1], first.sums[0, -1]),
-        drive.xyt[shown, :2], paths,
+        drive.xyt[shown, :2], np.array(noisy),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.summary import model_words
+from odomcorrupt.corrupt.summary import holonomic_words, model_words, per_message
 
 if TYPE_CHECKING:
     from odomcorrupt.model import MotionModel
@@ -22,17 +22,17 @@ SAME = 0.03
 """Factors this near 1 are the discretisation of the drive, not a law that depends on the rate."""
 
 
-def depends_on_rate(outlook: Forecast) -> bool:
-    """Whether the same numbers mean another drift at another message rate."""
+def _changes_at_half_rate(outlook: Forecast) -> bool:
     return abs(outlook.half_rate_position - 1.0) > SAME or abs(outlook.half_rate_heading - 1.0) > SAME
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:
     """Return a forecast for people: the drive, the model, a table, and whether the message rate matters."""
     rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
+    runs = f"runs {outlook.first_run} to {outlook.first_run + outlook.runs - 1} of seed {seed}"
     lines = [
         f"{outlook.name}: {outlook.distance_m:.4g} m in {outlook.duration_s:.4g} s{rate}",
-        f"{model_words(model, origin)}; runs 0 to {outlook.runs - 1} of seed {seed}",
+        f"{model_words(model, origin)}; {runs}",
         "",
         "    after     position   9 of 10 below       heading" + "   of it constant" * _systematic(model),
     ]
@@ -43,34 +43,44 @@ def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int)
         if _systematic(model):
             line += f"   {row.position_mean_m:.3g} m, {math.degrees(row.heading_mean_rad):.3g} deg"
         lines.append(line)
-    return "\n".join([*lines, "", _rate_sentence(outlook)])
+    said = _rate(outlook, model) + holonomic_words(model, outlook.sideways_m, outlook.distance_m)
+    return "\n".join([*lines, *([""] if said else []), *said])
 
 
 def _systematic(model: MotionModel) -> bool:
     return any(acts(effect) and effect.kind != "noise" for effect in model.effects)
 
 
-def _rate_sentence(outlook: Forecast) -> str:
-    if not depends_on_rate(outlook):
-        return "The noise does not depend on the message rate."
-    return (
-        f"The noise depends on the message rate: at half of it, travel would be {outlook.half_rate_position:.3g} and "
-        f"heading {outlook.half_rate_heading:.3g} times as uncertain."
-    )
+def _rate(outlook: Forecast, model: MotionModel) -> list[str]:
+    if model.noise.coefficients.silent:
+        return []
+    grown = f"travel would be {outlook.half_rate_position:.3g} and heading {outlook.half_rate_heading:.3g} times"
+    if per_message(model.noise):
+        return [f"The noise depends on the message rate: at half of it, {grown} as uncertain."]
+    said = "The noise does not depend on the message rate."
+    if _changes_at_half_rate(outlook):
+        said += (
+            " This recording does: what jitters from message to message counts as motion; with every second message "
+            f"{grown} as uncertain."
+        )
+    return [said]
 
 
-def forecast_json(outlook: Forecast, seed: int) -> dict[str, Any]:
+def forecast_json(outlook: Forecast, model: MotionModel, seed: int) -> dict[str, Any]:
     """Return a forecast as values that JSON can hold: metres, radians, seconds."""
     return {
         "schema": SCHEMA,
         "driver": outlook.name,
         "distance_m": outlook.distance_m,
         "duration_s": outlook.duration_s,
+        "sideways_m": outlook.sideways_m,
         "rate_hz": outlook.rate_hz,
         "seed": seed,
+        "first_run": outlook.first_run,
         "runs": outlook.runs,
         "rows": [dataclasses.asdict(row) for row in outlook.rows],
-        "depends_on_rate": depends_on_rate(outlook),
+        "depends_on_rate": bool(per_message(model.noise)),
         "half_rate_position_factor": outlook.half_rate_position,
         "half_rate_heading_factor": outlook.half_rate_heading,
+        "warnings": holonomic_words(model, outlook.sideways_m, outlook.distance_m),
     }

@@ -10,16 +10,24 @@ from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, odometry, robot
 from drives import model, office, silent
 from test_run import FIXTURES
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
+from odomcorrupt.model import MotionModel
+from odomcorrupt.presets import preset_named
 from odomcorrupt.preview.forecast import CleanDrive, forecast, read_clean_drive
 from odomcorrupt.preview.text import forecast_json, forecast_text
 
 T, POSES = office(10.0, 40.0)
 DRIVE = CleanDrive("/odom", T, POSES)
+
+
+def outlook_of(chosen, seed=1, runs=2, drive=DRIVE, first=0):
+    paths = (NoisyPath(chosen, seed, run) for run in range(first, first + runs))
+    return forecast(drive, chosen, paths, first_run=first)
 
 
 def bag(messages):
@@ -42,7 +50,7 @@ def test_without_odometry_there_is_no_forecast():
 
 
 def test_its_runs_are_those_that_corruption_draws():
-    outlook = forecast(DRIVE, model(), 5, 3)
+    outlook = outlook_of(model(), 5, 3)
     messages = [(ODOM, int(s), odometry(s, p)) for s, p in zip(T, POSES, strict=True)]
     for k in range(3):
         transform = Transform(model(), 5, k)
@@ -52,7 +60,7 @@ def test_its_runs_are_those_that_corruption_draws():
 
 
 def test_rows_are_the_moments_of_its_runs():
-    outlook = forecast(DRIVE, model(), 1, 50)
+    outlook = outlook_of(model(), 1, 50)
     errors = np.array([NoisyPath(model(), 1, k).feed(T, POSES).error_xyt[-1] for k in range(50)])
     end = outlook.rows[-1]
     assert end.after_m == pytest.approx(outlook.distance_m)
@@ -67,18 +75,38 @@ def test_rows_are_the_moments_of_its_runs():
     [(model(), False), (model("linear"), True), (model("linear", step="0.25m,0.2rad"), False), (model("omni"), True)],
 )
 def test_it_says_whether_the_message_rate_matters(chosen, depends):
-    outlook = forecast(DRIVE, chosen, 1, 2)
-    assert forecast_json(outlook, 1)["depends_on_rate"] == depends
+    outlook = outlook_of(chosen)
+    assert forecast_json(outlook, chosen, 1)["depends_on_rate"] == depends
     assert ("noise depends on the message rate" in forecast_text(outlook, chosen, "", 1)) == depends
 
 
 def test_half_the_rate_makes_a_linear_law_drift_by_the_square_root_of_two():
-    assert forecast(DRIVE, model("linear"), 1, 2).half_rate_heading == pytest.approx(np.sqrt(2), rel=0.05)
+    assert outlook_of(model("linear")).half_rate_heading == pytest.approx(np.sqrt(2), rel=0.05)
+
+
+def test_jitter_of_the_recording_is_not_blamed_on_the_law():
+    rng = np.random.default_rng(3)
+    shaken = CleanDrive("/odom", T, POSES + np.array([0.0, 0.0, 0.01]) * rng.standard_normal(POSES.shape))
+    outlook = outlook_of(model(), drive=shaken)
+    text = forecast_text(outlook, model(), "", 1)
+    assert "The noise does not depend on the message rate. This recording does: what jitters" in text
+    assert f"heading {outlook.half_rate_heading:.3g} times as uncertain" in text
+    assert not forecast_json(outlook, model(), 1)["depends_on_rate"]
+
+
+def test_a_robot_that_strafes_is_warned_of_a_law_that_does_not_know_it():
+    aside = CleanDrive("/odom", T, np.column_stack((0.0 * T, np.linspace(0.0, 5.0, len(T)), 0.0 * T)))
+    outlook = outlook_of(model("linear"), drive=aside)
+    assert "The robot moves sideways (5 m of 5 m), which the law linear does not know" in forecast_text(
+        outlook, model("linear"), "", 1
+    )
+    assert forecast_json(outlook, model("linear"), 1)["warnings"]
+    assert not forecast_json(outlook_of(model("omni"), drive=aside), model("omni"), 1)["warnings"]
 
 
 def test_effects_are_told_as_the_constant_part():
     chosen = silent([effect_from_values("wheel_scale", {"e": 0.01})])
-    outlook = forecast(DRIVE, chosen, 1, 2)
+    outlook = outlook_of(chosen)
     assert outlook.rows[-1].position_mean_m == pytest.approx(outlook.rows[-1].position_rms_m)
     assert "of it constant" in forecast_text(outlook, chosen, "", 1)
     assert "of it constant" not in forecast_text(outlook, model(), "", 1)
@@ -95,3 +123,37 @@ def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
     assert run(["preview", office_bag, "-o", str(picture)]) == 1
     assert "exists already" in capsys.readouterr().err
+
+
+def read_preset():
+    return MotionModel(preset_named("typical").noise)
+
+
+def test_the_command_takes_the_options_of_corruption_and_shows_the_run_asked_for(capsys, tmp_path):
+    words = [str(FIXTURES / "office.mcap"), "--seed", "4", "--run", "3", "--keep-truth", "/x", "--twist", "keep"]
+    assert run(["preview", *words, "--runs", "2", "--compression", "lz4", "--keep-localisation"]) == 0
+    text = capsys.readouterr().out
+    assert "runs 3 to 4 of seed 4" in text
+    assert run([words[0], str(tmp_path / "out.mcap"), *words[1:]]) == 0
+    drift = capsys.readouterr().err.split("Drift: at the end ")[1].split(" m, ")[0]
+    assert run(["preview", *words, "--runs", "2", "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    runs = [NoisyPath(read_preset(), 4, number) for number in (3, 4)]
+    with open_reader(FIXTURES / "office.mcap") as reader:
+        drive = read_clean_drive(reader, read_preset(), Options())
+    ends = [float(np.hypot(*path.feed(drive.stamps_ns, drive.xyt).error_xyt[-1, :2])) for path in runs]
+    assert f"{ends[0]:.3g}" == drift
+    assert values["first_run"] == 3
+    assert values["rows"][-1]["position_rms_m"] == pytest.approx(np.sqrt(np.mean(np.square(ends))))
+
+
+@pytest.mark.parametrize("command", ["info", "preview"])
+def test_damaged_bags_are_looked_at_on_request_and_what_is_lost_is_said(capsys, tmp_path, command):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((FIXTURES / "office.mcap").read_bytes()[:200_000])
+    assert run([command, str(cut)]) == 1
+    assert "--recover saves what is whole" in capsys.readouterr().err
+    assert run([command, str(cut), "--recover"]) == 3
+    captured = capsys.readouterr()
+    assert "Lost: " in captured.err
+    assert "/odom" in captured.out
