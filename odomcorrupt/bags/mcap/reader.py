@@ -28,6 +28,7 @@ from odomcorrupt.bags.mcap.records import (
     SCHEMA,
     ChannelRecord,
     SchemaRecord,
+    string,
 )
 from odomcorrupt.bags.mcap.resync import (
     next_record,
@@ -82,7 +83,16 @@ class McapReader:
         self.losses: list[str] = []
         self._recover = recover
         self._source = source
-        self.header = self._read_header(source)
+        self._first_losses = 0
+        try:
+            self.header = self._read_header(source)
+        except BagError as error:
+            if not recover or source.position < len(MAGIC):
+                raise
+            self._lose(error)
+            self._first_losses = 1
+            self.header = string("") + string("")
+            next_record(source, len(MAGIC))
         self._data_start = source.position
         self._begun = False
         self._count = 0
@@ -107,7 +117,7 @@ class McapReader:
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
-        self.losses.clear()
+        del self.losses[self._first_losses :]
         self._count = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:

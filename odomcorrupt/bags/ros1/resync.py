@@ -55,13 +55,24 @@ def next_record(source: Source, begin: int) -> bool:
 
 
 def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
-    """Read a chunk record, or of one that the file's end cuts what is whole; return it and what is lost, if any."""
+    """Read a chunk record, or of one that the file's end cuts what is whole; return it and what is lost, if any.
+
+    Raises
+    ------
+    BagError
+        Where the chunk is damaged in another way: it claims what records behind it stand in.
+
+    """
     left = (source.size or 0) - source.position
     if head.size <= left:
         return read_chunk(source, head), ""
+    here = source.position
+    lost = f"{source.name}: {head.what} needs {head.size} bytes, {left} are left: the bag is truncated in a chunk"
+    if next_record(source, here - 8 - len(head.header)):
+        raise BagError(lost)
+    source.seek(here)
     codec = head.fields.get("compression", b"").decode(errors="replace")
     data = np.frombuffer(bytearray(beginning(codec, source.read(left, head.what))), dtype=np.uint8)
-    lost = f"{source.name}: {head.what} needs {head.size} bytes, {left} are left: the bag is truncated in a chunk"
     return Chunk(whole_records(data), codec, f"{source.name}: {head.what}"), lost
 
 
