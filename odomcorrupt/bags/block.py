@@ -1,8 +1,8 @@
 """The one shape in which every bag format is read and written: blocks of messages.
 
 A block is one chunk of a bag (or several, or a batch of rows), decompressed into a writable buffer, with a table that
-says where each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else of a block
-is ever parsed, so what is not patched comes through bit-identical.
+says where each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else
+of a block is ever parsed, so what is not patched comes through bit-identical.
 """
 
 from __future__ import annotations

@@ -9,10 +9,13 @@ import lz4.frame
 import numpy as np
 import zstandard
 
+from odomcorrupt.bags.shelf import SHELF_BYTES
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from odomcorrupt.bags.shelf import Shelf
 
 __all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "require_level"]
 
@@ -24,27 +27,29 @@ _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, Mem
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
 
-def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np.uint8]:
+def decompress(codec: str, data: memoryview, size: int, what: str, shelf: Shelf) -> NDArray[np.uint8]:
     """Return a chunk's bytes (size,) in a writable array of their own.
 
     data : the compressed bytes
     size : how many bytes the bag says they become
     what : what errors call the chunk
+    shelf : where they are put
     """
     if codec != "none" and size > _LARGEST_BYTES:
         raise BagError(
             f"{what}: says it unpacks to {size} bytes, more than the {_LARGEST_BYTES} that a chunk may; it is damaged, "
             "or to be recorded again in smaller chunks"
         )
+    out: bytes | bytearray | memoryview | NDArray[np.uint8]
     try:
         if codec == "zstd":
-            out = _unzstd(data, size)
+            out = _unzstd(data, size, shelf)
         elif codec == "lz4":
             out = _unlz4(data, size)
         elif codec == "bz2":
             out = _unbz2(data, size)
         else:
-            out = bytearray(data)
+            out = data
     except _Damage as error:
         raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
     if len(out) != size:
@@ -52,7 +57,11 @@ def decompress(codec: str, data: memoryview, size: int, what: str) -> NDArray[np
             f"{what}: says it holds {size} bytes, but {len(out)} come out; the bag is damaged, --recover saves "
             "what is whole"
         )
-    return np.frombuffer(out, dtype=np.uint8)
+    if isinstance(out, np.ndarray):
+        return out
+    placed = shelf.place(size)
+    placed.data[:] = out
+    return placed
 
 
 def beginning(codec: str, data: bytes) -> bytes:
@@ -71,9 +80,14 @@ def beginning(codec: str, data: bytes) -> bytes:
     return data
 
 
-def _unzstd(data: memoryview, size: int) -> bytearray:
-    if zstandard.get_frame_parameters(data).content_size == size:
-        return bytearray(zstandard.ZstdDecompressor().decompress(data))
+def _unzstd(data: memoryview, size: int, shelf: Shelf) -> bytearray | NDArray[np.uint8]:
+    stated = zstandard.get_frame_parameters(data).content_size
+    if stated == size <= SHELF_BYTES:
+        placed = shelf.place(size)
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            if (came := reader.readinto(placed.data)) < size:
+                raise EOFError(f"the frame is cut short after {came} bytes")
+        return placed
     # The frame does not say, or says otherwise: grow with what really comes, up to the claim and one piece.
     out = bytearray()
     with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
@@ -82,23 +96,24 @@ def _unzstd(data: memoryview, size: int) -> bytearray:
     return out
 
 
-def _unbz2(data: memoryview, size: int) -> bytearray:
+def _unbz2(data: memoryview, size: int) -> bytes:
     decompressor = bz2.BZ2Decompressor()
     out = decompressor.decompress(data, max_length=size + 1)
     if not decompressor.eof and len(out) <= size:
         raise EOFError("the stream is cut short")
-    return bytearray(out)
+    return out
 
 
-def _unlz4(data: memoryview, size: int) -> bytearray:
+def _unlz4(data: memoryview, size: int) -> bytes:
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
     context = lz4.frame.create_decompression_context()
     # One byte more than claimed: a longer chunk shows, and the frame's checksum is reached.
+    out: bytes
     out, _, whole = lz4.frame.decompress_chunk(context, data, max_length=size + 1, return_bytearray=True)
     if not whole and len(out) <= size:
         raise EOFError("the frame is cut short")
-    return out if isinstance(out, bytearray) else bytearray(out)
+    return out
 
 
 def require_level(codec: str, level: int | None) -> None:

@@ -46,7 +46,8 @@ class _Run:
     def goes_on_with(self, block: Block) -> bool:
         last = self.blocks[-1]
         return (
-            self.messages + len(block.table) <= _ENOUGH_MESSAGES
+            not (last.ends or block.ends)
+            and self.messages + len(block.table) <= _ENOUGH_MESSAGES
             and _address(block) == self.end
             and block.data.base is last.data.base
             and isinstance(block.data.base, np.ndarray)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
+from odomcorrupt.bags.shelf import Shelf
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ class Source:
     name : what errors call it
     size : of the file in bytes, or None for a pipe
     position : bytes read so far
+    shelf : where chunks are put
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -42,6 +44,7 @@ class Source:
         self.position = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
+        self.shelf = Shelf()
 
     @classmethod
     def of_file(cls, path: Path) -> Self:
@@ -115,7 +118,12 @@ class Source:
                 self.position += size
                 return data
             self._ahead = data
-        return self.read_array(size, what).tobytes()
+        if size > _TRUSTED_BYTES:
+            return self.read_array(size, what).tobytes()
+        self.require(size, what)
+        small = bytearray(size)
+        self._fill(memoryview(small), what)
+        return bytes(small)
 
     def at_end(self) -> bool:
         """Tell whether nothing is left."""
@@ -125,7 +133,7 @@ class Source:
         """Read exactly so many bytes into a writable array of their own."""
         self.require(size, what)
         if self.size is not None or size <= _TRUSTED_BYTES:
-            data = np.empty(size, dtype=np.uint8)
+            data = self.shelf.place(size)
             self._fill(data.data, what)
             return data
         pieces: list[NDArray[np.uint8]] = []

@@ -91,7 +91,7 @@ class Rests:
     def __init__(self) -> None:
         self._portion: Portion | None = None
         self._blocks: list[Block] = []
-        self._packed: dict[tuple[int, str], bytes | memoryview] = {}
+        self._packed: dict[tuple[int, int, str], bytes | memoryview] = {}
 
     def of(self, portion: Portion) -> list[Block]:
         """Return the blocks of a portion."""
@@ -113,10 +113,11 @@ class Rests:
         return self._once(compress_for_ros1, codec, data, level)
 
     def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-        if not any(block.data is data for block in self._blocks):
+        # a block of several chunks is packed chunk by chunk
+        if not any(np.may_share_memory(block.data, data) for block in self._blocks):
             fresh: bytes | memoryview = how(codec, data, level)
             return fresh
-        key = (id(data), codec)
+        key = (data.__array_interface__["data"][0], data.size, codec)
         if key not in self._packed:
             self._packed[key] = how(codec, data, level)
         return self._packed[key]
@@ -138,7 +139,9 @@ def _without(block: Block, place: Place) -> Block:
         starts = framing.starts[rest]
         starts = starts - gone_before[np.searchsorted(place.begins, starts)]
         framing = Ros1Framing(framing.codec, starts)
-    return Block(block.data[kept], table, framing)
+    ends = np.array(block.ends, dtype=np.int64)
+    ends -= gone_before[np.searchsorted(place.begins, ends)]
+    return Block(block.data[kept], table, framing, ends=tuple(ends.tolist()))
 
 
 class SplitSink(_BagSink):

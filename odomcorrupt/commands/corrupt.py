@@ -58,6 +58,7 @@ def command(input_: str, output: str, **given: Any) -> int:
     from odomcorrupt.corrupt.run import Container, corrupt_bag
     from odomcorrupt.corrupt.summary import summary
     from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.memory import keep_freed_memory
     from odomcorrupt.rng import draw_seed
 
     chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
@@ -81,6 +82,7 @@ def command(input_: str, output: str, **given: Any) -> int:
     seed = draw_seed() if given["seed"] is None else given["seed"]
     condition = choose_condition_of_run(given, source, options)
     path = None if condition is None else condition.path(chosen.model, seed, given["run"])
+    keep_freed_memory()
     with Progress() as progress:
         outcome = corrupt_bag(
             source,

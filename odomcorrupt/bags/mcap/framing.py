@@ -24,10 +24,21 @@ class Framed:
 
     data : (size,) uint8
     table : (n,) of dtype TABLE, its offsets counted from the start of data
+    ends : where its chunks end in data, none for one chunk
     """
 
     data: NDArray[np.uint8]
     table: NDArray[np.void]
+    ends: tuple[int, ...] = ()
+
+    def followed_by(self, other: Framed) -> Framed:
+        """Return both, the other one in the last chunk of this one."""
+        if not self.data.size:
+            return other
+        moved = other.table.copy()
+        moved["offset"] += self.data.size
+        ends = self.ends[:-1] + tuple(self.data.size + end for end in other.ends or (other.data.size,))
+        return Framed(np.concatenate([self.data, other.data]), np.concatenate([self.table, moved]), ends)
 
 
 class Sequences:
@@ -47,8 +58,13 @@ class Sequences:
         return numbers
 
 
-def frame(data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences) -> Framed:
-    """Frame messages that lie in data where a table says; the table's channels are those to be written."""
+def frame(
+    data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences, chunks: tuple[int, ...] = ()
+) -> Framed:
+    """Frame messages that lie in data where a table says; the table's channels are those to be written.
+
+    chunks : where chunks end in data; what is framed ends there, too
+    """
     lengths = table["length"]
     ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)
     framed = table.copy()
@@ -65,10 +81,10 @@ def frame(data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences
     for row, (begin, length) in enumerate(zip(table["offset"].tolist(), lengths.tolist(), strict=True)):
         pieces.append(packed[row * MESSAGE_HEADER_BYTES : (row + 1) * MESSAGE_HEADER_BYTES])
         pieces.append(source[begin : begin + length])
-    return Framed(np.frombuffer(b"".join(pieces), dtype=np.uint8), framed)
+    return Framed(np.frombuffer(b"".join(pieces), dtype=np.uint8), framed, _moved(chunks, table, ends))
 
 
-def reframe(data: NDArray[np.uint8], table: NDArray[np.void]) -> Framed:
+def reframe(data: NDArray[np.uint8], table: NDArray[np.void], chunks: tuple[int, ...] = ()) -> Framed:
     """Take message records of an MCAP out of their surroundings, and give them the table's channels."""
     lengths = table["length"] + MESSAGE_HEADER_BYTES
     ends = np.cumsum(lengths)
@@ -82,7 +98,13 @@ def reframe(data: NDArray[np.uint8], table: NDArray[np.void]) -> Framed:
     out = np.frombuffer(joined, dtype=np.uint8)
     places = ends - lengths + RECORD_HEADER_BYTES
     windows(out, 2)[places] = table["channel"].astype("<u2").view("V2")
-    return Framed(out, framed)
+    return Framed(out, framed, _moved(chunks, table, ends))
+
+
+def _moved(chunks: tuple[int, ...], table: NDArray[np.void], ends: NDArray[np.int64]) -> tuple[int, ...]:
+    """Return where chunks end among records that end at `ends` (n,)."""
+    rows = np.searchsorted(table["offset"], chunks)
+    return tuple(np.concatenate(([0], ends))[rows].tolist()) if chunks else ()
 
 
 def frame_added(messages: list[Message], sequences: Sequences) -> Framed:

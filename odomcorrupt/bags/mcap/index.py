@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import dataclass, field
-from itertools import groupby, pairwise
-from typing import TYPE_CHECKING
+from itertools import groupby
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -28,7 +29,7 @@ from odomcorrupt.bags.mcap.records import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ChunkSpan", "Index", "message_indexes"]
+__all__ = ["ChunkRows", "ChunkSpan", "Index", "message_indexes", "span_ns"]
 
 _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
@@ -50,6 +51,15 @@ class ChunkSpan:
     packed: int
 
 
+class ChunkRows(NamedTuple):
+    """A chunk of a block: data[begin:end], and table[start:stop]."""
+
+    begin: int
+    end: int
+    start: int
+    stop: int
+
+
 @dataclass(slots=True)
 class Index:
     """Statistics and indexes of a file that grows."""
@@ -61,18 +71,14 @@ class Index:
     attachments: list[bytes] = field(default_factory=list)
     metadata: list[bytes] = field(default_factory=list)
 
-    def count(self, table: NDArray[np.void]) -> tuple[int, int]:
-        """Count messages; return their first and last log time in nanoseconds, 0 and 0 for none."""
-        if not table.size:
-            return 0, 0
-        channels, counts = np.unique(table["channel"], return_counts=True)
-        for channel, count in zip(channels.tolist(), counts.tolist(), strict=True):
+    def count(self, table: NDArray[np.void]) -> None:
+        """Count messages."""
+        for channel, count in Counter(table["channel"].tolist()).items():
             self.counts[channel] = self.counts.get(channel, 0) + count
-        times = table["log_ns"].astype(np.uint64)
-        start_ns, end_ns = int(times.min()), int(times.max())
-        self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
-        self.end_ns = max(self.end_ns, end_ns)
-        return start_ns, end_ns
+        if table.size:
+            start_ns, end_ns = span_ns(table)
+            self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
+            self.end_ns = max(self.end_ns, end_ns)
 
     def add_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]]) -> bytes:
         """Note a chunk; return the message index records to write behind it.
@@ -141,20 +147,27 @@ class Index:
         return section + offsets, begin + len(section)
 
 
-def message_indexes(table: NDArray[np.void]) -> list[tuple[int, bytes]]:
-    """Return (channel, message index record) for each channel of a chunk's table."""
-    order = np.argsort(table["channel"], kind="stable")
-    channels = table["channel"][order]
+def span_ns(table: NDArray[np.void]) -> tuple[int, int]:
+    """Return the first and last log time of messages in nanoseconds, 0 and 0 for none."""
+    times = table["log_ns"].astype(np.uint64)
+    return int(times.min()) if times.size else 0, int(times.max(initial=0))
+
+
+def message_indexes(table: NDArray[np.void], chunks: list[ChunkRows]) -> list[list[tuple[int, bytes]]]:
+    """Return (channel, message index record) for each channel of each chunk that a table covers."""
+    numbers = np.repeat(np.arange(len(chunks)), [chunk.stop - chunk.start for chunk in chunks])
+    keys = numbers << 32 | table["channel"]
+    order = np.argsort(keys, kind="stable")
     entries = np.empty(table.size, dtype=_ENTRY)
     entries["log"] = table["log_ns"][order]
-    entries["offset"] = table["offset"][order] - MESSAGE_HEADER_BYTES
-    bounds = np.flatnonzero(np.diff(channels)) + 1
-    return [
-        (int(channels[a]), _message_index(int(channels[a]), entries[a:b]))
-        for a, b in pairwise([0, *bounds.tolist(), table.size])
-        if b > a
-    ]
-
-
-def _message_index(channel: int, entries: NDArray[np.void]) -> bytes:
-    return record(MESSAGE_INDEX, struct.pack("<HI", channel, entries.nbytes), entries.tobytes())
+    begins = np.array([chunk.begin for chunk in chunks], dtype=np.int64)[numbers]
+    entries["offset"] = (table["offset"] - begins)[order] - MESSAGE_HEADER_BYTES
+    keys = keys[order]
+    bounds = [0, *(np.flatnonzero(keys[1:] != keys[:-1]) + 1).tolist(), table.size]
+    packed = memoryview(entries.tobytes())
+    found: list[list[tuple[int, bytes]]] = [[] for _ in chunks]
+    for key, a, b in zip(keys[bounds[:-1]].tolist() if table.size else (), bounds, bounds[1:], strict=False):
+        channel, content = key & 0xFFFFFFFF, packed[a * _ENTRY.itemsize : b * _ENTRY.itemsize]
+        head = struct.pack("<BQHI", MESSAGE_INDEX, 6 + len(content), channel, len(content))
+        found[key >> 32].append((channel, head + content))
+    return found

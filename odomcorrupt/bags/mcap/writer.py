@@ -15,7 +15,7 @@ from odomcorrupt.bags.codecs import compress
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.directory import Directory
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
-from odomcorrupt.bags.mcap.index import ChunkSpan, Index, message_indexes
+from odomcorrupt.bags.mcap.index import ChunkRows, ChunkSpan, Index, message_indexes, span_ns
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
     DATA_END,
@@ -91,50 +91,60 @@ class McapWriter:
         else:
             framed = self._own(block, framing)
             if block.added:
-                framed = _joined(framed, self._added(block))
+                framed = framed.followed_by(self._added(block))
         if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
             self._output.write(framed.data.data)
         else:
             codec = getattr(framing, "codec", "zstd")
-            self._write_chunk(framed, self._codec or (codec if codec in CODECS else "zstd"))
+            self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
 
     def _own(self, block: Block, framing: object) -> Framed:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
         native = isinstance(framing, McapFraming)
         if native and not isinstance(block.raw, PartFraming):
-            return Framed(block.data, block.table)
+            return Framed(block.data, block.table, block.ends)
         table = block.table.copy()
         table["channel"] = self._directory.translate(table["channel"])
-        records = reframe(block.data, table) if native else frame(block.data, table, self._sequences)
-        return _joined(self._records(table["channel"]), records)
+        if native:
+            records = reframe(block.data, table, block.ends)
+        else:
+            records = frame(block.data, table, self._sequences, block.ends)
+        return self._records(table["channel"]).followed_by(records)
 
     def _added(self, block: Block) -> Framed:
         """Frame a block's added messages, behind the channels they need."""
         messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
-        return _joined(self._records(framed.table["channel"]), framed)
+        return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
         """Return the schema and channel records that these channels still need in the file."""
         data = self._directory.take_records(channels)
         return Framed(np.frombuffer(data, dtype=np.uint8), np.empty(0, dtype=TABLE))
 
-    def _write_chunk(self, framed: Framed, codec: str) -> None:
-        start_ns, end_ns = self._index.count(framed.table)
-        packed = self.pack(codec, framed.data, self._level)
-        crc = zlib.crc32(framed.data.data)
-        head = chunk_head(start_ns, end_ns, size=framed.data.size, crc=crc, codec=codec, packed=len(packed))
-        span = ChunkSpan(
-            start_ns,
-            end_ns,
-            position=self._output.position,
-            length=len(head) + len(packed),
-            codec=codec,
-            size=framed.data.size,
-            packed=len(packed),
-        )
-        self._output.write(head, packed, self._index.add_chunk(span, message_indexes(framed.table)))
+    def _write_chunks(self, framed: Framed, codec: str) -> None:
+        self._index.count(framed.table)
+        ends = framed.ends or (framed.data.size,)
+        stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
+        rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
+        chunks = [ChunkRows(*row) for row in rows]
+        for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
+            data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
+            start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
+            packed = self.pack(codec, data, self._level)
+            crc = zlib.crc32(data.data)
+            head = chunk_head(start_ns, end_ns, size=data.size, crc=crc, codec=codec, packed=len(packed))
+            span = ChunkSpan(
+                start_ns,
+                end_ns,
+                position=self._output.position,
+                length=len(head) + len(packed),
+                codec=codec,
+                size=data.size,
+                packed=len(packed),
+            )
+            self._output.write(head, packed, self._index.add_chunk(span, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record as it stands, or a later piece of one (opcode 0)."""
@@ -171,11 +181,3 @@ class McapWriter:
         finally:
             # After a commit there is nothing left to discard.
             self._output.discard()
-
-
-def _joined(first: Framed, second: Framed) -> Framed:
-    if not first.data.size:
-        return second
-    moved = second.table.copy()
-    moved["offset"] += first.data.size
-    return Framed(np.concatenate([first.data, second.data]), np.concatenate([first.table, moved]))

@@ -84,5 +84,5 @@ def read_chunk(source: Source, head: Head) -> Chunk:
         if size != head.size:
             raise BagError(f"{named}: says it holds {size} bytes, but has {head.size}; the bag is damaged")
     else:
-        data = decompress(codec, source.read_scratch(head.size, head.what), size, named)
+        data = decompress(codec, source.read_scratch(head.size, head.what), size, named, source.shelf)
     return Chunk(data, codec, named)

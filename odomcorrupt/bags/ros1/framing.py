@@ -13,6 +13,8 @@ from odomcorrupt.bags.ros1.records import INDEX, MESSAGE, pack_fields, pack_reco
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
 __all__ = ["Framed", "frame", "indexes", "pack_time"]
@@ -28,21 +30,38 @@ class Framed:
     data : (size,) uint8
     table : (n,) of dtype TABLE, its offsets counted from the start of data
     starts : (n,) offsets of the message records, bytes
+    ends : where its chunks end in data, none for one chunk
     """
 
     data: NDArray[np.uint8]
     table: NDArray[np.void]
     starts: NDArray[np.int64]
+    ends: tuple[int, ...] = ()
 
     def followed_by(self, other: Framed) -> Framed:
-        """Return both, one behind the other."""
+        """Return both, the other one in the last chunk of this one."""
         moved = other.table.copy()
         moved["offset"] += self.data.size
         return Framed(
             np.concatenate([self.data, other.data]),
             np.concatenate([self.table, moved]),
             np.concatenate([self.starts, other.starts + self.data.size]),
+            (*self.ends[:-1], self.data.size + other.data.size),
         )
+
+    def chunks(self) -> Iterator[Framed]:
+        """Yield its chunks, one by one."""
+        begin = start = 0
+        for end in self.ends[:-1]:
+            stop = int(np.searchsorted(self.starts, end))
+            yield self._part(begin, end, start, stop)
+            begin, start = end, stop
+        yield self._part(begin, self.data.size, start, len(self.starts)) if begin else self
+
+    def _part(self, begin: int, end: int, start: int, stop: int) -> Framed:
+        table = self.table[start:stop].copy()
+        table["offset"] -= begin
+        return Framed(self.data[begin:end], table, self.starts[start:stop] - begin)
 
 
 def pack_time(log_ns: int) -> bytes:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Self
+
+import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel, Message
 from odomcorrupt.bags.codecs import compress_for_ros1
@@ -59,18 +63,30 @@ class Ros1Writer:
         added = self._frame(block.added)
         framing = block.raw
         if isinstance(framing, Ros1Framing):
-            framed = Framed(block.data, block.table, framing.starts)
+            framed = Framed(block.data, block.table, framing.starts, block.ends)
             codec = framing.codec
         else:
-            framed = self._frame(_messages(block))
+            framed = self._framed(block)
             codec = "lz4"
         if added.data.size:
             framed = framed.followed_by(added)
         if framed.data.size:
-            self._write_chunk(framed, self._codec or codec)
+            for chunk in framed.chunks():
+                self._write_chunk(chunk, self._codec or codec)
 
     def _frame(self, messages: list[Message]) -> Framed:
         return frame(self._connections.take_records(one.channel for one in messages), messages)
+
+    def _framed(self, block: Block) -> Framed:
+        """Frame the messages of another format's block, in chunks as they were."""
+        messages = _messages(block)
+        stops = [*np.searchsorted(block.table["offset"], block.ends[:-1]).tolist(), len(messages)]
+        framed = self._frame(messages[: stops[0]])
+        for start, stop in pairwise(stops):
+            chunk = self._frame(messages[start:stop])
+            ends = (*(framed.ends or (framed.data.size,)), framed.data.size + chunk.data.size)
+            framed = replace(framed.followed_by(chunk), ends=ends)
+        return framed
 
     def _write_chunk(self, framed: Framed, codec: str) -> None:
         if framed.data.size >= _CHUNK_LIMIT:

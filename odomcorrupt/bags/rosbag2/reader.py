@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
+from odomcorrupt.bags.joined import joined
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
 from odomcorrupt.bags.rosbag2.database import MAGIC as SQLITE_MAGIC
@@ -70,14 +71,14 @@ class Rosbag2Reader:
         """Yield the blocks, file after file."""
         for index, (part, numbers) in enumerate(zip(self.parts, self.numbers, strict=True)):
             wanted = None if only is None else {own for own, number in numbers.items() if number in only}
-            for block in part.blocks(wanted):
-                if len(self.parts) == 1:
-                    yield block
-                    continue
+            if len(self.parts) == 1:
+                yield from part.blocks(wanted)
+                continue
+            for block in joined(part.blocks(wanted)):
                 table = block.table.copy()
                 known, places = np.unique(table["channel"], return_inverse=True)
                 table["channel"] = np.array([numbers[one] for one in known.tolist()], dtype=np.uint32)[places]
-                yield Block(block.data, table, PartFraming(index, block))
+                yield Block(block.data, table, PartFraming(index, block), ends=block.ends)
 
     def _number(self) -> None:
         """Give the channels of all files numbers: the first file's keep theirs, a topic has one in all files."""
