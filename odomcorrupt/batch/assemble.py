@@ -31,7 +31,7 @@ def assemble(overlay: Path, source: Path, target: Path, container: Container) ->
         Where the overlay is not one of this original.
 
     """
-    with open_reader(source) as reader, open_reader(overlay) as changed:
+    with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )

@@ -87,7 +87,12 @@ def estimate(job: Job) -> Estimate:
     """Try a few runs on the beginning of the bag, beside nothing that anyone keeps."""
     size = bytes_of(job.source)
     with tempfile.TemporaryDirectory() as scratch:
-        whole = _try(replace(job, container=Container(), split=False), "full", 1, Path(scratch) / "full")
+        whole = _try(
+            replace(job, container=Container(recover=job.container.recover), split=False),
+            "full",
+            1,
+            Path(scratch) / "full",
+        )
         chosen = _try(job, job.output, TRIED_RUNS, Path(scratch) / "chosen")
         overlay = _try(job, "overlay", 1, Path(scratch) / "overlay")
     part = 1.0

@@ -14,9 +14,10 @@ from odomcorrupt.batch.job import Task
 from odomcorrupt.batch.portion import LateTopic, portions
 from odomcorrupt.batch.robots import drawn_values
 from odomcorrupt.batch.shared import SharedTransform
-from odomcorrupt.batch.sinks import FullSink, OverlaySink, Rests, SplitSink
+from odomcorrupt.batch.sinks import Fan, FullSink, OverlaySink, Rests, SplitSink
 from odomcorrupt.batch.strand import Strand
 from odomcorrupt.batch.tum import TumSink
+from odomcorrupt.corrupt.additions import CorrectionEdge
 from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.run import corrupt_bag
 from odomcorrupt.laws import Coefficients
@@ -24,10 +25,11 @@ from odomcorrupt.model import MotionModel, Noise
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.block import BagReader, Message
     from odomcorrupt.batch.job import Job
+    from odomcorrupt.batch.portion import Portion
     from odomcorrupt.batch.sinks import Sink
 
 __all__ = ["Failure", "attempt", "make"]
@@ -69,7 +71,7 @@ def make(task: Task, part: Callable[[BagReader], BagReader] = lambda reader: rea
     while True:
         try:
             with ExitStack() as stack:
-                reader = stack.enter_context(open_reader(task.job.source))
+                reader = stack.enter_context(open_reader(task.job.source, recover=task.job.container.recover))
                 _make(task, whole, stack, reader, part(reader))
                 return
         except LateTopic as late:
@@ -90,15 +92,24 @@ def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part
         if one.sink is not None:
             stack.enter_context(one.sink)
     keep, paths = job.output == "full", job.output == "trajectories"
-    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole):
+    writers = [one.sink.writer for one in every if isinstance(one.sink, FullSink | SplitSink)]
+    adds = Fan(writers) if writers and job.options.keep_truth is not None else None
+    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=adds):
         for one in every:
             one.strand.grow(portion.growth)
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
-                one.sink.put(portion, data)
+                one.sink.put(portion, data, _edges(one, portion, shared))
     for one in runs:
         _put_beside(job, one)
-    note(job, [_record(job, one.strand) for one in runs])
+    note(job, [_record(job, one.strand, part.losses) for one in runs])
+
+
+def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
+    """Return the transforms that a run adds to each block, None where it adds none."""
+    if one.edge is None or shared.driver.frames is None:
+        return None
+    return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +119,7 @@ class _Run:
     strand: Strand
     sink: Sink | None
     patches: bool
+    edge: CorrectionEdge | None = None
 
 
 def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
@@ -115,12 +127,15 @@ def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
         return _Run(Strand(model, job.seed, run, job.options, [path]), path, patches=False)
-    sink: Sink | None = None
+    strand = Strand(model, job.seed, run, job.options)
     if job.output == "overlay":
-        sink = OverlaySink(job, run, reader)
-    elif not _is_copy(job, model):
-        sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
-    return _Run(Strand(model, job.seed, run, job.options), sink, patches=sink is not None)
+        return _Run(strand, OverlaySink(job, run, reader), patches=True)
+    if _is_copy(job, model):
+        return _Run(strand, None, patches=False)
+    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
+    frame = job.options.new_odom_frame
+    edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
+    return _Run(strand, sink, patches=True, edge=edge)
 
 
 def _put_beside(job: Job, one: _Run) -> None:
@@ -142,7 +157,7 @@ def _is_copy(job: Job, model: MotionModel) -> bool:
     return silent and job.output == "full"
 
 
-def _record(job: Job, strand: Strand) -> dict[str, Any]:
+def _record(job: Job, strand: Strand, losses: Sequence[str]) -> dict[str, Any]:
     drift = strand.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     record: dict[str, Any] = {
@@ -156,5 +171,7 @@ def _record(job: Job, strand: Strand) -> dict[str, Any]:
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
     record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    if losses:
+        record["losses"] = list(losses)
     record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]
     return record

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.block import BagReader, BagWriter
     from odomcorrupt.batch.shared import SharedTransform
     from odomcorrupt.corrupt.order import Arrivals
 
@@ -65,6 +65,7 @@ class Portion:
     """Some blocks in a row, and what of them may change.
 
     blocks, places : the blocks, kept where the output wants them, and where their messages lie
+    own_targets : of each block that is kept
     growth : odometry that was put in order meanwhile; None where time began anew
     table, data : the messages that may change; offsets into data, which holds their records with headers
     targets : in `data`; first_ns : when time began, log time of the first of them in oldest_ns
@@ -72,6 +73,7 @@ class Portion:
 
     blocks: list[Block] = field(default_factory=list)
     places: list[Place | None] = field(default_factory=list)
+    own_targets: list[list[Target]] = field(default_factory=list)
     growth: list[Arrivals | None] = field(default_factory=list)
     table: NDArray[np.void] = field(default_factory=lambda: np.empty(0, dtype=TABLE))
     data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
@@ -92,9 +94,12 @@ class Portion:
         return self.blocks[number]
 
 
-def portions(shared: SharedTransform, reader: BagReader, *, keep: bool, whole: set[int] | None) -> Iterator[Portion]:
+def portions(
+    shared: SharedTransform, reader: BagReader, *, keep: bool, whole: set[int] | None, writer: BagWriter | None = None
+) -> Iterator[Portion]:
     """Read a bag and yield it in portions; the last one may have no messages.
 
+    writer : where channels are added that all runs share
     keep : whether blocks are kept until every run has written them
     whole : channels of which something changes, of which all messages are wanted; grows. None: targets' channels only
 
@@ -105,7 +110,7 @@ def portions(shared: SharedTransform, reader: BagReader, *, keep: bool, whole: s
 
     """
     gatherer = _Gatherer(reader, keep=keep, whole=whole)
-    for block in shared.blocks(reader, reader.name):
+    for block in shared.blocks(reader, reader.name, writer):
         gatherer.take(block, shared.taken)
         if gatherer.full:
             yield gatherer.done(shared)
@@ -147,6 +152,7 @@ class _Gatherer:
             self._held_bytes += block.data.size
             self._portion.blocks.append(block)
             self._portion.places.append(place)
+            self._portion.own_targets.append(targets)
 
     def _notice(self, block: Block, changing: set[int], whole: set[int]) -> None:
         # a topic may have several publishers: it is wanted whole

@@ -71,4 +71,6 @@ class SharedTransform(Transform):
 
     def _patch(self, held: _Held) -> Block:
         self.taken = [] if self._first_ns is None else self._targets(held)
+        if self.truth is not None:
+            self.truth.add(held.block, [target for target in self.taken if self.driver.is_odometry(target.channel)])
         return held.block

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 
 import odomcorrupt
-from odomcorrupt.bags.block import Block, PartFraming
+from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.codecs import compress, compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
@@ -18,22 +19,29 @@ from odomcorrupt.bags.ros1.writer import Ros1Writer
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from types import TracebackType
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.block import BagReader, BagWriter, Channel
     from odomcorrupt.batch.job import Job
     from odomcorrupt.batch.portion import Place, Portion
 
-__all__ = ["FullSink", "OverlaySink", "Rests", "Sink", "SplitSink", "provenance"]
+__all__ = ["Fan", "FullSink", "OverlaySink", "Rests", "Sink", "SplitSink", "provenance"]
+
+
+Added = list[list[Message]] | None
 
 
 class Sink(Protocol):
     """The output of one run; it appears when its context ends without an error."""
 
-    def put(self, portion: Portion, data: NDArray[np.uint8]) -> None:
-        """Take a portion, and the portion's data (size,) as the run has patched it."""
+    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+        """Take a portion, and the portion's data (size,) as the run has patched it.
+
+        added : for each block messages of this run alone, behind those that all runs add
+        """
 
     def __enter__(self) -> Self: ...
 
@@ -55,6 +63,12 @@ class _BagSink:
         self._job, self._run = job, run
         self._writer = writer
 
+    @property
+    def writer(self) -> BagWriter:
+        """What writes the bag."""
+        writer: BagWriter = self._writer
+        return writer
+
     def __enter__(self) -> Self:
         self._writer.__enter__()
         return self
@@ -71,6 +85,17 @@ class _BagSink:
         self._writer.__exit__(kind, error, trace)
 
 
+class Fan:
+    """The writers of all runs, as one to add channels to."""
+
+    def __init__(self, writers: Sequence[BagWriter]) -> None:
+        self._writers = writers
+
+    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
+        """Add a channel to every run; its id is the same in all of them."""
+        return [writer.add_channel(topic, msgtype, like) for writer in self._writers][0]
+
+
 class FullSink(_BagSink):
     """A whole bag, the same bytes as of a run made alone."""
 
@@ -79,10 +104,13 @@ class FullSink(_BagSink):
         path = job.path_of(run)
         super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
 
-    def put(self, portion: Portion, data: NDArray[np.uint8]) -> None:
+    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
         """Write the blocks."""
         for number in range(len(portion.blocks)):
-            self._writer.write(portion.put_back(number, data))
+            block = portion.put_back(number, data)
+            if added is not None:
+                block = replace(block, added=block.added + added[number])
+            self._writer.write(block)
 
 
 class Rests:
@@ -158,20 +186,22 @@ class SplitSink(_BagSink):
         super().__init__(job, run, writer)
         self._rests = rests
 
-    def put(self, portion: Portion, data: NDArray[np.uint8]) -> None:
-        """Write what stays, and behind it what changed."""
+    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+        """Write what stays, and behind it what changed and what is added."""
         rests = self._rests.of(portion)
         for block in rests:
             self._writer.write(block)
         if not len(portion.table):
             return
+        more = [one for block in portion.blocks for one in block.added]
+        more += [one for messages in added or [] for one in messages]
         first = next(b for b, place in zip(portion.blocks, portion.places, strict=True) if place is not None)
         if isinstance(first.raw, Ros1Framing):
             starts = np.concatenate([mine for p in portion.places if p is not None for _, _, mine in p.moves])
             starts.sort()
-            self._writer.write(Block(data, portion.table, Ros1Framing(first.raw.codec, starts)))
+            self._writer.write(Block(data, portion.table, Ros1Framing(first.raw.codec, starts), more))
         else:
-            self._writer.write(Block(data, portion.table, McapFraming("chunk", first.raw.codec)))
+            self._writer.write(Block(data, portion.table, McapFraming("chunk", first.raw.codec), more))
 
 
 class _Foreign:
@@ -196,7 +226,7 @@ class OverlaySink(_BagSink):
         super().__init__(job, run, McapWriter(Output(job.path_of(run)), foreign, codec, c.level))
         self._native = _is_mcap(reader)
 
-    def put(self, portion: Portion, data: NDArray[np.uint8]) -> None:
+    def put(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
         """Write what changed."""
         if len(portion.table):
             raw = McapFraming("chunk", "zstd") if self._native else None

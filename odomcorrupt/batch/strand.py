@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.block import Message
     from odomcorrupt.batch.portion import Portion
+    from odomcorrupt.corrupt.additions import CorrectionEdge
     from odomcorrupt.corrupt.drift import PathWatcher
     from odomcorrupt.corrupt.order import Arrivals
     from odomcorrupt.corrupt.path import Knots
@@ -76,6 +78,7 @@ class Strand:
         self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
         self._path = NoisyPath(model, seed, run)
         self._curve = Curve()
+        self._new_frame = options.new_odom_frame is not None
         self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
 
     def grow(self, parts: Iterable[Arrivals | None]) -> None:
@@ -93,9 +96,20 @@ class Strand:
                 else:
                     watcher.add(knots)
 
+    def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
+        """Return, for each block of a portion, the transforms that say how this run's odometry is corrected."""
+        found = []
+        for block, targets in zip(portion.blocks, portion.own_targets, strict=True):
+            beside = Block(block.data, block.table)
+            edge.add(beside, targets, self._curve, odom)
+            found.append(beside.added)
+        return found
+
     def patched(self, portion: Portion) -> NDArray[np.uint8]:
         """Return a portion's data (size,) with its targets moved as this run moves them."""
         self._curve.forget(portion.oldest_ns)
+        if self._new_frame:
+            return portion.data
         block = Block(portion.data.copy(), portion.table)
         self._patcher.patch(block, portion.targets, self._curve, portion.first_ns)
         return block.data

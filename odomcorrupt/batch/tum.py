@@ -73,7 +73,7 @@ class TumSink:
         """Take the next part of the path."""
         self._waiting.append(knots)
 
-    def put(self, portion: Portion, _data: NDArray[np.uint8]) -> None:
+    def put(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
         """Write the path as far as it has grown."""
         for knots in self._waiting:
             xyt = knots.clean_xyt if self._clean else knots.clean_xyt + knots.error_xyt

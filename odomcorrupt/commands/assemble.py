@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -20,9 +21,8 @@ __all__ = ["command"]
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
-def command(
-    run: Path, output: Path, original: Path | None, *, overwrite: bool, compression: str | None, level: int | None
-) -> None:
+@click.option("--recover", is_flag=True, help="Read what is whole of a damaged original, as the batch did.")
+def command(run: Path, output: Path, original: Path | None, **given: Any) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
     from odomcorrupt.batch.assemble import assemble
     from odomcorrupt.batch.book import BatchError, fingerprint_of, read_beginning
@@ -37,5 +37,6 @@ def command(
             raise BatchError(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
-    count = assemble(run, original, output, Container(overwrite, compression, level))
+    container = Container(given["overwrite"], given["compression"], given["level"], given["recover"])
+    count = assemble(run, original, output, container)
     say(f"{output}: {count} messages of {run} in the place of those of {original}.")

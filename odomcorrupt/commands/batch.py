@@ -27,7 +27,9 @@ _MODEL_WORDS = {
 }  # fmt: skip
 _OPTION_WORDS = {
     "odom_topic": "--odom-topic", "odom_frame": "--odom-frame", "base_frame": "--base-frame", "twist": "--twist",
-    "covariance": "--covariance", "compression": "--compression", "level": "--level",
+    "covariance": "--covariance", "keep_truth": "--keep-truth", "keep_localisation": "--keep-localisation",
+    "tf": "--tf", "new_odom_frame": "--new-odom-frame", "compression": "--compression", "level": "--level",
+    "recover": "--recover",
 }  # fmt: skip
 
 
@@ -76,8 +78,19 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
 @click.option("--twist", type=click.Choice(["model", "keep"]), help="Twists: follow the noise, or as they are.")
 @click.option("--covariance", type=click.Choice(["model", "keep"]), help="Likewise covariances.")
+@click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this topic, too.")
+@click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
+@click.option(
+    "--tf",
+    type=click.Choice(["odometry", "correction"]),
+    help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
+)
+@click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
+@click.option(
+    "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
+)
 def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     """Make runs 0 to N - 1 of a seed: the same bytes as `odomcorrupt INPUT OUTPUT --seed S --run K` one by one.
 
@@ -103,8 +116,10 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     for job in jobs:
         _collect(job, given["runs"])
     asked = sum(len(runs) for _, runs in todo)
-    say(f"{asked - len(failures)} runs made now, {made} in {target}, seed {jobs[0].seed}." + _told(failures))
-    return 1 if failures else 0
+    lost = _losses(jobs)
+    said = f"{asked - len(failures)} runs made now, {made} in {target}, seed {jobs[0].seed}."
+    say(said + _told(failures) + "".join(f" Lost: {loss}." for loss in lost))
+    return 1 if failures else 3 if lost else 0
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
@@ -115,6 +130,13 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     chosen = choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")})
     if given["layout"] == "split" and given["output"] != "full":
         raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
+    if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
+        raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
+    for flag, asked in (("--keep-truth", given["keep_truth"]), ("--tf correction", given["new_odom_frame"])):
+        if asked and given["output"] != "full":
+            raise click.UsageError(
+                f"{flag}: adds messages, and --output {given['output']} has only what changes; leave one of them out"
+            )
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     return plan(
@@ -122,9 +144,10 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         posterior=given["robots"] == "posterior", seed=_seed(target, given),
         options=Options(
             given["odom_topic"], given["odom_frame"], given["base_frame"], given["twist"] == "keep",
-            given["covariance"] == "keep",
+            given["covariance"] == "keep", given["keep_truth"], given["keep_localisation"], given["new_odom_frame"],
         ),
-        container=Container(compression=given["compression"], level=given["level"]), output=given["output"],
+        container=Container(compression=given["compression"], level=given["level"], recover=given["recover"]),
+        output=given["output"],
         split=given["layout"] == "split", typed=_words(_MODEL_WORDS, given), option_words=_words(_OPTION_WORDS, given),
     )  # fmt: skip
 
@@ -138,6 +161,8 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
             words += [word for one in value for word in (flag, one)]
         elif name == "alpha" and value:
             words += [flag, *value.split()]
+        elif isinstance(value, bool):
+            words += [flag] * value
         elif isinstance(value, tuple):
             words += [flag, *map(str, value)]
         elif value is not None:
@@ -165,7 +190,7 @@ def _require_driver(jobs: Sequence[Job]) -> None:
     from odomcorrupt.corrupt.transform import Transform
 
     for job in jobs:
-        with open_reader(job.source) as reader:
+        with open_reader(job.source, recover=job.container.recover) as reader:
             Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
 
 
@@ -239,6 +264,14 @@ def _collect(job: Job, runs: int) -> None:
         if set(range(runs)) <= made.keys():
             files = [job.directory / record["file"] for record in made.values()]
             write_npz(job.directory / "trajectories.npz", read_tum(job.directory / "clean.tum"), list(made), files)
+
+
+def _losses(jobs: Sequence[Job]) -> list[str]:
+    """Return what could not be read of damaged inputs, each once."""
+    from odomcorrupt.batch.book import read_records
+
+    records = [record for job in jobs if job.container.recover for record in read_records(job.directory).values()]
+    return list(dict.fromkeys(loss for record in records for loss in record.get("losses", ())))
 
 
 def _told(failures: Sequence[Failure]) -> str:

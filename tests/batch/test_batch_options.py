@@ -1,0 +1,97 @@
+"""What corruption can be asked for, a batch can be asked for: the same bytes."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+from test_batch_bytes import BAGS, bytes_of, messages_of
+
+from odomcorrupt.cli import run
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+NOISE = ["--alpha", "5deg", "0.02", "0.05", "0.01", "--seed", "7"]
+OPTIONS = {
+    "truth": ["--keep-truth", "/odom_true"],
+    "localisation": ["--keep-localisation"],
+    "correction": ["--tf", "correction", "--new-odom-frame", "odom0"],
+    "all": ["--keep-truth", "/odom_true", "--tf", "correction", "--new-odom-frame", "odom0", "--recover"],
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Return a directory that is the working one, with links to the fixtures."""
+    monkeypatch.chdir(tmp_path)
+    for name in BAGS:
+        (tmp_path / name).symlink_to(FIXTURES / name)
+    return tmp_path
+
+
+def records(directory):
+    return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("name", BAGS)
+@pytest.mark.parametrize("options", OPTIONS)
+def test_options_of_corruption_give_the_bytes_of_the_command_in_the_manifest(name, options, here, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.batch.portion.PORTION_MESSAGES", 300)
+    assert run(["batch", name, "runs", "--runs", "2", *NOISE, *OPTIONS[options]]) == 0
+    for record in records(here / "runs"):
+        words = shlex.split(record["command"])[1:]
+        assert set(OPTIONS[options]) <= set(words)
+        assert run(words) == 0
+        assert bytes_of(here / words[1]) == bytes_of(here / "runs" / record["file"])
+    made, before = messages_of(here / "runs" / record["file"]), messages_of(here / name)
+    if "--keep-truth" in OPTIONS[options]:
+        assert made["/odom_true"] == before["/odom"]
+    if "correction" in OPTIONS[options]:
+        assert made["/odom"] == before["/odom"]
+        assert len(made["/tf"]) == len(before["/tf"]) + len(before["/odom"])
+
+
+@pytest.mark.parametrize("name", ["office.mcap", "office.bag"])
+@pytest.mark.parametrize("options", ["truth", "correction"])
+def test_split_has_the_messages_of_full_with_what_is_added(name, options, here):
+    for layout in ("same", "split"):
+        assert run(["batch", name, layout, "--runs", "2", *NOISE, *OPTIONS[options], "--layout", layout]) == 0
+    file = f"run_000001{Path(name).suffix}"
+    apart, whole = messages_of(here / "split" / file), messages_of(here / "same" / file)
+    assert apart.keys() == whole.keys()
+    for topic, messages in whole.items():
+        assert sorted(apart[topic]) == sorted(messages)
+
+
+@pytest.mark.parametrize("flag", [["--keep-truth", "/true"], OPTIONS["correction"]])
+@pytest.mark.parametrize("output", ["overlay", "trajectories"])
+def test_what_adds_messages_is_refused_where_only_changes_are_written(flag, output, here, capsys):
+    assert run(["batch", "office.mcap", "runs", "--runs", "1", *NOISE, *flag, "--output", output]) == 2
+    assert "adds messages" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+
+
+def test_one_option_of_a_correction_without_the_other_is_refused(here, capsys):
+    assert run(["batch", "office.mcap", "runs", "--runs", "1", *NOISE, "--tf", "correction"]) == 2
+    assert "go together" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+
+
+@pytest.mark.parametrize("output", ["full", "overlay"])
+def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_told(output, here, capsys):
+    whole = (FIXTURES / "office.mcap").read_bytes()
+    (here / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    words = ["batch", "cut.mcap", "runs", "--runs", "2", *NOISE, "--output", output]
+    assert run(words) == 1
+    capsys.readouterr()
+    assert run([*words, "--recover"]) == 3
+    assert "Lost: " in capsys.readouterr().err
+    assert run(["cut.mcap", "alone.mcap", *NOISE, "--run", "1", "--recover"]) == 3
+    made = here / "runs" / "run_000001.mcap"
+    if output == "overlay":
+        assert run(["assemble", str(made), "joined.mcap", "--recover"]) == 0
+        made = here / "joined.mcap"
+    assert made.read_bytes() == (here / "alone.mcap").read_bytes()
+    assert all(record["losses"] for record in records(here / "runs"))
+    assert "--recover" in shlex.split(records(here / "runs")[0]["command"])
