@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 from odomcorrupt.presets import PRESETS
-from odomcorrupt.study.robot import fit_robot
+from odomcorrupt.study.fitting.robot import fit_robot
 from odomcorrupt.study.sources import Source, read_runs
 
 ROBOTS = {

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.pose import rotate
-from odomcorrupt.study.learn import learn
-from odomcorrupt.study.robot import fit_robot
+from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.sources import Source, read_runs
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.trajectory import Recording
+    from odomcorrupt.study.recordings.trajectory import Recording
 
 TRACK_M = 0.2
 SIDE_M = 1.7

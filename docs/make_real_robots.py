@@ -23,17 +23,17 @@ from odomcorrupt.pose import between, wrap
 from odomcorrupt.report.figure import BLACK, RED, SKY, drawing, new_figure
 from odomcorrupt.report.sentences import sentence
 from odomcorrupt.report.tables import value_text
-from odomcorrupt.study.compare import compare
-from odomcorrupt.study.learn import learn
-from odomcorrupt.study.replay import Replay, replay
-from odomcorrupt.study.robot import RobotFit, fit_robot
+from odomcorrupt.study.fitting.robot import RobotFit, fit_robot
+from odomcorrupt.study.judge.compare import compare
+from odomcorrupt.study.judge.replay import Replay, replay
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.sources import Source, read_runs
-from odomcorrupt.study.trajectory import Recording, Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from odomcorrupt.study.compare import Judgement
+    from odomcorrupt.study.judge.compare import Judgement
 
 HERE = Path(__file__).parent
 RUNS = 1000

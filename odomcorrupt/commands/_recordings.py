@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from odomcorrupt.model import MotionModel
-    from odomcorrupt.study.trajectory import Recording
+    from odomcorrupt.study.recordings.trajectory import Recording
 
 __all__ = ["describe", "need_study", "read_all", "recording_options", "source_words", "split_arguments"]
 

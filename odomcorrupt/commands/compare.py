@@ -61,7 +61,7 @@ def command(
     from odomcorrupt.report.comparison import comparison_text
     from odomcorrupt.report.comparison_json import comparison_json
     from odomcorrupt.report.tables import clock_lines
-    from odomcorrupt.study.compare import compare
+    from odomcorrupt.study.judge.compare import compare
 
     paths, models = split_arguments(arguments)
     if not models:

@@ -28,8 +28,8 @@ def command(
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
     from odomcorrupt.report.tables import candidates_table, clock_lines
-    from odomcorrupt.study.ladder import held_out_ladder
-    from odomcorrupt.study.learn import learn
+    from odomcorrupt.study.judge.ladder import held_out_ladder
+    from odomcorrupt.study.search.learn import learn
 
     paths, models = split_arguments(arguments)
     if len(models) > 1:

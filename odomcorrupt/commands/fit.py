@@ -38,7 +38,7 @@ def command(
     need_study()
     from odomcorrupt.modelfile import format_model, read_model
     from odomcorrupt.report.tables import fit_text
-    from odomcorrupt.study.robot import effects_to_fit, fit_robot
+    from odomcorrupt.study.fitting.robot import effects_to_fit, fit_robot
 
     paths, models = split_arguments(recordings)
     if models:

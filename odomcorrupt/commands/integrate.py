@@ -13,7 +13,7 @@ from odomcorrupt.commands._poses import need_pictures, picture_kind, save_pictur
 if TYPE_CHECKING:
     from odomcorrupt.drive.read import Drive
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.trajectory import Trajectory
+    from odomcorrupt.study.recordings.trajectory import Trajectory
 
 __all__ = ["command"]
 

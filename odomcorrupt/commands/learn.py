@@ -43,10 +43,10 @@ def command(
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
     from odomcorrupt.report.tables import clock_lines, fit_text
-    from odomcorrupt.study.compare import compare
-    from odomcorrupt.study.ladder import held_out_ladder
-    from odomcorrupt.study.learn import learn
-    from odomcorrupt.study.robot import fit_robot
+    from odomcorrupt.study.fitting.robot import fit_robot
+    from odomcorrupt.study.judge.compare import compare
+    from odomcorrupt.study.judge.ladder import held_out_ladder
+    from odomcorrupt.study.search.learn import learn
 
     paths, models = split_arguments(recordings)
     if models:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.trajectory import Trajectory
+    from odomcorrupt.study.recordings.trajectory import Trajectory
 
 __all__ = ["PathError", "path_error"]
 

@@ -12,7 +12,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.corrupt.targets import ODOMETRY, find_driver, plain
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.pose import yaw_from_quaternion
-from odomcorrupt.study.trajectory import Trajectory
+from odomcorrupt.study.recordings.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.raycast import Canvas
     from odomcorrupt.mapping.scans import Rays
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.trajectory import Trajectory
+    from odomcorrupt.study.recordings.trajectory import Trajectory
 
 __all__ = ["Slow", "Survey", "View", "place", "slow_rays", "survey"]
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.study.compare import Comparison
+    from odomcorrupt.study.judge.compare import Comparison
 
 __all__ = ["draw_nees", "draw_pit"]
 

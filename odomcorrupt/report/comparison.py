@@ -10,9 +10,9 @@ from odomcorrupt.report.sentences import MOST, SIGNS, judgement_sentence, senten
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from odomcorrupt.study.calibration import Horizon
-    from odomcorrupt.study.compare import Comparison, Judgement
-    from odomcorrupt.study.trajectory_error import TrajectoryError
+    from odomcorrupt.study.judge.calibration import Horizon
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.trajectory_error import TrajectoryError
 
 __all__ = ["comparison_text", "falls_sentence", "ladder_steps", "share_of_worst"]
 

@@ -10,10 +10,10 @@ from odomcorrupt.report.sentences import SIGNS, judgement_sentence, sentence
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from odomcorrupt.study.calibration import Horizon
-    from odomcorrupt.study.compare import Comparison, Judgement
-    from odomcorrupt.study.failures import Failure
-    from odomcorrupt.study.trajectory_error import TrajectoryError
+    from odomcorrupt.study.judge.calibration import Horizon
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.failures import Failure
+    from odomcorrupt.study.judge.trajectory_error import TrajectoryError
 
 __all__ = ["comparison_json"]
 

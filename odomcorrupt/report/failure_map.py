@@ -10,16 +10,16 @@ from matplotlib.patches import Circle
 
 from odomcorrupt.report.figure import BLACK, RED, drawing, new_figure
 from odomcorrupt.report.sentences import MOST
-from odomcorrupt.study.windows import distance_windows, window_errors
+from odomcorrupt.study.likelihood.windows import distance_windows, window_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.compare import Comparison, Judgement
-    from odomcorrupt.study.failures import Failure
-    from odomcorrupt.study.judged import Judged
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.failures import Failure
+    from odomcorrupt.study.judge.judged import Judged
 
 __all__ = ["draw_failure_map"]
 

@@ -8,8 +8,8 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.report.tables import ladder_text, value_text
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.learn import Learned
-    from odomcorrupt.study.unknown import Unknown
+    from odomcorrupt.study.search.learn import Learned
+    from odomcorrupt.study.search.unknown import Unknown
 
 __all__ = ["found_text"]
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.report.pictures import Picture
-    from odomcorrupt.study.calibration import Horizon
-    from odomcorrupt.study.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.calibration import Horizon
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
 
 __all__ = ["report_html"]
 

@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.compare import Judgement
-    from odomcorrupt.study.learn import Learned, Round
-    from odomcorrupt.study.random_gain import RandomGain
-    from odomcorrupt.study.search import Candidate
-    from odomcorrupt.study.unknown import Unknown
+    from odomcorrupt.study.judge.compare import Judgement
+    from odomcorrupt.study.search.candidates import Candidate
+    from odomcorrupt.study.search.learn import Learned, Round
+    from odomcorrupt.study.search.random_gain import RandomGain
+    from odomcorrupt.study.search.unknown import Unknown
 
 __all__ = ["learned_json"]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
 
 __all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_ladder"]
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.report.figure import BLACK, BLUE, RED, SKY, drawing, new_figure
-from odomcorrupt.study.replay import replay
+from odomcorrupt.study.judge.replay import replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.study.compare import Comparison, Judgement
-    from odomcorrupt.study.replay import Replay
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.replay import Replay
 
 __all__ = ["draw_paths", "paths_of"]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from odomcorrupt.study.compare import Comparison
+    from odomcorrupt.study.judge.compare import Comparison
 
 __all__ = ["PICTURES", "Picture"]
 

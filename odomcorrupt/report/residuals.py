@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt.report.figure import drawing, new_figure
 from odomcorrupt.report.ladder import COLOURS, MARKERS
-from odomcorrupt.study.rates import CHANNELS, joint_rates, node_motion, unit_columns
+from odomcorrupt.study.judge.rates import CHANNELS, joint_rates, node_motion, unit_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.compare import Comparison, Judgement
-    from odomcorrupt.study.judged import Judged
+    from odomcorrupt.study.judge.compare import Comparison, Judgement
+    from odomcorrupt.study.judge.judged import Judged
 
 __all__ = ["draw_residuals"]
 

@@ -6,8 +6,8 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.compare import Judgement
-    from odomcorrupt.study.failures import Failure
+    from odomcorrupt.study.judge.compare import Judgement
+    from odomcorrupt.study.judge.failures import Failure
 
 __all__ = ["MOST", "SIGNS", "judgement_sentence", "sentence", "size"]
 

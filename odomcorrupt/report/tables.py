@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.intervals import Interval
-    from odomcorrupt.study.learn import Learned, Round
-    from odomcorrupt.study.robot import RobotFit
-    from odomcorrupt.study.search import Candidate, Clocks
+    from odomcorrupt.study.fitting.clocks import Clocks
+    from odomcorrupt.study.fitting.intervals import Interval
+    from odomcorrupt.study.fitting.robot import RobotFit
+    from odomcorrupt.study.search.candidates import Candidate
+    from odomcorrupt.study.search.learn import Learned, Round
 
 __all__ = ["candidates_table", "clock_lines", "fit_text", "ladder_text", "value_text"]
 

@@ -15,7 +15,7 @@ from odomcorrupt.mapping.survey import place, slow_rays
 from odomcorrupt.mapping.thickness import wall_thickness
 from odomcorrupt.model import MotionModel
 from odomcorrupt.presets import preset_named
-from odomcorrupt.study.trajectory import Trajectory
+from odomcorrupt.study.recordings.trajectory import Trajectory
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 GAZEBO = SHARED / "real" / "rob521_gazebo.mcap"

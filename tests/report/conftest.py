@@ -13,8 +13,8 @@ from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.modelfile import format_model
 from odomcorrupt.simulate import simulate, write_mcap
-from odomcorrupt.study.compare import compare
-from odomcorrupt.study.trajectory import Recording, Trajectory
+from odomcorrupt.study.judge.compare import compare
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 BASE = MotionModel(
     Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)),

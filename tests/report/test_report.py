@@ -21,8 +21,8 @@ from odomcorrupt.report.figure import rendered
 from odomcorrupt.report.html import report_html
 from odomcorrupt.report.pictures import PICTURES
 from odomcorrupt.report.sentences import MOST, judgement_sentence, sentence
-from odomcorrupt.study.compare import compare
-from odomcorrupt.study.trajectory import Trajectory
+from odomcorrupt.study.judge.compare import compare
+from odomcorrupt.study.recordings.trajectory import Trajectory
 
 CHROMIUM = Path("/usr/bin/chromium")
 VOID = {"meta", "img", "link", "br", "hr"}

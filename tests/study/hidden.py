@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.clock import Clock, aligned
-from odomcorrupt.study.nodes import join
-from odomcorrupt.study.problem import undo
-from odomcorrupt.study.trajectory import Recording, Trajectory
-from odomcorrupt.study.windows import rmse, time_windows
+from odomcorrupt.study.fitting.problem import undo
+from odomcorrupt.study.likelihood.nodes import join
+from odomcorrupt.study.likelihood.windows import rmse, time_windows
+from odomcorrupt.study.recordings.clock import Clock, aligned
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 if TYPE_CHECKING:
     from odomcorrupt.simulate import SimulatedRun

@@ -10,11 +10,11 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.approach import choose_approach
-from odomcorrupt.study.fit import fit
-from odomcorrupt.study.learn import learn
-from odomcorrupt.study.score import score_tests
-from odomcorrupt.study.search import library
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.search.candidates import library
+from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.search.score import score_tests
 
 SEEDS = range(12)
 

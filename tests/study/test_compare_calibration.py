@@ -12,16 +12,16 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.study.approach import Approach
-from odomcorrupt.study.calibration import horizon_of
-from odomcorrupt.study.doubt import Doubt
-from odomcorrupt.study.failures import drift_failures, failures, sudden_failures
-from odomcorrupt.study.judged import horizons_of, judge_stretch
-from odomcorrupt.study.nats import nats_of
-from odomcorrupt.study.pit import pit_of
-from odomcorrupt.study.verdict import Look, Verdict, pits_of, verdict_of, whiteness_of
-from odomcorrupt.study.whiteness import ljung_box
-from odomcorrupt.study.windows import WindowErrors
+from odomcorrupt.study.fitting.approach import Approach
+from odomcorrupt.study.judge.calibration import horizon_of
+from odomcorrupt.study.judge.doubt import Doubt
+from odomcorrupt.study.judge.failures import drift_failures, failures, sudden_failures
+from odomcorrupt.study.judge.judged import horizons_of, judge_stretch
+from odomcorrupt.study.judge.nats import nats_of
+from odomcorrupt.study.judge.pit import pit_of
+from odomcorrupt.study.judge.verdict import Look, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.judge.whiteness import ljung_box
+from odomcorrupt.study.likelihood.windows import WindowErrors
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

@@ -9,7 +9,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.increments import accumulate
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.pose import compose
-from odomcorrupt.study.trajectory_error import (
+from odomcorrupt.study.judge.trajectory_error import (
     absolute_errors,
     aligned_at_origin,
     aligned_rigidly,

@@ -10,10 +10,10 @@ from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.report.sentences import sentence, size
-from odomcorrupt.study.approach import Approach
-from odomcorrupt.study.calibration import HORIZONS_M
-from odomcorrupt.study.failures import Failure, drift_failures, failures, sudden_failures
-from odomcorrupt.study.judged import horizons_of, judge_stretch
+from odomcorrupt.study.fitting.approach import Approach
+from odomcorrupt.study.judge.calibration import HORIZONS_M
+from odomcorrupt.study.judge.failures import Failure, drift_failures, failures, sudden_failures
+from odomcorrupt.study.judge.judged import horizons_of, judge_stretch
 
 PLANTED = Coefficients(0.02, 0.01, 0.02, 0.005)
 MODEL = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

@@ -10,9 +10,9 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.study.approach import Approach
-from odomcorrupt.study.judged import judge_stretch
-from odomcorrupt.study.replay import replay
+from odomcorrupt.study.fitting.approach import Approach
+from odomcorrupt.study.judge.judged import judge_stretch
+from odomcorrupt.study.judge.replay import replay
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

@@ -11,13 +11,13 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.laws import LAWS, Coefficients
 from odomcorrupt.model import TruthNoise
-from odomcorrupt.study.approach import Approach, choose_approach
-from odomcorrupt.study.fit import believed_columns, fit
-from odomcorrupt.study.intervals import coefficient_intervals
-from odomcorrupt.study.likelihood import dense_covariance, whitener
-from odomcorrupt.study.noise_fit import LawPieces
-from odomcorrupt.study.problem import pose_problem
-from odomcorrupt.study.trajectory import Trajectory
+from odomcorrupt.study.fitting.approach import Approach, choose_approach
+from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
+from odomcorrupt.study.fitting.intervals import coefficient_intervals
+from odomcorrupt.study.fitting.problem import pose_problem
+from odomcorrupt.study.likelihood.noise_fit import LawPieces
+from odomcorrupt.study.likelihood.whitener import dense_covariance, whitener
+from odomcorrupt.study.recordings.trajectory import Trajectory
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

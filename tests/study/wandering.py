@@ -6,7 +6,7 @@ import numpy as np
 
 from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.laws import Coefficients, law_named, variances
-from odomcorrupt.study.trajectory import Recording, Trajectory
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 RATE_HZ = 50.0
 

@@ -11,7 +11,7 @@ from odomcorrupt.motion import slopes
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
-    from odomcorrupt.study.trajectory import Trajectory
+    from odomcorrupt.study.recordings.trajectory import Trajectory
 
 __all__ = ["Likeness", "likeness"]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.pose import wrap
+from odomcorrupt.study.recordings.trajectory import Recording
 from odomcorrupt.study.sources.check import SHORTEST_S
 from odomcorrupt.study.sources.jumps import reach_of, stretches
-from odomcorrupt.study.trajectory import Recording
 
 if TYPE_CHECKING:
     from odomcorrupt.study.sources.samples import Samples

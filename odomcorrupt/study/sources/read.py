@@ -22,10 +22,10 @@ from odomcorrupt.study.sources.text import is_text, read_text
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from odomcorrupt.study.recordings.trajectory import Recording
     from odomcorrupt.study.sources.address import Address
     from odomcorrupt.study.sources.choose import Role
     from odomcorrupt.study.sources.samples import Samples
-    from odomcorrupt.study.trajectory import Recording
 
 __all__ = ["Source", "read_runs"]
 

@@ -1,0 +1,1 @@
+"""From recordings to a robot's model: effects, clocks and noise together, with intervals."""

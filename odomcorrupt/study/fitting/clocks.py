@@ -1,0 +1,71 @@
+"""Find the clocks of recordings, before anything else is looked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from odomcorrupt.effects import registry
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.likelihood.windows import phased_rmse
+from odomcorrupt.study.recordings.clock import Clock, aligned, coarse_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["Clocks", "find_clocks"]
+
+_CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
+_CLOCK_HARM = 1.15
+"""A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
+NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
+"""Free beside the clocks while these are estimated, and then forgotten."""
+RIVALS = ("accel_slip", "backlash")
+"""What looks like a clock at starts and stops: a clock is believed only if it stays when these are free, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clocks:
+    """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2)."""
+
+    clocks: tuple[Clock, ...]
+    free: tuple[tuple[bool, bool], ...]
+    errors: tuple[tuple[float, float], ...]
+
+
+def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
+    """Estimate each recording's clock by exact resampling, with the usual systematic effects free beside it.
+
+    A number that is not significant is left at zero: aligning what was aligned only adds noise.
+    """
+    found = [_find_clock(recording, approach) for recording in recordings]
+    return Clocks(*(tuple(part) for part in zip(*found, strict=True)))
+
+
+def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
+    """Return the clock, which of its numbers are real, and their errors: both, the offset alone, or nothing."""
+    kinds = registry()
+    rivals = [kinds[name]() for name in RIVALS if recording.track_m is not None or not kinds[name].needs_track]
+    nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
+    clock = coarse_clock(recording)
+    for free in ((True, True), (True, False)):
+        clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
+        for beside in ((), rivals):
+            best = fit([recording], (*nuisance, *beside), clocks=[clock], free_clocks=[free], approach=approach)
+            clock = best.problem.clocks[0]
+            errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
+            last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
+            if not abs(last) > _CLOCK_LIMIT * error > 0.0:
+                break
+            nuisance = best.effects[: len(nuisance)]
+        else:
+            if phased_rmse([aligned(recording, clock)]) < _CLOCK_HARM * phased_rmse([aligned(recording, Clock())]):
+                return clock, free, errors
+    return Clock(), (False, False), (0.0, 0.0)

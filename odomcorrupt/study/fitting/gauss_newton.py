@@ -1,0 +1,134 @@
+"""Fit a whole model: effects, clocks, noise coefficients and truth noise, together.
+
+Gauss-Newton on the systematic part, with the noise refitted around it: what is believed is undone exactly, the rest is
+one linear step, until the steps are small against their errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.fitting.problem import pose_problem
+from odomcorrupt.study.fitting.random_process import WANDERING, with_random
+from odomcorrupt.study.likelihood.noise_fit import LawPieces, NoiseFit, fit_noise
+from odomcorrupt.study.recordings.clock import Clock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.fitting.problem import Problem
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["Fit", "believed_columns", "fit"]
+
+_ROUNDS = 6
+_SMALL = 0.1
+"""Steps below this part of their standard error end the search."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted model of some recordings.
+
+    pieces : the law's covariances on the problem's nodes
+    problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
+    random : wandering gains that are believed
+    noise : coefficients, truth noise, innovations and likelihood
+    standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
+    clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    """
+
+    problem: Problem
+    pieces: LawPieces
+    noise: NoiseFit
+    random: tuple[Effect, ...]
+    standard_errors: Array
+    clock_errors: Array
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The fitted effects."""
+        return self.problem.effects
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood in nats."""
+        return self.noise.log_likelihood
+
+
+def fit(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] = (),
+    *,
+    clocks: Sequence[Clock] | None = None,
+    free_clocks: Sequence[tuple[bool, bool]] | None = None,
+    approach: Approach,
+    start: Array | None = None,
+    weights: Array | None = None,
+    random: Sequence[Effect] = (),
+) -> Fit:
+    """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
+
+    random : wandering gains that are believed, with their parameters
+    start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
+    """
+    # a random effect is believed or passed over, never estimated here
+    random = [*random, *(e for e in effects if e.name in WANDERING)]
+    effects = [e for e in effects if e.kind != "noise"]
+    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
+    effects = tuple(effects)
+    for _ in range(_ROUNDS):
+        problem = pose_problem(recordings, effects, clocks, approach=approach)
+        columns = believed_columns(problem, free)
+        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
+        noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights, headings=problem.headings)
+        start = noise.free
+        noise = with_random(noise, problem, columns, random)
+        errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
+        effects, clocks = _moved(effects, clocks, free, noise.theta)
+        if not np.any(np.abs(noise.theta) > _SMALL * errors):
+            break
+    own = sum(len(amplitudes(e)) for e in effects)
+    clock_errors = np.zeros(free.shape)
+    clock_errors[free] = errors[own:]
+    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors)
+
+
+def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
+    """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
+    free = np.asarray(free_clocks)
+    parts = [problem.columns(effect) for effect in problem.effects]
+    if free.any():
+        parts.append(problem.clock_columns()[:, :, free.ravel()])
+    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+
+
+def _moved(
+    effects: tuple[Effect, ...], clocks: tuple[Clock, ...], free: Array, theta: Array
+) -> tuple[tuple[Effect, ...], tuple[Clock, ...]]:
+    """Return effects and clocks after a step, parameters kept within their bounds."""
+    step = iter(theta)
+    new_effects = []
+    for effect in effects:
+        values = {
+            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
+        }
+        new_effects.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
+    new_clocks = []
+    for clock, (offset, rate) in zip(clocks, free, strict=True):
+        new_clocks.append(
+            Clock(
+                clock.offset_s + (float(next(step)) if offset else 0.0),
+                clock.rate + (float(next(step)) if rate else 0.0),
+            )
+        )
+    return tuple(new_effects), tuple(new_clocks)

@@ -1,0 +1,146 @@
+"""A problem to fit: recordings, with what is believed so far already taken out of them.
+
+Believing in effects means undoing them exactly (increments are corrected and composed again, stamps shifted), never to
+first order; what is left is linear in small changes of the parameters, and each change is one regressor column.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.motion import corrected_increments, error_of, motion_of
+from odomcorrupt.study.likelihood.nodes import Nodes, join, lay_nodes
+from odomcorrupt.study.recordings.clock import Clock, aligned
+from odomcorrupt.study.recordings.drivers import driving_motion
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.recordings.drivers import Side
+
+__all__ = ["Problem", "pose_problem", "undo"]
+
+_TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
+"""What effects read of the true motion; speeds they read of the odometry's."""
+
+
+def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
+    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
+
+    Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
+    from the smooth motion and from the recorded truth, which is at hand here.
+    """
+    if not effects:
+        return recording
+    raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    left = recording
+    # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
+    for _ in range(2 if any(effect.reads_truth for effect in effects) else 1):
+        smooth = driving_motion(left, "odometry")
+        motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
+        steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
+        more = np.zeros((len(motion), 3))
+        for effect in effects:
+            if effect.reads_truth and effect.kind != "noise":
+                more += error_of(effect, motion) * motion.dt_s[:, None]
+        whole = Increments(steps.ds_m + more[:, 0], steps.dl_m + more[:, 1], steps.dtheta_rad + more[:, 2])
+        xyt = accumulate(recording.odometry.xyt[0], whole)
+        left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+    return left
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Recordings, the effects and clocks believed in, and the nodes of what is left.
+
+    nodes : the K intervals of all runs
+    run : (K,) which recording an interval belongs to
+    motions : per run, what drives the regressors (one entry per odometry interval)
+    """
+
+    recordings: tuple[Recording, ...]
+    effects: tuple[Effect, ...]
+    clocks: tuple[Clock, ...]
+    approach: Approach
+    nodes: Nodes
+    run: Array
+    motions: tuple[Motion, ...]
+
+    @property
+    def headings(self) -> bool:
+        """Whether the truth of every recording has headings of its own."""
+        return all(np.isfinite(r.truth.xyt[:, 2]).all() for r in self.recordings)
+
+    @property
+    def steps(self) -> Increments:
+        """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
+        parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
+        ds, dl, dtheta = np.concatenate(parts, axis=1)
+        # a differential robot's sideways travel is an artefact of smoothing; a holonomic one's is real
+        sideways = dl if np.abs(dl).sum() > 0.1 * np.abs(ds).sum() else np.zeros_like(dl)
+        return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
+
+    def columns(self, effect: Effect) -> Array:
+        """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
+        blocks = []
+        for p in amplitudes(effect):
+            error = [-_slope(effect, p.name, p.step, m) * m.dt_s[:, None] for m in self.motions]
+            blocks.append(self.nodes.column(np.concatenate(error)))
+        return np.stack(blocks, axis=2)
+
+    def clock_columns(self) -> Array:
+        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks."""
+        kinds = registry()
+        both = np.concatenate([self.columns(kinds[name]()) for name in ("time_offset", "clock_skew")], axis=2)
+        runs = [both * (self.run == r)[:, None, None] for r in range(len(self.recordings))]
+        return np.concatenate(runs, axis=2)
+
+
+def pose_problem(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] = (),
+    clocks: Sequence[Clock] | None = None,
+    *,
+    approach: Approach,
+) -> Problem:
+    """Take effects and clocks out of recordings and lay nodes over what is left."""
+    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
+    left = [undo(recording, effects) for recording in on_time]
+    nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
+    return Problem(
+        recordings=tuple(recordings),
+        effects=tuple(effects),
+        clocks=clocks,
+        approach=approach,
+        nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
+        run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
+        motions=tuple(_seen(was, now, approach.side) for was, now in zip(on_time, left, strict=True)),
+    )
+
+
+def _seen(was: Recording, now: Recording, side: Side) -> Motion:
+    """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
+    motion = driving_motion(was, side)
+    if now is was or side == "truth":
+        return motion
+    return replace(motion, acceleration=driving_motion(now, side).acceleration)
+
+
+def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
+    """Return the derivative (n, 3) of f with respect to one parameter."""
+    more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
+    less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
+    slope: Array = (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
+    return slope

@@ -1,0 +1,120 @@
+"""Gains that wander, as Gaussian processes over the nodes: what a unit of one does, and how to believe in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cholesky
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import stacked
+from odomcorrupt.study.likelihood.noise_fit import estimated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.problem import Problem
+    from odomcorrupt.study.likelihood.noise_fit import NoiseFit
+
+__all__ = ["WANDERING", "Process", "processes", "rooted", "unit_column", "with_random"]
+
+WANDERING = ("gauss_markov", "gyro_bias_walk")
+"""Random effects that a fit can believe."""
+_TAUS_S = (2.0, 5.0, 15.0, 40.0)
+_MOST_KNOTS = 240
+_WALK_S = 20.0
+_BREAK_S = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density."""
+
+    kind: type[Effect]
+    fixed: dict[str, str | float]
+    scale: str
+    unit: Callable[[Motion], Array]
+    tau: float | None
+
+
+def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
+    """Return a fit of noise with wandering gains in its covariance, everything linear estimated anew."""
+    if not random:
+        return noise
+    white = noise.whitener
+    designs = []
+    for effect in random:
+        process = next(p for p in processes(effect) if p.kind is type(effect) and _same(p, effect))
+        designs.append(getattr(effect, process.scale) * white.whiten(rooted(problem, process)))
+    directions, size, _ = np.linalg.svd(np.concatenate(designs, axis=1), full_matrices=False)
+    growth = 1.0 + size**2
+    wider = replace(
+        white,
+        directions=directions,
+        shrink=1.0 / np.sqrt(growth),
+        log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
+    )
+    return estimated(noise, wider, np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2))
+
+
+def processes(like: Effect | None = None) -> list[Process]:
+    """Return the processes to try, or with the correlation time of an effect that is believed."""
+    taus = _TAUS_S if like is None else (getattr(like, "tau", _TAUS_S[0]),)
+    kinds = registry()
+    markov = [
+        Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
+        for channel, unit in (("along", _along), ("yaw", _turn))
+        for tau in taus
+    ]
+    return [*markov, Process(kinds["gyro_bias_walk"], {}, "density", _bias, None)]
+
+
+def _same(process: Process, effect: Effect) -> bool:
+    return all(getattr(effect, name) == value for name, value in process.fixed.items())
+
+
+def _along(motion: Motion) -> Array:
+    return stacked(motion.v, 0.0, 0.0, motion.v)
+
+
+def _turn(motion: Motion) -> Array:
+    return stacked(0.0, 0.0, motion.omega, motion.v)
+
+
+def _bias(motion: Motion) -> Array:
+    return stacked(0.0, 0.0, 1.0, motion.v)
+
+
+def unit_column(problem: Problem, process: Process) -> Array:
+    """Return (K, 3): what a constant gain of one does to the residuals."""
+    return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
+
+
+def rooted(problem: Problem, process: Process) -> Array:
+    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1."""
+    nodes = problem.nodes
+    # runs lie far apart: what wandered in one says nothing about the next
+    time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
+    tau = process.tau
+    gaps = np.diff(time)
+    step = max((_WALK_S if tau is None else tau) / 2.0, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
+    cells = np.unique(np.floor(time / step))
+    knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
+    hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
+    prior = np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
+    root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
+    rooted: Array = unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
+    return rooted
+
+
+def _walk(knots: Array) -> Array:
+    """Return the covariance of a random walk of unit density, anew after every long break."""
+    start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
+    begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
+    since = knots - begin + 1.0
+    shared: Array = np.minimum(since[:, None], since) * (begin[:, None] == begin)
+    return shared

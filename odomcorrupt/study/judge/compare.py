@@ -1,0 +1,207 @@
+"""Compare models with measurements: what they expect, what was measured, where they fail, which one is best.
+
+A model is judged on recordings it was not fitted on. Where a recording was fitted, it is cut in two and the model is
+fitted again on one half and judged on the other, both ways (and every model beside it is judged on the same halves).
+Clocks belong to a recording, not to a robot: they are estimated on each one, the same for every model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.judge.calibration import CURVE_M, HORIZONS_M, Horizon
+from odomcorrupt.study.judge.failures import Failure, drift_failures, failures, sudden_failures
+from odomcorrupt.study.judge.judged import Judged, horizons_of, judge_stretch
+from odomcorrupt.study.judge.nats import Nats, nats_of
+from odomcorrupt.study.judge.trajectory_error import TrajectoryError, trajectory_error
+from odomcorrupt.study.judge.verdict import Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.likelihood.nodes import join
+from odomcorrupt.study.likelihood.windows import rmse, time_windows
+from odomcorrupt.study.recordings.clock import Clock, aligned
+from odomcorrupt.study.recordings.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.model import MotionModel
+    from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.judge.pit import Pit
+    from odomcorrupt.study.judge.whiteness import Whiteness
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["Comparison", "Judgement", "compare"]
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One model against the recordings.
+
+    refitted : whether it had been fitted on them, so that it was refitted on halves to be judged on the others
+    ten_second_error_m : root mean square position error after 10 s
+    nats : log likelihood per metre driven, with its error, and what it gains over the first model
+    horizons : for the table; curve : more of them, for the picture
+    pits, whiteness : of the whitened innovations, by channel
+    failures : the plainest first; the drifts that they add up to before them
+    trajectory : ATE and RPE
+    notes : what this judgement leaves out, in words
+    pieces : the stretches it was judged on, for pictures
+    """
+
+    name: str
+    refitted: bool
+    ten_second_error_m: float
+    nats: Nats
+    horizons: tuple[Horizon, ...]
+    curve: tuple[Horizon, ...]
+    pits: Mapping[str, Pit]
+    whiteness: Mapping[str, Whiteness]
+    verdict: Verdict
+    failures: tuple[Failure, ...]
+    trajectory: TrajectoryError
+    notes: tuple[str, ...]
+    pieces: tuple[Judged, ...]
+
+    @property
+    def nats_per_m(self) -> float:
+        """Log likelihood per metre driven."""
+        return self.nats.per_m
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
+
+    recordings: tuple[str, ...]
+    clocks: Clocks
+    raw_error_m: float
+    clock_error_m: float
+    clock_trajectory: TrajectoryError
+    judgements: tuple[Judgement, ...]
+
+
+def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
+    """Judge models (by name) on recordings."""
+    approach = choose_approach(recordings)
+    found = find_clocks(recordings, approach)
+    on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
+    fitted = {r.name for r in recordings for model in models.values() if r.name in _fitted_on(model)}
+    judged = {name: _stretches(model, on_time, fitted, approach) for name, model in models.items()}
+    first = next(iter(judged.values()))
+    return Comparison(
+        recordings=tuple(r.name for r in recordings),
+        clocks=found,
+        # a truth of positions alone is given headings, for it takes a pose to start from
+        raw_error_m=_ten_seconds([aligned(r, Clock()) for r in recordings]),
+        clock_error_m=_ten_seconds(on_time),
+        clock_trajectory=trajectory_error(on_time),
+        judgements=tuple(_judgement(name, models[name], pieces, first) for name, pieces in judged.items()),
+    )
+
+
+def _fitted_on(model: MotionModel) -> list[str]:
+    named = model.source.get("recordings", [])
+    return named if isinstance(named, list) else []
+
+
+def _stretches(
+    model: MotionModel, recordings: Sequence[Recording], fitted: set[str], approach: Approach
+) -> list[Judged]:
+    """Return what a model is judged on; recordings that any model was fitted on come in halves."""
+    pieces = []
+    for recording in recordings:
+        if recording.name not in fitted:
+            pieces.append(judge_stretch(recording, model, approach))
+            continue
+        first, second = _halves(recording)
+        for half, other in ((first, second), (second, first)):
+            known = recording.name in _fitted_on(model)
+            own = _refit(model, other, approach) if known else model
+            pieces.append(judge_stretch(half, own, approach, refitted=known))
+    return pieces
+
+
+def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: Sequence[Judged]) -> Judgement:
+    every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
+    horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
+    width = 3 if all(piece.headed for piece in pieces) else 2
+    chains = [chain[:, :width] for piece in pieces for chain in piece.chains()]
+    pits, whiteness = pits_of(chains), whiteness_of(chains)
+    return Judgement(
+        name=name,
+        refitted=any(piece.refitted for piece in pieces),
+        ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
+        nats=nats_of(pieces, first),
+        horizons=horizons,
+        curve=tuple(h for h in every if h.distance_m in CURVE_M),
+        pits=pits,
+        whiteness=whiteness,
+        verdict=verdict_of(horizons, pits, whiteness),
+        failures=(*drift_failures(horizons), *_patterns(pieces)),
+        trajectory=trajectory_error([piece.left for piece in pieces]),
+        notes=_notes(model, pieces),
+        pieces=tuple(pieces),
+    )
+
+
+def _patterns(pieces: Sequence[Judged]) -> list[Failure]:
+    """Return failures of all pieces, each told with its recording where there are several."""
+    found = []
+    for piece in pieces:
+        name = piece.recording.name if len(pieces) > 1 else ""
+        found += failures(piece.problem, piece.whitener, piece.innovations, headed=piece.headed, name=name)
+        found += sudden_failures(piece.problem, piece.covariance, piece.innovations, headed=piece.headed, name=name)
+    return sorted(found, key=lambda f: f.log_p)
+
+
+def _notes(model: MotionModel, pieces: Sequence[Judged]) -> tuple[str, ...]:
+    notes = []
+    random = [effect.name for effect in model.effects if effect.kind == "noise"]
+    if random:
+        notes.append(f"corruption draws {', '.join(random)}, but what is expected here does not count it")
+    k = model.noise.coefficients
+    if k.white_v or k.white_omega:
+        notes.append("corruption draws white noise on twists, but what is expected here does not count it")
+    if model.setup.truth is None:
+        truth = pieces[0].truth
+        notes.append(
+            f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
+        )
+    if not all(piece.headed for piece in pieces):
+        notes.append("the truth has positions only: nothing is said of yaw")
+    return tuple(notes)
+
+
+def _halves(recording: Recording) -> tuple[Recording, Recording]:
+    """Cut a recording in the middle of its truth."""
+    truth, middle = recording.truth, len(recording.truth) // 2
+    first = Trajectory(truth.stamps_ns[:middle], truth.xyt[:middle])
+    second = Trajectory(truth.stamps_ns[middle:], truth.xyt[middle:])
+    name = recording.name
+    return (
+        replace(recording, name=f"{name}, first half", truth=first),
+        replace(recording, name=f"{name}, second half", truth=second),
+    )
+
+
+def _refit(model: MotionModel, recording: Recording, approach: Approach) -> MotionModel:
+    """Return the model with its numbers estimated on this recording alone, its effects the same."""
+    effects = (*model.effects, *model.setup.effects)
+    again = fit([recording], effects, approach=replace(approach, law_name=model.noise.law_name))
+    random = [e for e in model.effects if e.kind == "noise"]
+    count = len(model.effects) - len(random)
+    return replace(
+        model,
+        noise=replace(model.noise, coefficients=again.noise.coefficients),
+        effects=(*again.effects[:count], *random),
+        setup=replace(model.setup, effects=again.effects[count:], truth=again.noise.truth),
+    )
+
+
+def _ten_seconds(recordings: Sequence[Recording]) -> float:
+    windows = [time_windows(recording) for recording in recordings]
+    whole = [w for w in windows if len(w)]
+    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")

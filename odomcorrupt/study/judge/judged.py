@@ -1,0 +1,139 @@
+"""A stretch of a recording under a model: residuals, what the model expects of them, and their likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.fitting.problem import Problem, pose_problem, undo
+from odomcorrupt.study.judge.calibration import Horizon, horizon_of
+from odomcorrupt.study.judge.doubt import Doubt, doubt_of
+from odomcorrupt.study.likelihood.whitener import Whitener, interval_covariance, whitener
+from odomcorrupt.study.likelihood.windows import WindowErrors, distance_windows, window_errors
+from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.model import MotionModel
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.likelihood.nodes import Nodes
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["Judged", "horizons_of", "judge_stretch"]
+
+_HALF = float(np.sqrt(2.0))
+"""Standard errors of a fit to half of a drive are larger by this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One stretch of a recording under one model.
+
+    recording : with its clock set right
+    left : what the model leaves of it, its effects taken out of the odometry
+    truth : noise of the truth, as far as the windows' ends feel it
+    q : (K, 3, 3) covariance that the model's noise puts on the residuals
+    innovations : (3 K,) whitened residuals
+    node_nats : (K,) log likelihood of each interval given the ones before
+    node_metres : (K,) odometry's travel as it came, the same for all models
+    refitted : whether the model was fitted anew, to half of a drive, to be judged on this one
+    """
+
+    recording: Recording
+    left: Recording
+    model: MotionModel
+    truth: TruthNoise
+    problem: Problem
+    whitener: Whitener
+    q: Array
+    innovations: Array
+    node_nats: Array
+    node_metres: Array
+    refitted: bool
+
+    @property
+    def headed(self) -> bool:
+        """Whether the truth has headings of its own."""
+        return self.recording.heading_error_rad is None
+
+    @property
+    def covariance(self) -> Array:
+        """What the model expects (K, 3, 3) of each residual by itself."""
+        return interval_covariance(self.problem.nodes, self.q, self.truth)
+
+    def chains(self) -> list[Array]:
+        """Return the innovations as unbroken chains (m, 3), or (m, 2) without headings."""
+        rows = self.innovations.reshape(-1, 3)[:, : 3 if self.headed else 2]
+        return np.split(rows, np.flatnonzero(~self.problem.nodes.linked)[1:])
+
+    def windows(self, distance_m: float) -> tuple[WindowErrors, Doubt] | None:
+        """Return the errors after a length of path, and how uncertain the model is of them."""
+        windows = distance_windows(self.left, distance_m)
+        if not len(windows):
+            return None
+        errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
+        return errors, doubt_of(self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0)
+
+
+def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False) -> Judged:
+    """Take the model's effects out of a recording (its clock right) and whiten what is left by the model's noise."""
+    effects = (*model.effects, *model.setup.effects)
+    problem = pose_problem([recording], effects, approach=approach)
+    nodes = problem.nodes
+    q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
+    headed = recording.heading_error_rad is None
+    truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
+    white = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    innovations = white.whiten(nodes.residual)
+    own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
+    as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
+    return Judged(
+        recording=recording,
+        left=undo(recording, effects),
+        model=model,
+        truth=truth if headed else replace(truth, yaw_rad=float(recording.heading_error_rad or 0.0)),
+        problem=problem,
+        whitener=white,
+        q=q,
+        innovations=innovations,
+        node_nats=-own.reshape(-1, 3).sum(axis=1),
+        node_metres=as_it_came.distance_m,
+        refitted=refitted,
+    )
+
+
+def horizons_of(pieces: Sequence[Judged], distances_m: Sequence[float]) -> tuple[Horizon, ...]:
+    """Return calibration by length of path, for lengths of which there are enough windows."""
+    found = []
+    for distance in distances_m:
+        parts = [w for piece in pieces if (w := piece.windows(distance)) is not None]
+        horizon = horizon_of(distance, parts) if parts else None
+        if horizon is not None:
+            found.append(horizon)
+    return tuple(found)
+
+
+def _truth_noise(nodes: Nodes, q: Array, *, headed: bool) -> TruthNoise:
+    """Return the truth's noise of largest likelihood, for a model that was written by hand and states none."""
+
+    def unpack(free: Array) -> TruthNoise:
+        xy, yaw, wander = np.exp(free)
+        return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(wander))
+
+    def cost(free: Array) -> float:
+        try:
+            white = whitener(nodes, q, unpack(free))
+        except FitError:
+            return 1e12
+        return -white.log_likelihood(white.whiten(nodes.residual))
+
+    start = np.log([0.003, 0.003, 1e-4])
+    bounds = [(np.log(2e-5), 0.0), (np.log(2e-5), 0.0), (np.log(1e-6), np.log(0.3))]
+    return unpack(minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x)

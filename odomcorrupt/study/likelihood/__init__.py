@@ -1,0 +1,1 @@
+"""How likely what is left of a recording is, under a noise law and the truth's own noise."""

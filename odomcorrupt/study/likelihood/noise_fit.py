@@ -1,0 +1,221 @@
+"""Maximum likelihood of the noise coefficients and of the truth's own noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.laws import Coefficients, variances
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.likelihood.whitener import Whitener, band_of, factored, floor_band, truth_pieces, truth_weights
+from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from odomcorrupt.increments import Increments
+    from odomcorrupt.laws import Law
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.likelihood.nodes import Nodes
+
+__all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "estimated", "fit_noise"]
+
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
+"""Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
+LOWEST = 1e-5
+"""A coefficient this small is none."""
+_LOW, _HIGH = np.log(LOWEST), np.log(10.0)
+_TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
+_TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+_NO_WANDER = 2e-6
+_ROBUST_ROUNDS = 5
+_CHANCE, _SIGNAL = 0.002, 0.04
+"""Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
+_OUTLIER = float(chi2.isf(2e-4, 3))
+"""A node whose squared innovations sum to more is a suspect: one in 5000 is by chance, so trimming biases nothing."""
+
+
+class LawPieces:
+    """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
+
+    A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
+    pair. The law itself is the one that corruption uses.
+    """
+
+    def __init__(self, law: Law, nodes: Nodes, steps: Increments) -> None:
+        def of(*ones: int) -> Coefficients:
+            return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
+
+        def rows(*ones: int) -> Array:
+            v = variances(law, of(*ones), steps)
+            return np.stack((v.rot1, v.trans, v.across, v.rot2))
+
+        self._degree = law.degree
+        single = [rows(i) for i in range(len(NAMES))]
+        self.active = [i for i, own in enumerate(single) if own.any()]
+        """Which coefficients do anything under this law and on this drive."""
+        self._single = {i: nodes.covariance(law, of(i), steps) for i in self.active}
+        self._pairs: list[tuple[int, int, Array]] = []
+        for i, j in combinations(self.active, 2) if law.degree == 2 else ():
+            both = rows(i, j)
+            # most pairs add up, and carrying their noise to the nodes is the dear part
+            if np.abs(both - single[i] - single[j]).max() > 1e-12 * np.abs(both).max():
+                cross = nodes.covariance(law, of(i, j), steps) - self._single[i] - self._single[j]
+                self._pairs.append((i, j, cross))
+
+    def parts(self) -> list[Array]:
+        """Return the matrices (K, 3, 3) that `shares` weighs."""
+        return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
+
+    def shares(self, coefficients: Array) -> Array:
+        """Return the weights of `parts` for the coefficients (7,) in the order of `NAMES`."""
+        single = coefficients[self.active] ** self._degree
+        pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
+        return np.concatenate((single, pairs))
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """Fitted noise, and the likelihood it leaves.
+
+    theta, theta_covariance : estimates of the columns that were free, and their covariance
+    weights : (K,) factor on each node's covariance; above 1 where a robust fit saw an outlier
+    innovations : (3 K,) standardised, columns taken out
+    free : (m,) logarithms of the fitted quantities, to start the next fit from
+    """
+
+    coefficients: Coefficients
+    truth: TruthNoise
+    log_likelihood: float
+    theta: Array
+    theta_covariance: Array
+    weights: Array
+    innovations: Array
+    whitener: Whitener
+    free: Array
+
+
+def fit_noise(
+    nodes: Nodes,
+    pieces: LawPieces,
+    columns: Array,
+    *,
+    start: Array | None = None,
+    weights: Array | None = None,
+    headings: bool = True,
+) -> NoiseFit:
+    """Fit coefficients and truth noise by maximum likelihood; columns (K, 3, m) are free linear terms throughout.
+
+    Nodes whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the fit
+    is repeated; slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more than
+    a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
+    that likelihoods can be compared. Without headings, the truth's are unknown: their noise is held flat.
+    """
+    ones = np.ones(len(nodes))
+    task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights, headings=headings)
+    free = task.climb(task.first_guess() if start is None else start)
+    plain = done = task.evaluate(free)
+    if weights is not None:
+        return plain
+    for _ in range(_ROBUST_ROUNDS):
+        square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
+        worse = square > _OUTLIER
+        if worse.mean() < _CHANCE:
+            break
+        heavier = np.where(worse, done.weights * square / 3.0, done.weights)
+        task = NoiseTask(nodes, pieces, columns, heavier, headings=headings)
+        done = task.evaluate(task.climb(done.free))
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL else done
+
+
+class NoiseTask:
+    """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
+
+    def __init__(
+        self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True
+    ) -> None:
+        if not pieces.active:
+            raise FitError("the odometry never moves; a noise law has nothing to act on")
+        self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
+        self._stacked = np.concatenate((nodes.residual[:, :, None], columns), axis=2)
+        bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
+        bands += [band_of(*piece) for piece in truth_pieces(nodes)]
+        self._bands = np.stack(bands).reshape(len(bands), -1)
+        self._floor = floor_band(len(nodes))
+
+    def first_guess(self) -> Array:
+        """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
+        scale = np.median(np.abs(self._nodes.residual), axis=0)
+        truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
+        if not self._headings:
+            truth[1] = UNKNOWN_RAD
+        return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
+
+    def evaluate(self, free: Array) -> NoiseFit:
+        """Return the fit at given noise, columns estimated by generalised least squares."""
+        coefficients, truth = self._unpack(free)
+        shares = np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+        white = factored((shares @ self._bands).reshape(self._floor.shape) + self._floor)
+        k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
+        nothing = np.zeros(0)
+        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        return estimated(blank, white, self._stacked)
+
+    def climb(self, free: Array, *, fixed: int | None = None) -> Array:
+        """Return the noise of largest likelihood; with one of its numbers held, nearly so (a profile is shallow)."""
+        active = len(self._pieces.active)
+        low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
+        high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        if not self._headings:
+            low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
+        if fixed is not None:
+            low[fixed] = high[fixed] = free[fixed]
+        found = minimize(
+            lambda x: -self.evaluate(x).log_likelihood,
+            np.clip(free, low, high),
+            method="L-BFGS-B",
+            bounds=list(zip(low, high, strict=True)),
+            options={"eps": 1e-4, "ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
+        )
+        climbed: Array = found.x
+        return climbed
+
+    def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
+        """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
+        active = self._pieces.active
+        coefficients = np.zeros(len(NAMES))
+        log_k = free[: len(active)]
+        coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
+        xy, yaw, wander = np.exp(free[len(active) :])
+        return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
+    """Return a fit with its linear part estimated anew; stacked (K, 3, 1 + m) is the residual and the columns."""
+    whitened = white.whiten(stacked)
+    r, b = whitened[:, 0], whitened[:, 1:]
+    theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
+    if b.shape[1]:
+        covariance = _inverse(b.T @ b)
+        theta = covariance @ (b.T @ r)
+        r = r - b @ theta
+    return replace(
+        noise,
+        log_likelihood=white.log_likelihood(r),
+        theta=theta,
+        theta_covariance=covariance,
+        innovations=r,
+        whitener=white,
+    )
+
+
+def _inverse(normal: Array) -> Array:
+    """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    both = np.outer(scale, scale)
+    inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
+    return inverse

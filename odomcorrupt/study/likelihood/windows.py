@@ -1,0 +1,133 @@
+"""Windows: how far odometry drifts from the truth over a time or a distance, and how far the model says it should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import norm
+
+from odomcorrupt.study.likelihood.nodes import intervals, pick_nodes
+from odomcorrupt.study.likelihood.whitener import interval_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.increments import Increments
+    from odomcorrupt.model import Noise, TruthNoise
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.likelihood.nodes import Nodes
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["WINDOW_S", "WindowErrors", "distance_windows", "phased_rmse", "rmse", "time_windows", "window_errors"]
+
+WINDOW_S = 10.0
+
+
+def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Nodes:
+    """Return non-overlapping windows of a length in time, whole ones only, each started at the truth pose.
+
+    phase : which part of a window to leave out at the start
+    """
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
+    length = np.diff(truth_s[picked])
+    return intervals(recording, picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
+
+
+def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Nodes:
+    """Return non-overlapping windows of a length of path, as the odometry measures it.
+
+    phase : which part of a window to leave out at the start
+    """
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]))
+    xy = recording.odometry.xyt[:, :2]
+    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
+    at_truth = np.interp(truth_s[inside], odo_s, travelled)
+    marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
+    picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
+    return intervals(recording, picked)
+
+
+def rmse(windows: Nodes) -> float:
+    """Return the root mean square position error (m) at the ends of windows started at the truth pose; NaN if none."""
+    miss = windows.odometry_step[:, :2] - windows.truth_step[:, :2]
+    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+
+
+def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
+    """Return the root mean square position error (m) over windows at five phases: steadier than one cut of the run."""
+    parts = [time_windows(recording, length_s, phase) for recording in recordings for phase in np.arange(5) / 5.0]
+    square = np.array([rmse(part) ** 2 * len(part) for part in parts if len(part)])
+    return float(np.sqrt(square.sum() / sum(len(part) for part in parts))) if len(square) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """Errors at the ends of n windows against what the model expects: odometry minus truth.
+
+    error : (n, c) along, across (m), and yaw (rad) where the truth has headings, in the frame of the window's end
+    covariance : (n, c, c) what the model expects of it, truth noise included
+    """
+
+    error: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+    @property
+    def nees(self) -> Array:
+        """Normalised estimation error squared (n,), chi-square with c degrees where the model is right."""
+        solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
+        squared: Array = np.sum(solved * self.error, axis=1)
+        return squared
+
+    @property
+    def deviation(self) -> Array:
+        """Expected standard deviation (n, c) of each error."""
+        sigma: Array = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return sigma
+
+    @property
+    def expected(self) -> Array:
+        """Expected root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.deviation**2, axis=0))
+        return rms
+
+    @property
+    def measured(self) -> Array:
+        """Measured root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.error**2, axis=0))
+        return rms
+
+    def coverage(self, part: float) -> Array:
+        """Return which part (c,) of the errors lies inside the central interval that should hold `part` of them."""
+        inside: Array = np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
+        return inside
+
+    @property
+    def crps(self) -> Array:
+        """Mean continuous ranked probability score (c,), m and rad; the smaller, the better and sharper the model.
+
+        Closed form for a normal forecast: Gneiting & Raftery, JASA 102, 2007, section 4.2.
+        """
+        sigma = self.deviation
+        z = self.error / sigma
+        score = sigma * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+        mean: Array = np.mean(score, axis=0)
+        return mean
+
+
+def window_errors(
+    windows: Nodes, noise: Noise, truth: TruthNoise, steps: Increments, *, headed: bool = True
+) -> WindowErrors:
+    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them.
+
+    Without headings in the truth, yaw is left out: those that were made for it come from the odometry.
+    """
+    q = windows.covariance(noise.law, noise.coefficients, steps)
+    count = 3 if headed else 2
+    return WindowErrors(windows.residual[:, :count], interval_covariance(windows, q, truth)[:, :count, :count])

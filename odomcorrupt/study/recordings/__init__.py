@@ -1,0 +1,1 @@
+"""Recordings of one robot: trajectories on their clocks, headings, what drives, what the encoders did."""

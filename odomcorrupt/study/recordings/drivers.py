@@ -1,0 +1,99 @@
+"""What drives the regressors: the smooth motion of a run, taken from the odometry or from the truth.
+
+An error can be regressed only on a motion that does not contain it. The encoder of a real robot is smooth and the
+contact with the ground disturbs the truth: take the odometry. Odometry that was made noisy by us (or by a simulator)
+carries the noise itself, sample by sample: take the truth then. The odometry's own jitter tells which it is.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Motion
+from odomcorrupt.increments import increments
+from odomcorrupt.motion import SMOOTHING_S, slopes
+from odomcorrupt.pose import rotate
+
+if TYPE_CHECKING:
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+
+__all__ = ["Side", "choose_side", "driving_motion", "truth_noise"]
+
+Side = Literal["odometry", "truth"]
+
+TRUTH_SMOOTHING_S = (0.5, 2.0)
+"""Least and largest window for the truth: as short as its noise allows, because starts and stops are blurred by it."""
+_SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
+"""Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
+_JITTER_S = 0.2
+_BIAS = 0.002
+_FEW = 50
+
+
+def driving_motion(recording: Recording, side: Side) -> Motion:
+    """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side.
+
+    It is for regressors and noise laws alone: it cannot be composed exactly.
+    """
+    driver = recording.odometry if side == "odometry" else recording.truth
+    t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
+    width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
+    middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
+    world = slopes(own, driver.xyt, middle, width_s)
+    heading = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)[:, 2]
+    twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+    # slopes and regions lie in the world: where the robot is, is the truth's to say
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns)
+    return Motion(
+        t_s=t_s[1:],
+        dt_s=dt,
+        v=twist[:, 0],
+        vy=twist[:, 1],
+        omega=twist[:, 2],
+        acceleration=slopes(middle, twist, middle, width_s),
+        x=pose[:, 0],
+        y=pose[:, 1],
+        theta=pose[:, 2],
+        distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * dt),
+        track_m=recording.track_m,
+    )
+
+
+def truth_noise(truth: Trajectory) -> Array:
+    """Return the deviation (3,) of the truth's white noise, m and rad: second differences cancel smooth driving."""
+    rough = np.diff(np.nan_to_num(truth.xyt), n=2, axis=0)
+    noise: Array = np.sqrt(np.median(rough**2, axis=0) / 0.4549 / 6.0)  # 0.4549 is the median of chi-square with 1
+    return noise
+
+
+def _truth_window(truth: Trajectory) -> float:
+    """Return the window (s) in which the truth's white noise leaves `_SLOPE_NOISE` of a slope."""
+    rate = 1.0 / float(np.median(np.diff(truth.stamps_ns)) * 1e-9)
+    # a line through N samples in a window T has a slope of deviation sqrt(12 / N) noise / T
+    windows = (truth_noise(truth) * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
+    return float(np.clip(windows.max(), *TRUTH_SMOOTHING_S))
+
+
+def choose_side(recording: Recording, node_s: float) -> Side:
+    """Return the side whose own noise would bias a regression of gains the less, the odometry unless it is plainly bad.
+
+    Noise of variance q per second inside a regressor of speed v biases a gain by q / (v^2 node_s). Below `_BIAS` nobody
+    sees it; above, the truth drives. Second differences of increments over 0.2 s show the odometry's own noise with its
+    full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops.
+    """
+    t_s = recording.odometry_s
+    grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
+    steps = increments(recording.odometry.at(grid, recording.origin_ns))
+    step = np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
+    moving = np.hypot(step[:, 0], step[:, 1])[1:-1] > 1e-3
+    if moving.sum() < _FEW:
+        return "odometry"
+    square = (np.diff(step, n=2, axis=0)[moving]) ** 2
+    square = np.minimum(square, 9.0 * np.median(square, axis=0) + 1e-15)
+    own_noise = square.mean(axis=0) / 6.0
+    bias = own_noise / (step**2).mean(axis=0) * (grid[1] - grid[0]) / node_s
+    return "truth" if bias.max() > _BIAS else "odometry"

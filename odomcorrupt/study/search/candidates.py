@@ -1,0 +1,145 @@
+"""Look for what is missing, one effect at a time, each believed exactly before the next is named.
+
+An effect is admitted only if both gates of the score test pass, it gains on blocks held out of its estimate, its size
+is physically possible and well enough known, and the drift over 10 s of the data it was fitted on does not grow
+(a likelihood alone may want a cause that improves single steps and spoils the path).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.study.fitting.drift import ten_second_error
+from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.likelihood.windows import WINDOW_S
+from odomcorrupt.study.search.score import Score, best_member, score_tests
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+
+__all__ = ["Candidate", "library", "next_effect"]
+
+LEVEL = 0.01
+"""Probability of naming any effect on data without one."""
+_SHORTLIST = 4
+_WORTH_A_REFIT = 0.25
+"""Part of the leader's evidence below which a refit would not turn the tables."""
+_KNOWN = 4.2
+"""An effect is testable if this many of its standard errors fit into half of what is physically possible."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A score, and where the effect made the shortlist, the whole model refitted with it.
+
+    gain : log likelihood gained by the refit, nats, less what its parameters would gain by chance (k/2 ln K)
+    rmse_s : 10 s error of the fitted data before and after, metres
+    refused : why it is not admitted, or empty
+    """
+
+    score: Score
+    fit: Fit | None = None
+    gain: float = float("-inf")
+    rmse: tuple[float, float] = (float("nan"), float("nan"))
+    refused: str = ""
+
+
+def library(fitted: Fit) -> list[tuple[Effect, ...]]:
+    """Return every registered systematic effect that the model does not have, at its identity.
+
+    An effect with shapes comes as the family of shapes worth trying. Clocks are apart, a twin is named as an
+    alternative of the one it cannot be told from, and single wheels need a track.
+    """
+    have = {effect.name for effect in fitted.effects}
+    motions = fitted.problem.motions
+    track = all(m.track_m is not None for m in motions)
+    kinds = [
+        kind
+        for name, kind in registry().items()
+        if name not in have and kind.kind != "noise" and not kind.clock and kind.twin_of is None
+    ]
+    families = [tuple(kind.scan(motions)) for kind in kinds if track or not kind.needs_track]
+    return [family for family in families if family]
+
+
+def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
+    """Return all candidates, the ones that may be added first and in order of evidence."""
+    believed = believed_columns(fitted.problem, free_clocks)
+    families = library(fitted)
+    members = [best_member(fitted, family, believed) for family in families]
+    scores = score_tests(fitted, members, believed)
+    # whoever may choose among many shapes is the likelier to fit by chance
+    scores = [replace(s, p=min(1.0, s.p * len(f))) for s, f in zip(scores, families, strict=True)]
+    trials = {s.effect.name: len(f) for s, f in zip(scores, families, strict=True)}
+    count = len(fitted.problem.nodes)
+    ranked = sorted(scores, key=lambda s: _evidence(s, trials[s.effect.name], count), reverse=True)
+    candidates: list[Candidate] = []
+    refits, leader = 0, -np.inf
+    for score in ranked:
+        refused = _objection(score)
+        weight = _evidence(score, trials[score.effect.name], count)
+        if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
+            candidates.append(Candidate(score, refused=refused or "others explain it better"))
+            continue
+        refits, leader = refits + 1, max(leader, weight)
+        candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
+    return sorted(candidates, key=lambda c: (c.refused == "", c.gain, -c.score.p), reverse=True)
+
+
+def _evidence(score: Score, trials: int, count: int) -> float:
+    return 0.5 * score.statistic / score.inflation - _price(score.effect, trials, count)
+
+
+def _price(effect: Effect, trials: int, count: int) -> float:
+    """Return the nats an effect must gain: (k/2) ln K for its parameters, and what looking about gains by chance."""
+    return 0.5 * len(parameters(effect)) * float(np.log(count)) + float(np.log(trials))
+
+
+def _objection(score: Score) -> str:
+    """Return why an effect is out of question, or nothing."""
+    if not score.separable:
+        return "cannot be told from what is in the model"
+    for p, value, error in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True):
+        room = p.high if value > 0.0 else -p.low
+        if error * _KNOWN > 0.5 * max(p.high, -p.low):
+            return "not testable on this drive"
+        if abs(value) > room:
+            return f"{p.name} would be {value:.3g}, beyond what is physically possible"
+    if score.p >= LEVEL:
+        return "no evidence"
+    if score.held_out_nats <= score.held_out_error:
+        return "does not gain on held-out blocks"
+    return ""
+
+
+def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+    problem = fitted.problem
+    values = {
+        p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)
+    }
+    moved = replace(score.effect, **values)  # type: ignore[type-var]  # effects are dataclasses
+    again = fit(
+        problem.recordings,
+        (*problem.effects, moved),
+        clocks=problem.clocks,
+        free_clocks=free_clocks,
+        approach=problem.approach,
+        start=fitted.noise.free,
+        weights=fitted.noise.weights,
+        random=fitted.random,
+    )
+    gain = again.log_likelihood - fitted.log_likelihood - _price(score.effect, trials, len(problem.nodes))
+    before, after = ten_second_error(fitted), ten_second_error(again)
+    refused = ""
+    if gain <= 0.0:
+        refused = "gains nothing when everything is fitted together"
+    elif after > before:
+        refused = f"makes the {WINDOW_S:g} s error larger"
+    return Candidate(score, again, gain, (before, after), refused)

@@ -1,0 +1,175 @@
+"""The whole loop: name the first thing that is missing, believe it exactly, look again, until nothing is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
+from odomcorrupt.study.fitting.drift import ten_second_error
+from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.fitting.random_process import WANDERING
+from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
+from odomcorrupt.study.search.candidates import Candidate, next_effect
+from odomcorrupt.study.search.events import slip_bursts
+from odomcorrupt.study.search.random_gain import RandomGain, random_gains
+from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["Learned", "Round", "learn"]
+
+_MOST = 6
+_MOST_NOISE = 2
+_PLAIN_NATS = 100.0
+"""What is counted in the odometry itself needs no statistics."""
+_DROP_NATS = 3.3
+ALTERNATIVE_NATS = 3.0
+"""Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """One look: the model before it, all candidates (the one that was added first), and what was added."""
+
+    before: Fit
+    candidates: tuple[Candidate, ...]
+    added: str | None
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Effects that would have done nearly as well as the added one."""
+        if self.added is None:
+            return ()
+        best = self.candidates[0].gain
+        rivals = [c for c in self.candidates[1:] if not c.refused and c.gain > best - ALTERNATIVE_NATS]
+        names = [self.added, *(c.score.effect.name for c in rivals)]
+        twins = [name for name, kind in registry().items() if kind.twin_of in names]
+        return (*names[1:], *twins)
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a search found.
+
+    clocks : those of the recordings
+    rounds : looks in order; the last one added nothing, or the limit was reached
+    noise : what encoders did, and wandering gains that were named and believed
+    unknown : what no known effect explains
+    fit : the final fit
+    error_m : its position error after 10 s on the fitted data
+    """
+
+    clocks: Clocks
+    rounds: tuple[Round, ...]
+    noise: tuple[RandomGain, ...]
+    unknown: tuple[Unknown, ...]
+    fit: Fit
+    error_m: float
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of what the loop added and kept, in order."""
+        kept = {effect.name for effect in self.fit.effects}
+        return tuple(r.added for r in self.rounds if r.added in kept)
+
+
+def learn(
+    recordings: Sequence[Recording], start: Sequence[Effect] = (), *, law_name: str = "diffusion", most: int = _MOST
+) -> Learned:
+    """Search from a model with the given effects; `most` bounds how many are added."""
+    encoders = encoder_effects(recordings[0])
+    recordings = [refilled(recording, encoders) for recording in recordings]
+    approach = choose_approach(recordings, law_name)
+    clocks = find_clocks(recordings, approach)
+    fitted = fit(
+        recordings,
+        [e for e in start if e.kind != "noise"],
+        clocks=clocks.clocks,
+        free_clocks=clocks.free,
+        approach=approach,
+        random=[e for e in start if e.name in WANDERING],
+    )
+    rounds: list[Round] = []
+    noise = [RandomGain(effect, _PLAIN_NATS) for effect in encoders]
+    while True:
+        candidates = next_effect(fitted, clocks.free)
+        best = candidates[0] if candidates and not candidates[0].refused else None
+        believed = believed_columns(fitted.problem, clocks.free)
+        unknown = unknown_dependences(fitted, believed) if best is None else []
+        gain = _wandering(fitted, believed, best, unknown)
+        if gain is not None and len(fitted.random) < _MOST_NOISE:
+            noise.append(gain)
+            fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
+            continue
+        full = len(rounds) >= most
+        rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
+        if best is None or best.fit is None or full:
+            break
+        # believe it: robust weights are taken anew, because what looked like outliers may be explained now
+        fitted = _again(best.fit, clocks, best.fit.effects, random=best.fit.random)
+    bursts = slip_bursts(fitted)
+    if bursts is not None:
+        noise.append(RandomGain(bursts, _PLAIN_NATS))
+    fitted = _without_idlers(fitted, clocks, {e.name for e in start})
+    return Learned(clocks, tuple(rounds), tuple(noise), tuple(unknown), fitted, ten_second_error(fitted))
+
+
+def _wandering(fitted: Fit, believed: Array, best: Candidate | None, unknown: Sequence[Unknown]) -> RandomGain | None:
+    """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one."""
+    gains = random_gains(fitted, believed)
+    if not gains:
+        return None
+    price = 0.5 * float(np.log(len(fitted.problem.nodes)))
+    rivals = [best.gain] if best is not None else []
+    rivals += [u.nats - price * len(u.curve) for u in unknown]
+    return gains[0] if gains[0].nats > max(rivals, default=0.0) + ALTERNATIVE_NATS else None
+
+
+def _again(fitted: Fit, clocks: Clocks, effects: Sequence[Effect], random: Sequence[Effect]) -> Fit:
+    """Fit the same recordings again, from where a fit has come to."""
+    problem = fitted.problem
+    return fit(
+        problem.recordings,
+        effects,
+        clocks=problem.clocks,
+        free_clocks=clocks.free,
+        approach=problem.approach,
+        start=fitted.noise.free,
+        random=random,
+    )
+
+
+def _without_idlers(fitted: Fit, clocks: Clocks, keep: set[str]) -> Fit:
+    """Drop effects that the later ones have made idle: a Wald test first, because refits cost time."""
+    while fitted.effects:
+        idle = [name for name, gain in _wald(fitted).items() if gain < _DROP_NATS and name not in keep]
+        if not idle:
+            return fitted
+        kept = [e for e in fitted.effects if e.name != idle[0]]
+        fitted = _again(fitted, clocks, kept, random=fitted.random)
+    return fitted
+
+
+def _wald(fitted: Fit) -> dict[str, float]:
+    """Return about how many nats each effect is worth, weakest first."""
+    worth = {}
+    position = 0
+    for effect in fitted.effects:
+        own = amplitudes(effect)
+        rows = slice(position, position + len(own))
+        position += len(own)
+        away = np.array([getattr(effect, p.name) - p.identity for p in own])
+        covariance = fitted.noise.theta_covariance[rows, rows]
+        worth[effect.name] = 0.5 * float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+    return dict(sorted(worth.items(), key=lambda pair: pair[1]))

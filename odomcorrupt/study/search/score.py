@@ -1,0 +1,219 @@
+"""Score tests: which effect would explain what is left, each tried at its identity on the fitted model.
+
+One whitened column per parameter; an effect of two parameters is tested as a group. Two gates guard against false
+names: the plain chi-square, Bonferroni-corrected over the library (right when the noise model is right), and a
+moderated cluster-robust F (right when it is not: the sum over blocks of the run shows how much a score really varies;
+few blocks borrow strength from the others, as limma does for few arrays).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as fisher_f
+
+from odomcorrupt.effects.effect import parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+
+__all__ = ["ColumnScore", "Score", "best_member", "block_of", "score_columns", "score_tests"]
+
+_SEPARABLE = 0.02
+"""A column that loses all but this part of its length to what is believed already cannot be told from it."""
+_PRIOR_DOF = 20.0
+_REFINEMENTS = (0.4, 0.2, 0.1)
+_WORTH_NATS = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnScore:
+    """What the residual says about a group of columns.
+
+    estimate, standard_error : (p,) of their factors, to first order, errors made robust
+    statistic : chi-square with p degrees under the fitted model
+    inflation : by how much the score varies more between blocks than the model says, at least 1
+    p : probability of such a score anywhere in the family without any effect, by the worse of both gates
+    separable : whether the group can be told from what is believed already at all
+    held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
+    """
+
+    estimate: Array
+    standard_error: Array
+    statistic: float
+    inflation: float
+    p: float
+    separable: bool
+    held_out_nats: float
+    held_out_error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score(ColumnScore):
+    """What the residual says about one effect; the factors are its parameters."""
+
+    effect: Effect
+
+
+def block_of(fit: Fit) -> NDArray[np.int64]:
+    """Return the block (K,) each interval belongs to: stretches of time, never across runs, about 15 s each."""
+    nodes, run = fit.problem.nodes, fit.problem.run
+    total = float(np.sum(nodes.end_s - nodes.start_s))
+    wanted = int(np.clip(total / 15.0, 20, 60))
+    length = total / wanted
+    within = np.concatenate([_elapsed(nodes.end_s[run == r], length) for r in np.unique(run)])
+    block: NDArray[np.int64] = np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
+    return block
+
+
+def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
+    index: NDArray[np.int64] = ((end_s - end_s[0]) / length).astype(np.int64)
+    return index
+
+
+def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list[Score]:
+    """Test every candidate effect at its present values (usually the identity) on a fitted model.
+
+    Parameters
+    ----------
+    fit : the fitted model
+    candidates : the family of effects
+    believed : (K, 3, q)
+        Columns of what is believed already; candidates are tested beside them.
+
+    """
+    scores = score_columns(fit, [fit.problem.columns(effect) for effect in candidates], believed)
+    return [Score(effect=effect, **asdict(score)) for effect, score in zip(candidates, scores, strict=True)]
+
+
+def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[ColumnScore]:
+    """Test a family of groups of columns (K, 3, p), each beside what is believed (K, 3, q)."""
+    whiten = fit.noise.whitener.whiten
+    r = fit.noise.innovations
+    known = whiten(believed) if believed.shape[2] else np.zeros((len(r), 0))
+    basis = np.linalg.qr(known)[0] if known.shape[1] else known
+    r = r - basis @ (basis.T @ r)
+    block = np.repeat(block_of(fit), 3)
+    tests = []
+    for group in groups:
+        raw = whiten(group)
+        tests.append(_test(r, raw - basis @ (basis.T @ raw), raw, block))
+    usable = [t for t in tests if t.separable]
+    # the family's common opinion on how much scores vary between blocks
+    weights = np.array([t.dof for t in usable])
+    shared = max(float(np.sum(weights * [t.variance for t in usable]) / weights.sum()), 1.0) if usable else 1.0
+    return [_judged(t, shared, len(usable)) for t in tests]
+
+
+def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
+    """Return the shape that explains most of what is left: the best of a family, then refined step by step."""
+    if len(family) == 1:
+        return family[0]
+    whiten = fit.noise.whitener.whiten
+    r = fit.noise.innovations
+    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
+    r = r - basis @ (basis.T @ r)
+
+    def gain(effect: Effect) -> float:
+        column = whiten(fit.problem.columns(effect))
+        column = column - basis @ (basis.T @ column)
+        if not column.any():
+            return 0.0
+        return float((column @ np.linalg.lstsq(column, r, rcond=None)[0]) @ r)
+
+    gains = [gain(effect) for effect in family]
+    best, most = family[int(np.argmax(gains))], max(gains)
+    shapes = [p for p in parameters(best) if not p.amplitude]
+    for fraction in _REFINEMENTS:
+        better = True
+        while better:
+            better = False
+            for p in shapes:
+                for step in (-fraction * p.typical, fraction * p.typical):
+                    value = float(np.clip(getattr(best, p.name) + step, p.low, p.high))
+                    moved = replace(best, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
+                    if (new := gain(moved)) > most + _WORTH_NATS:
+                        best, most, better = moved, new, True
+    return best
+
+
+@dataclass(frozen=True, slots=True)
+class _Test:
+    estimate: Array
+    covariance: Array
+    statistic: float
+    variance: float
+    dof: float
+    separable: bool
+    held_out: Array
+
+
+def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Test:
+    count = column.shape[1]
+    normal = column.T @ column
+    own = np.einsum("ij,ij->j", raw, raw)
+    kept = np.diag(normal) > _SEPARABLE**2 * np.maximum(own, 1e-300)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    condition = np.linalg.cond(normal / np.outer(scale, scale)) if kept.all() else np.inf
+    if condition > 1e8:
+        nothing = np.full(count, np.nan)
+        return _Test(nothing, np.zeros((count, count)), 0.0, 1.0, 1.0, separable=False, held_out=np.zeros(2))
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    estimate = covariance @ (column.T @ r)
+    best = column @ estimate
+    statistic = float(best @ r)
+    blocks = int(block.max()) + 1
+    length = np.sqrt(max(float(best @ best), 1e-300))
+    unit = best / length
+    z = float(unit @ r)
+    s = np.bincount(block, unit * r, blocks)
+    a = np.bincount(block, unit * unit, blocks)
+    variance = float(np.sum((s - a * z) ** 2 / np.maximum(1.0 - a, 1e-6)))
+    dof = max(float(1.0 / np.sum(a**2) - 1.0), 0.5)
+    held_out = _held_out(r, column, block, blocks)
+    return _Test(estimate, covariance, statistic, variance, dof, separable=True, held_out=held_out)
+
+
+def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) -> Array:
+    """Return the gain (nats) of each block when the estimate comes from all the others."""
+    by_block = np.array([(column[block == b].T @ column[block == b]).ravel() for b in range(blocks)])
+    score = np.array([column[block == b].T @ r[block == b] for b in range(blocks)])
+    count = column.shape[1]
+    normal = by_block.reshape(blocks, count, count)
+    gains = np.zeros(blocks)
+    for b in range(blocks):
+        rest = normal.sum(axis=0) - normal[b]
+        theta = np.linalg.lstsq(rest, score.sum(axis=0) - score[b], rcond=None)[0]
+        gains[b] = theta @ score[b] - 0.5 * theta @ normal[b] @ theta
+    return gains
+
+
+def _judged(test: _Test, shared: float, family: int) -> ColumnScore:
+    count = len(test.estimate)
+    inflation = max(1.0, (_PRIOR_DOF * shared + test.dof * test.variance) / (_PRIOR_DOF + test.dof))
+    if test.separable:
+        plain = chi2.sf(test.statistic, count)
+        robust = fisher_f.sf(test.statistic / (count * inflation), count, _PRIOR_DOF + test.dof)
+        p = min(1.0, family * float(max(plain, robust)))
+    else:
+        p = 1.0
+    gains = test.held_out
+    return ColumnScore(
+        estimate=test.estimate,
+        standard_error=np.sqrt(np.diag(test.covariance) * inflation),
+        statistic=test.statistic,
+        inflation=inflation,
+        p=p,
+        separable=test.separable,
+        held_out_nats=float(gains.sum()),
+        held_out_error=float(np.std(gains, ddof=1) * np.sqrt(len(gains))),
+    )
