@@ -122,7 +122,7 @@ def run(args: Sequence[str]) -> int:
         error.show()
         return error.exit_code
     except click.ClickException as error:
-        _say(f"{error.format_message().replace(chr(10), ' ')} (see odomcorrupt --help)")
+        _say(f"{error.format_message().replace(chr(10), ' ')} (see {_path(args)} --help)")
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return 130
@@ -131,6 +131,12 @@ def run(args: Sequence[str]) -> int:
             _say(str(error).replace("\n", " "))
         return 1
     return result if isinstance(result, int) else 0
+
+
+def _path(args: Sequence[str]) -> str:
+    """Return what to type before --help."""
+    named = args and args[0] in _names() and args[0] != DEFAULT
+    return f"odomcorrupt {args[0]}" if named else "odomcorrupt"
 
 
 def _say(sentence: str) -> None:

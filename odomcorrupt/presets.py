@@ -36,7 +36,7 @@ PRESETS: Mapping[str, Preset] = {
         Preset(
             DEFAULT,
             Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)),
-            "our judgement of an indoor wheeled robot: about 4 deg of heading and 0.2 m along after 10 m",
+            "our judgement of an indoor wheeled robot: about 3.6 deg of heading and 0.16 m along after 10 m straight",
         ),
         Preset(
             "article",

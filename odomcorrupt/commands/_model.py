@@ -35,6 +35,24 @@ class Chosen:
     origin: str
 
 
+def _complete_laws(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    from odomcorrupt.laws import LAWS
+
+    return [name for name in LAWS if name.startswith(incomplete)]
+
+
+def _complete_presets(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    from odomcorrupt.presets import PRESETS
+
+    return [name for name in PRESETS if name.startswith(incomplete)]
+
+
+def _complete_effects(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
+    from odomcorrupt.effects import registry
+
+    return [name for name in registry() if name.startswith(incomplete)]
+
+
 def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of `choose_model`."""
     for option in (
@@ -48,11 +66,17 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--model", type=click.Path(dir_okay=False, path_type=Path), help="Motion model, as `fit` writes it."
         ),
         click.option(
-            "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...", help="Systematic error (repeatable)."
+            "--effect",
+            "effects",
+            multiple=True,
+            metavar="NAME:KEY=VALUE,...",
+            shell_complete=_complete_effects,
+            help="Systematic error (repeatable).",
         ),
         click.option(
             "--preset",
             metavar="NAME",
+            shell_complete=_complete_presets,
             help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
             "[default: typical]",
         ),
@@ -67,6 +91,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--law",
             metavar="NAME",
+            shell_complete=_complete_laws,
             help="What A1... mean: diffusion, linear, quadratic, velocity, omni. [default: diffusion]",
         ),
         click.option(

@@ -1,0 +1,59 @@
+"""odomcorrupt presets: the ready-made numbers, and where they come from."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from odomcorrupt.presets import Preset
+
+__all__ = ["command"]
+
+
+@click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres and radians.")
+def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click passes flags so
+    """List the presets with law, numbers and source, or print one of them as a model file, to edit and to add effects.
+
+    The numbers are alpha1, alpha2, ...; what they mean depends on the law.
+    """
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.model import MotionModel
+    from odomcorrupt.modelfile import format_model
+    from odomcorrupt.presets import PRESETS, preset_named
+
+    if name is None:
+        chosen = list(PRESETS.values())
+        click.echo(
+            json.dumps({"schema": 1, "presets": [_values(p) for p in chosen]}, indent=2)
+            if as_json
+            else "\n".join(_lines(p) for p in chosen)
+            + "\nodomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
+        )
+        return
+    try:
+        preset = preset_named(name)
+    except ModelError as error:
+        raise click.UsageError(str(error)) from error
+    source = {"preset": preset.name, "from": preset.source}
+    text = format_model(MotionModel(preset.noise, source=source))
+    click.echo(json.dumps({"schema": 1} | _values(preset), indent=2) if as_json else text, nl=as_json)
+
+
+def _values(preset: Preset) -> dict[str, Any]:
+    import dataclasses
+
+    noise = preset.noise
+    numbers = dataclasses.asdict(noise.coefficients)
+    shown = {key: value for key, value in numbers.items() if value or key in noise.law.alphas}
+    return {"name": preset.name, "law": noise.law_name, "coefficients": shown, "source": preset.source}
+
+
+def _lines(preset: Preset) -> str:
+    values = _values(preset)
+    numbers = "  ".join(f"{key} {value:.4g}" for key, value in values["coefficients"].items())
+    return f"{preset.name}\n  law {values['law']}: {numbers}\n  {preset.source}\n"
