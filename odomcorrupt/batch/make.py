@@ -14,7 +14,8 @@ from odomcorrupt.batch.job import Task
 from odomcorrupt.batch.portion import LateTopic, portions
 from odomcorrupt.batch.robots import drawn_values
 from odomcorrupt.batch.shared import SharedTransform
-from odomcorrupt.batch.sinks import Fan, FullSink, OverlaySink, Rests, SplitSink
+from odomcorrupt.batch.sinks import Fan, FullSink, OverlaySink
+from odomcorrupt.batch.split import Rests, SplitSink
 from odomcorrupt.batch.strand import Strand
 from odomcorrupt.batch.tum import TumSink
 from odomcorrupt.corrupt.additions import CorrectionEdge
@@ -93,7 +94,7 @@ def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part
             stack.enter_context(one.sink)
     keep, paths = job.output == "full", job.output == "trajectories"
     writers = [one.sink.writer for one in every if isinstance(one.sink, FullSink | SplitSink)]
-    adds = Fan(writers) if writers and job.options.keep_truth is not None else None
+    adds: Any = Fan(writers) if writers and job.options.keep_truth is not None else None
     for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=adds):
         for one in every:
             one.strand.grow(portion.growth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batch.book import BatchError
 from odomcorrupt.batch.job import Job
 from odomcorrupt.batch.robots import spreads_of, stated_spreads
@@ -57,8 +58,11 @@ def plan(
     stated = frozenset[str]() if model_file is None else stated_spreads(model_file)
     jobs = []
     for source in inputs:
-        if split and (source.is_dir() or source.suffix == ".db3"):
-            raise BatchError(f"{source}: has no chunks that --layout split could part; name an MCAP or .bag file")
+        if split and _is_sqlite(source, container):
+            raise BatchError(
+                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
+                "again; leave --layout out"
+            )
         for variant in variants(model, sweeps):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
@@ -79,3 +83,8 @@ def plan(
                 )
             )  # fmt: skip
     return jobs
+
+
+def _is_sqlite(source: Path, container: Container) -> bool:
+    with open_reader(source, recover=container.recover) as reader:
+        return reader.kind == "sqlite3"

@@ -114,8 +114,8 @@ def measure(directory: Path) -> SpreadReport:
 
 def _quiet(model: MotionModel, clean: TumPath) -> Knots:
     """Return the path that the effects alone make, with the sums of the noise's variances along it."""
-    path = NoisyPath(model, 0, 0)
-    path._rng = _Quiet()  # type: ignore[assignment]  # noqa: SLF001 - the same path with no luck, good or bad
+    # the same path with no luck, good or bad
+    path = NoisyPath(model, 0, 0, normals=_Quiet())
     return path.feed(clean.stamps_ns, clean.xyt)
 
 

@@ -7,8 +7,11 @@ import shlex
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from test_batch_bytes import BAGS, bytes_of, messages_of
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -62,6 +65,51 @@ def test_split_has_the_messages_of_full_with_what_is_added(name, options, here):
     assert apart.keys() == whole.keys()
     for topic, messages in whole.items():
         assert sorted(apart[topic]) == sorted(messages)
+
+
+def halves(directory):
+    """Make a ROS 2 bag of two MCAP files of the office."""
+    directory.mkdir()
+    with (FIXTURES / "office.mcap").open("rb") as stream:
+        messages = list(make_reader(stream).iter_messages())
+    middle = len(messages) // 2
+    for number, some in enumerate((messages[:middle], messages[middle:])):
+        with (directory / f"half_{number}.mcap").open("wb") as stream:
+            writer = Writer(stream, chunk_size=1 << 14)
+            writer.start("ros2")
+            ids = {}
+            for schema, channel, message in some:
+                if channel.topic not in ids:
+                    known = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    # ids that differ from file to file
+                    if number and not ids:
+                        writer.register_channel("/first", channel.message_encoding, known)
+                    ids[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, known)
+                writer.add_message(ids[channel.topic], message.log_time, message.data, message.publish_time)
+            writer.finish()
+
+
+@pytest.mark.parametrize("options", [[], OPTIONS["all"]])
+def test_split_parts_every_file_of_a_directory(options, here):
+    halves(here / "two")
+    for layout in ("same", "split"):
+        assert run(["batch", "two", layout, "--runs", "2", *NOISE, *options, "--layout", layout]) == 0
+    assert run(["two", "alone", *NOISE, *options, "--run", "1"]) == 0
+    assert bytes_of(here / "alone") == bytes_of(here / "same" / "run_000001")
+    for file in ("half_0.mcap", "half_1.mcap"):
+        apart, whole = (messages_of(here / layout / "run_000001" / file) for layout in ("split", "same"))
+        assert {topic: sorted(one) for topic, one in apart.items()} == {t: sorted(one) for t, one in whole.items()}
+    with open_reader(here / "split" / "run_000001" / "half_1.mcap") as reader:
+        odom = {c.id for c in reader.channels.values() if c.topic == "/odom"}
+        topics = {c.id: c.topic for c in reader.channels.values()}
+        held = [set(block.table["channel"].tolist()) for block in reader.blocks() if len(block.table)]
+    assert {topics[one] for some in held if some & odom for one in some} <= {"/odom", "/tf", "/odom_true"}
+
+
+def test_split_of_sqlite3_is_refused_and_says_why(here, capsys):
+    assert run(["batch", "office_ros2", "runs", "--runs", "1", *NOISE, "--layout", "split"]) == 1
+    assert "sqlite3 has no chunks" in capsys.readouterr().err
+    assert not (here / "runs").exists()
 
 
 @pytest.mark.parametrize("flag", [["--keep-truth", "/true"], OPTIONS["correction"]])

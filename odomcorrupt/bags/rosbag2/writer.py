@@ -45,6 +45,11 @@ class Rosbag2Writer:
         self._own = [{number: own for own, number in reversed(numbers.items())} for numbers in reader.numbers]
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
 
+    @property
+    def files(self) -> list[SqliteWriter | McapWriter]:
+        """The writers of the files, once the bag is open."""
+        return self._writers
+
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
         definition = self._reader.definition(like)
