@@ -1,10 +1,13 @@
 """What is whole of a damaged bag is saved, and what is not is said."""
 
 import io
+import shutil
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
-from oracles import OFFICE_BAG, OFFICE_MCAP, SHARED, copy, mcap_messages, mcap_record_places, ros1_messages
+from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, SHARED, copy, mcap_messages, mcap_record_places, ros1_messages
 from test_ros1 import packed, records
 
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -101,3 +104,72 @@ def test_the_unindexed_recording_is_read(tmp_path):
     losses = recover(source, tmp_path / "out.bag")
     assert len(ros1_messages(tmp_path / "out.bag")) == 608
     assert losses == []
+
+
+OFFICE_DB = FIXTURES / "office_ros2" / "office_ros2.db3"
+
+
+def rows_of(path):
+    with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
+        assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        return set(connection.execute("SELECT id, topic_id, timestamp, data FROM messages"))
+
+
+@pytest.mark.parametrize("directory", [False, True])
+@pytest.mark.parametrize(("harm", "least"), [("cut", 0.55), ("pages", 0.9), ("nothing", 1.0)])
+def test_a_damaged_sqlite3_keeps_the_rows_of_its_whole_pages(directory, harm, least, tmp_path):
+    data = bytearray(OFFICE_DB.read_bytes())
+    if harm == "cut":
+        del data[int(0.6 * len(data)) :]
+    elif harm == "pages":
+        for share in (0.3, 0.5, 0.7):
+            at = int(share * len(data)) // 4096 * 4096
+            data[at : at + 4096] = b"\xff" * 4096
+    source = tmp_path / ("in" if directory else "in.db3")
+    if directory:
+        shutil.copytree(OFFICE_DB.parent, source)
+        (source / OFFICE_DB.name).write_bytes(data)
+    else:
+        source.write_bytes(data)
+    if harm != "nothing":
+        with pytest.raises(BagError, match="--recover saves what is whole"):
+            copy(source, tmp_path / f"no{source.suffix}")
+    out = tmp_path / f"out{source.suffix}"
+    losses = recover(source, out)
+    everything, saved = rows_of(OFFICE_DB), rows_of(out / OFFICE_DB.name if directory else out)
+    assert saved <= everything
+    assert len(saved) >= least * len(everything)
+    assert bool(losses) == (harm != "nothing")
+    if directory and harm != "nothing":
+        assert f"message_count: {len(saved)}\n" in (out / "metadata.yaml").read_text()
+
+
+def test_a_record_that_lies_about_its_length_costs_itself_alone(tmp_path):
+    data = bytearray(OFFICE_MCAP.read_bytes())
+    chunks = [place for place in mcap_record_places(data) if place[0] == 6]
+    for number, claim in ((2, 2**40), (5, 100)):
+        data[chunks[number][1] + 1 : chunks[number][1] + 9] = claim.to_bytes(8, "little")
+    (tmp_path / "in.mcap").write_bytes(data)
+    losses = recover(tmp_path / "in.mcap", tmp_path / "out.mcap")
+    assert any(f"byte {chunks[2][1]}" in loss for loss in losses)
+    with open_reader(OFFICE_MCAP) as reader:
+        counts = [len(block.table) for block in reader.blocks() if block.raw.kind == "chunk"]
+    saved, everything = mcap_messages(tmp_path / "out.mcap"), mcap_messages(OFFICE_MCAP)
+    assert set(saved) < set(everything)
+    assert len(saved) == len(everything) - counts[2] - counts[5]
+
+
+@pytest.mark.parametrize("codec", ["none", "lz4", "bz2"])
+def test_the_last_chunk_of_a_cut_ros1_bag_keeps_its_whole_messages(codec, tmp_path):
+    whole = copy(OFFICE_BAG, tmp_path / "whole.bag", compression=codec)
+    data = whole.read_bytes()
+    at = data.index(b"compression=", len(data) // 2)
+    (tmp_path / "in.bag").write_bytes(data[: at + 60_000])
+    losses = recover(tmp_path / "in.bag", tmp_path / "out.bag")
+    (tmp_path / "before.bag").write_bytes(data[: at - 4])
+    recover(tmp_path / "before.bag", tmp_path / "less.bag")
+    saved, less = ros1_messages(tmp_path / "out.bag"), ros1_messages(tmp_path / "less.bag")
+    assert set(saved) <= set(ros1_messages(OFFICE_BAG))
+    assert "truncated in a chunk" in losses[0]
+    # bz2 gives nothing before a block of 900 kB is whole
+    assert len(saved) > len(less) or codec == "bz2"

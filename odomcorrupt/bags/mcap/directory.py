@@ -81,7 +81,7 @@ class Directory:
 
     def take_records(self, written: NDArray[np.uint32]) -> bytes:
         """Return the schema and channel records that must precede messages of these written ids."""
-        needed = self._waiting.intersection(np.unique(written).tolist()) if self._waiting else set()
+        needed = self._waiting.intersection(written.tolist()) if self._waiting else set()
         self._waiting -= needed
         return b"".join(self._pack_schema_of(one) + self._channels[one].pack() for one in sorted(needed))
 

@@ -50,7 +50,7 @@ class Sequences:
     def take(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """Return numbers for messages (n,) of these channels."""
         numbers = np.empty(channels.size, dtype=np.uint32)
-        for channel in np.unique(channels).tolist():
+        for channel in set(channels.tolist()):
             own = np.flatnonzero(channels == channel)
             first = self._next.get(channel, 0)
             numbers[own] = np.arange(first, first + own.size)

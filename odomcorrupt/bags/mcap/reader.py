@@ -259,7 +259,7 @@ class McapReader:
         return block
 
     def _require_channels(self, table: NDArray[np.void], what: str) -> None:
-        unknown = set(np.unique(table["channel"]).tolist()) - self.channels.keys()
+        unknown = set(table["channel"].tolist()) - self.channels.keys()
         if unknown:
             raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
 

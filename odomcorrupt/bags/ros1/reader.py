@@ -229,7 +229,7 @@ class Ros1Reader:
         contents = read_contents(data, chunk.indexes, chunk.what)
         for header, fields in contents.connections:
             self._learn(header, fields)
-        unknown = set(np.unique(contents.table["channel"]).tolist()) - self.channels.keys()
+        unknown = set(contents.table["channel"].tolist()) - self.channels.keys()
         if unknown:
             raise BagError(f"{chunk.what}: messages of connection {min(unknown)}, which is not defined; damaged bag")
         return Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))

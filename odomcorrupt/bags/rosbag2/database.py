@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "reported"]
 
 MAGIC: Final = b"SQLite format 3\0"
+_LEAST_BYTES = 1 << 20
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
@@ -53,7 +54,7 @@ def reported(path: Path) -> Iterator[None]:
         yield
     except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
         raise BagError(
-            f"{path}: sqlite3 says {error}; the bag is truncated or damaged, `sqlite3 FILE .recover` may save rows"
+            f"{path}: sqlite3 says {error}; the bag is truncated or damaged; --recover saves what is whole"
         ) from error
 
 
@@ -63,11 +64,22 @@ def has_log(path: Path) -> bool:
     return log.exists() and log.stat().st_size > 0
 
 
-def read_only(path: Path) -> sqlite3.Connection:
-    """Open a file without writing anything, not even the lock files that sqlite leaves beside a log."""
-    _require_whole(path)
+def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
+    """Open a file without writing anything, not even the lock files that sqlite leaves beside a log.
+
+    whole : refuse one that is shorter than it says
+    """
+    if whole:
+        _require_whole(path)
     mode = "mode=ro" if has_log(path) else "immutable=1"
-    return sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
+    connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
+    # No message is larger than its file, whatever it claims.
+    size = path.stat().st_size + (path.with_name(path.name + "-wal").stat().st_size if has_log(path) else 0)
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, _LEAST_BYTES))
+    if not whole:
+        # With this sqlite reads what there is of a file that was cut; nothing is ever written.
+        connection.execute("PRAGMA writable_schema = ON")
+    return connection
 
 
 def columns(connection: sqlite3.Connection, table: str) -> list[str]:
@@ -133,6 +145,6 @@ def _require_whole(path: Path) -> None:
     size = (65536 if page == 1 else page) * pages
     if changes == valid_for and path.stat().st_size < size and not has_log(path):
         raise BagError(
-            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, `sqlite3 FILE "
-            ".recover` may save rows"
+            f"{path}: has {path.stat().st_size} bytes, its header says {size}; it is truncated, --recover "
+            "saves what is whole"
         )

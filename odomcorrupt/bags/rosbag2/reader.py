@@ -121,5 +121,5 @@ def open_part(path: Path, *, recover: bool = False) -> SqliteReader | McapReader
         raise
     source.close()
     if begin == SQLITE_MAGIC:
-        return SqliteReader(path)
+        return SqliteReader(path, recover=recover)
     raise BagError(f"{path}: begins with {begin[:8]!r}, which is neither sqlite3 nor MCAP")

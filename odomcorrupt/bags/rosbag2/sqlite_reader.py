@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
 from odomcorrupt.bags.rosbag2.database import Topic, read_only, read_topics, reported
+from odomcorrupt.bags.rosbag2.salvage import salvaged_rows, whole_pages
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    import sqlite3
     from collections.abc import Container, Iterator, Mapping
-    from pathlib import Path
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -41,18 +42,27 @@ class SqliteFraming:
 
 
 class SqliteReader:
-    """One .db3 file."""
+    """One .db3 file.
+
+    readable : the file, or what is whole of one that was cut within a page
+    damaged : whether sqlite3 finds fault with it; looked at where recovery was asked for
+    losses : what could not be read, one sentence each, where recovery was asked for
+    """
 
     kind: Kind = "sqlite3"
     complete = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, recover: bool = False) -> None:
         self.name = str(path)
         self.path = path
         self.paths = [path]
-        self.losses: list[str] = []  # sqlite recovers by itself or not at all
-        with reported(path), closing(read_only(path)) as connection:
+        self.losses: list[str] = []
+        self._recover = recover
+        self._whole = whole_pages(path) if recover else None
+        self.readable = path if self._whole is None else Path(self._whole.name)
+        with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
             topics = read_topics(connection, path)
+            self.damaged = recover and not _sound(connection)
         self.channels: Mapping[int, Channel] = {
             topic.id: Channel(topic.id, topic.name, topic.type, topic.encoding, raw=topic) for topic in topics
         }
@@ -64,14 +74,21 @@ class SqliteReader:
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks in the order in which messages were recorded, of some channels or of all."""
-        with reported(self.path), closing(read_only(self.path)) as connection:
+        self.losses.clear()
+        with reported(self.path), closing(read_only(self.readable, whole=not self._recover)) as connection:
             rows: list[int] = []
             head: list[tuple[int, int]] = []
             data: list[bytes] = []
             size = 0
+            last = -(1 << 63)
             for row, channel, log_ns, blob in self._rows(connection, only):
+                if row <= last:
+                    # Pages that point at each other could be read for ever.
+                    raise BagError(f"{self.path}: message {row} comes behind message {last}; the bag is damaged")
+                last = row
                 if not isinstance(blob, bytes) or channel not in self.channels or not isinstance(log_ns, int):
-                    raise BagError(f"{self.path}: message {row} has no data or no topic; the bag is damaged")
+                    self._lose(f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged")
+                    continue
                 rows.append(row)
                 head.append((channel, log_ns))
                 data.append(blob)
@@ -82,7 +99,15 @@ class SqliteReader:
             if rows:
                 yield _block(rows, head, data)
 
-    def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> sqlite3.Cursor:
+    def _lose(self, sentence: str) -> None:
+        """Note what cannot be read, or give up where that was not asked for."""
+        if not self._recover:
+            raise BagError(f"{sentence}; --recover saves what is whole")
+        self.losses.append(sentence)
+
+    def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> Iterator[tuple[Any, ...]]:
+        if self.damaged:
+            return salvaged_rows(connection, str(self.path), self.losses)
         if only is None:
             return connection.execute("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid")
         wanted = json.dumps([one for one in self.channels if one in only])
@@ -98,7 +123,8 @@ class SqliteReader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        pass
+        if self._whole is not None:
+            self._whole.close()
 
 
 def _block(rows: list[int], head: list[tuple[int, int]], data: list[bytes]) -> Block:
@@ -108,3 +134,10 @@ def _block(rows: list[int], head: list[tuple[int, int]], data: list[bytes]) -> B
     table["offset"] = np.cumsum(table["length"]) - table["length"]
     joined = np.frombuffer(bytearray().join(data), dtype=np.uint8)
     return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), data))
+
+
+def _sound(connection: sqlite3.Connection) -> bool:
+    try:
+        return bool(connection.execute("PRAGMA quick_check(1)").fetchone()[0] == "ok")
+    except sqlite3.Error:
+        return False

@@ -13,6 +13,7 @@ from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.output import beside
 from odomcorrupt.bags.rosbag2.database import columns, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
+from odomcorrupt.bags.rosbag2.salvage import copy_tables
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader
 from odomcorrupt.errors import BagError
 
@@ -99,10 +100,21 @@ class SqliteWriter:
             if now != before:
                 changed.append((now, row))
         with reported(self._path):
-            self._connection.executemany("UPDATE messages SET data = ? WHERE rowid = ?", changed)
+            if self._reader.damaged:
+                self._insert_all(block, framing)
+            else:
+                self._connection.executemany("UPDATE messages SET data = ? WHERE rowid = ?", changed)
             self._connection.executemany(
                 "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
                 [(one.channel, one.log_ns, one.data) for one in block.added],
+            )
+
+    def _insert_all(self, block: Block, framing: SqliteFraming) -> None:
+        """Put a block's messages into a file that is made anew."""
+        for row, (channel, log_ns, offset, length) in zip(framing.rows.tolist(), block.table.tolist(), strict=True):
+            self._connection.execute(
+                "INSERT INTO messages (rowid, topic_id, timestamp, data) VALUES (?, ?, ?, ?)",
+                (row, channel, log_ns, block.data[offset : offset + length].tobytes()),
             )
 
     def contents(self) -> PartContents:
@@ -142,7 +154,13 @@ class SqliteWriter:
         return self
 
     def _begin(self) -> None:
-        if has_log(self._reader.path):
+        if self._reader.damaged:
+            with (
+                closing(read_only(self._reader.readable, whole=False)) as source,
+                closing(sqlite3.connect(self._partial, isolation_level=None)) as target,
+            ):
+                copy_tables(source, target)
+        elif has_log(self._reader.path):
             # Part of the data is in the log: only sqlite itself puts both together.
             with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)

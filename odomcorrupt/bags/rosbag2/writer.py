@@ -94,7 +94,7 @@ class Rosbag2Writer:
     def _metadata(self) -> str:
         """Return the text of metadata.yaml: the input's where nothing was added."""
         text = self._reader.metadata
-        if text is None:
+        if text is None or self._reader.losses:
             topics = [self._described(one) for one in [*self._reader.channels, *self._fresh]]
             parts = [writer.contents() for writer in self._writers]
             text = generated(self._reader.kind, parts, topics, "")
