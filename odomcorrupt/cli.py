@@ -57,7 +57,7 @@ class _Group(click.Group):
         """Let the first token decide: a command, a flag of the group, or else the default command."""
         if args and args[0] not in _names() and args[0] not in _OWN_FLAGS:
             if not ctx.resilient_parsing:
-                _suggest(args[0])
+                _suggest(args[0], alone=len(args) == 1)
             args = [DEFAULT, *args]
         return super().parse_args(ctx, args)
 
@@ -92,11 +92,15 @@ class _Group(click.Group):
         self.format_commands(ctx, formatter)
 
 
-def _suggest(word: str) -> None:
-    """Raise where a first token is neither a file nor an option, but nearly a command."""
+def _suggest(word: str, *, alone: bool) -> None:
+    """Raise where a first token is neither a file nor an option, but nearly a command, or all there is."""
+    if word.startswith("-") or Path(word).exists():
+        return
     near = difflib.get_close_matches(word, _names(), 1, 0.75)
-    if near and not Path(word).exists():
+    if near:
         raise click.UsageError(f"{word}: no such file, and no such command; did you mean {near[0]}?")
+    if alone:
+        raise click.UsageError(f"{word}: no such file, and no such command; name a command, or INPUT and OUTPUT")
 
 
 _HELP = """Make recorded odometry as wrong as a real robot's, and learn how wrong the real robot's is, and why.

@@ -194,7 +194,7 @@ def test_a_model_file_brings_noise_and_effects_and_alpha_overrides_its_noise(cor
     ("args", "sentence"),
     [
         (["--alpha", "1", "2", "3", "x"], "coefficient: 'x'; write a number"),
-        (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a finite number, zero or more"),
+        (["--alpha", "-1", "0", "0", "0"], "coefficient rot_rot: -1.0; it must be a number from zero to 1e+06"),
         (["--alpha", "1", "2", "3"], "alpha: 3 numbers; the law diffusion takes 4"),
         (["--alpha", "1", "2", "3", "4", "5"], "alpha: 5 numbers; the law diffusion takes 4"),
         (["--alpha", "1", "2", "3", "4", "5", "6", "--law", "omni"], "alpha: 6 numbers; the law omni takes 4 to 5"),

@@ -53,6 +53,19 @@ def test_a_preset_that_is_none_is_wrong_usage_of_this_command(capsys):
 
 
 @pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["nosuch"], "nosuch: no such file, and no such command; name a command, or INPUT and OUTPUT"),
+        ([OFFICE], "Missing argument 'OUTPUT'"),
+        (["presest"], "did you mean presets?"),
+    ],
+)
+def test_one_word_alone_is_told_what_it_is_not(words, sentence, capsys):
+    assert run(words) == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("words", "expected"),
     [
         ("odomcorrupt in.bag out.bag --law ", set(LAWS)),

@@ -44,6 +44,7 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
 
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.corrupt.path import NoisyPath
+    from odomcorrupt.corrupt.summary import per_message
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.preview.forecast import forecast, read_clean_drive
     from odomcorrupt.preview.text import forecast_json, forecast_text
@@ -72,7 +73,10 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
     if output is not None:
         from odomcorrupt.report.fan import draw_fan
 
-        save_picture(output, draw_fan(outlook, f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"))
+        title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
+        if per_message(chosen.model.noise) and outlook.rate_hz is not None:
+            title += f" at {outlook.rate_hz:.3g} Hz; at another message rate it does something else"
+        save_picture(output, draw_fan(outlook, title))
     return report_losses(losses)
 
 

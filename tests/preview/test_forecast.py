@@ -120,6 +120,10 @@ def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     assert picture.read_bytes().startswith(b"<?xml")
     assert run(["preview", office_bag, "--runs", "3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["runs"] == 3
+    assert b"message rate" not in picture.read_bytes()
+    rated = tmp_path / "rated.svg"
+    assert run(["preview", office_bag, "--runs", "3", "--preset", "article", "-o", str(rated)]) == 0
+    assert b"at 50 Hz; at another message rate" in rated.read_bytes()
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
     assert run(["preview", office_bag, "-o", str(picture)]) == 1
     assert "exists already" in capsys.readouterr().err
