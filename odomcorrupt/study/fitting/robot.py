@@ -11,6 +11,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.model import MotionModel, Noise, Setup
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
+from odomcorrupt.study.fitting.correlation import fit_correlation
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.intervals import Interval, coefficient_intervals
@@ -72,15 +73,18 @@ def fit_robot(
     if clocks is None:
         clocks = find_clocks(recordings, approach)
     fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
-    intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, clocks.free))
+    columns = believed_columns(fitted.problem, clocks.free)
+    intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     error = ten_second_error(fitted)
     model = model_of(fitted, [e for e in effects if e.kind == "noise"])
+    own = {f"{effect.name}.{p.name}" for effect in model.effects for p in amplitudes(effect)}
     model = replace(
         model,
         noise=replace(model.noise, step=start.noise.step if start is not None else None),
         track_m=model.track_m if model.track_m is not None or start is None else start.track_m,
         standard_errors=errors | dict(model.standard_errors),
+        correlation=fit_correlation(fitted, columns, own | errors.keys()),
         source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
     )
     return RobotFit(model, fitted, clocks, tuple(intervals), error)

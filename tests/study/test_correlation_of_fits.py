@@ -1,0 +1,63 @@
+"""The correlations that a fit tells are those that its estimates show when the recording is made anew."""
+
+from __future__ import annotations
+
+import numpy as np
+from wandering import RATE_HZ, noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.increments import Increments
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.modelfile import format_model, parse_model
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.correlation import fit_correlation
+from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
+from odomcorrupt.study.fitting.robot import fit_robot
+
+PLANTED = Coefficients(0.04, 0.03, 0.04, 0.02)
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
+
+
+def left_arcs(duration_s=90.0):
+    """A drive of left curves, some narrower: track and straightness are hard to tell apart."""
+    n = int(duration_s * RATE_HZ)
+    t = np.arange(n) / RATE_HZ
+    v, omega = 0.5 + 0.1 * np.sin(t / 3.0), 0.4 + 0.12 * np.sin(t / 7.0)
+    return Increments(v / RATE_HZ, np.zeros(n), omega / RATE_HZ)
+
+
+def test_told_correlations_are_those_of_many_fits():
+    steps = left_arcs()
+    effects = [effect_from_values(name, {}) for name in ("wheelbase", "unequal_wheels")]
+    estimates, told = [], []
+    for seed in range(40):
+        run = recording(steps, noisy_path(steps, PLANTED, seed), truth_mm=1.0, truth_rad=0.001, seed=seed)
+        approach = choose_approach([run], "diffusion")
+        found = fit([run], effects, approach=approach)
+        k = found.noise.coefficients
+        estimates.append([found.effects[0].e, found.effects[1].curvature, *(getattr(k, name) for name in NAMES)])
+        known = {"wheelbase.e", "unequal_wheels.curvature", *NAMES}
+        one = fit_correlation(found, believed_columns(found.problem, [(False, False)]), known)
+        matrix = one.among(["wheelbase.e", "unequal_wheels.curvature", *NAMES])
+        if len(matrix) == 6:
+            told.append(matrix.matrix)
+    assert len(told) > 20
+    shown, told = np.corrcoef(np.array(estimates).T), np.median(told, axis=0)
+    assert told[0, 1] > 0.9
+    # of forty draws a correlation of 0 shows up to 0.35 either way
+    np.testing.assert_allclose(told, shown, atol=0.4)
+    assert abs(told[0, 1] - shown[0, 1]) < 0.05
+    assert not told[:2, 2:].any()
+
+
+def test_fitted_model_keeps_its_correlations_in_its_file():
+    steps = wander(3, 120.0)
+    run = recording(steps, noisy_path(steps, PLANTED, 3), seed=3)
+    model = fit_robot([run], [effect_from_values(name, {}) for name in ("wheel_scale", "lever_arm")],
+                      law_name="diffusion").model  # fmt: skip
+    names = model.correlation.names
+    assert "wheel_scale.e" in names
+    assert "trans_trans" in names
+    assert not any(name.startswith("lever_arm") for name in names)
+    again = parse_model(format_model(model))
+    assert set(again.correlation.names) == set(names)
