@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.correlation import Correlation
@@ -63,6 +62,8 @@ def read_model(path: Path) -> MotionModel:
 
 def parse_model(text: str) -> MotionModel:
     """Return the model written in TOML text."""
+    import tomllib  # noqa: PLC0415 - writing a model, which every bag's provenance is, needs none
+
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # a number of thousands of digits is no TOMLDecodeError

@@ -130,12 +130,12 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
         Where the map cannot be read, or nothing says where odom is in it.
 
     """
-    from odomcorrupt.mapping.recorded import read_odom_frame
-
     name = given["map_"]
     if name is None:
         _refuse_alone(given)
         return None
+    from odomcorrupt.mapping.recorded import read_odom_frame
+
     if options.keep_localisation:
         raise click.UsageError(
             "--map and --keep-localisation: with map -> base kept true nothing in the map is drawn; leave out one"

@@ -10,7 +10,6 @@ import importlib
 import pkgutil
 import warnings
 from functools import cache
-from importlib.metadata import entry_points
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -29,6 +28,9 @@ GROUP = "odomcorrupt.effects"
 @cache
 def registry() -> Mapping[str, type[Effect]]:
     """Return every effect class by name, in the order of their names."""
+    # slow to import, and corruption by noise alone needs no effect
+    from importlib.metadata import entry_points  # noqa: PLC0415
+
     found: dict[str, type[Effect]] = {}
     for info in pkgutil.iter_modules(__path__):
         module = importlib.import_module(f"{__name__}.{info.name}")
