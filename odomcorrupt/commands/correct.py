@@ -25,6 +25,12 @@ __all__ = ["command"]
     "--model", type=click.Path(dir_okay=False, path_type=Path), help="Motion model, as `fit` and `learn` write it."
 )
 @click.option("--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...", help="Systematic error (repeatable).")
+@click.option(
+    "--track",
+    type=float,
+    metavar="M",
+    help="Distance between the wheels, for effects of single wheels. [default: the model's]",
+)
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry to correct.")
 @click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
 @click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
@@ -71,7 +77,7 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
         corrected = correct_bag(
             Path(input_),
             None if output == "-" else Path(output),
-            _model(model, effects),
+            _model(model, effects, given["track"]),
             options=Options(
                 odom_topic=given["odom_topic"],
                 odom_frame=given["odom_frame"],
@@ -88,11 +94,11 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
     return 3 if corrected.losses else 0
 
 
-def _model(model: Path | None, effects: tuple[str, ...]) -> MotionModel:
+def _model(model: Path | None, effects: tuple[str, ...], track: float | None) -> MotionModel:
     """Return the model that the options describe; with none, one that has nothing in it."""
     from odomcorrupt.correct.run import SILENT
 
     if model is None and not effects:
         return SILENT
     nothing: dict[str, Any] = dict.fromkeys(("alpha", "law", "twist_noise", "step", "preset"))
-    return choose_model(**nothing, effects=effects, model=model).model
+    return choose_model(**nothing, effects=effects, model=model, track=track).model

@@ -122,6 +122,17 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
 
 
+def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, capsys):
+    wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    play = ["--effect", "backlash:travel=0.02"]
+    assert run([str(FIXTURES / "office.mcap"), str(wrong), *play, "--track", "0.4"]) == 0
+    assert run(["correct", str(wrong), str(right), *play]) == 1
+    assert "give it in metres with --track" in capsys.readouterr().err
+    assert run(["correct", str(wrong), str(right), *play, "--track", "0.4"]) == 0
+    was, off, back = (rows_of(path, "/odom").xyt for path in (FIXTURES / "office.mcap", wrong, right))
+    assert differ(back, was) < 0.2 * differ(off, was)
+
+
 def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
     start = rows_of(source, "/odom").xyt[0]
