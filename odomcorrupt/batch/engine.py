@@ -6,21 +6,23 @@ import importlib
 import multiprocessing
 import signal
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol
 
 from odomcorrupt.batch.book import BatchError, read_records, sweep_leftovers
 from odomcorrupt.batch.job import Task
 from odomcorrupt.batch.make import attempt
+from odomcorrupt.batch.pulse import PAUSE_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.batch.job import Job
     from odomcorrupt.batch.make import Failure
 
-__all__ = ["Shard", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
+__all__ = ["Audience", "Shard", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
 
 GROUP = 32
 """Runs of one pass at most: each holds an open file and a path of its own."""
@@ -65,38 +67,83 @@ def tasks_of(job: Job, runs: Sequence[int], workers: int) -> list[Task]:
     return [Task(job, tuple(runs[i : i + group])) for i in range(0, len(runs), group)]
 
 
-def run_local(tasks: Sequence[Task], jobs: int, told: Callable[[Task, list[Failure]], None]) -> None:
-    """Make tasks in this process, or in `jobs` others; `told` hears of each."""
+class Audience(Protocol):
+    """Whoever hears how tasks get on."""
+
+    shown: bool
+
+    def done(self, task: Task, failures: list[Failure]) -> None:
+        """Hear that a task is done."""
+
+    def under_way(self, task: Task, part: float | None, past_s: float) -> None:
+        """Hear how far a task's pass has got; only where `shown`."""
+
+
+def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
+    """Make tasks in this process, or in `jobs` others."""
     if jobs == 1:
         for task in tasks:
-            told(task, attempt(task))
+            audience.done(task, attempt(task, partial(audience.under_way, task) if audience.shown else None))
         return
     left = dict(enumerate(tasks))
     for _ in range(RESTARTS):
-        if not left:
-            return
-        with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), _unwind_when_killed) as pool:
-            futures = {pool.submit(attempt, task): number for number, task in left.items()}
-            try:
-                for future in as_completed(futures):
-                    told(left[futures[future]], future.result())
-                    del left[futures[future]]
-            except BrokenProcessPool:
-                continue
-            except BaseException:
-                for child in multiprocessing.active_children():
-                    child.terminate()
-                pool.shutdown(cancel_futures=True)
-                raise
+        if left:
+            _run_in_pool(left, jobs, audience)
     for task in left.values():
-        told(task, [(run, "the process that made it died each time") for run in task.runs])
+        audience.done(task, [(run, "the process that made it died each time") for run in task.runs])
 
 
-def _unwind_when_killed() -> None:
+def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
+    """Make tasks in processes, and take those that are done out of `left`; a worker that dies ends the pool."""
+    context = multiprocessing.get_context("spawn")
+    news = context.Queue() if audience.shown else None
+    with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
+        futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
+        try:
+            waiting = set(futures)
+            while waiting:
+                ready, waiting = wait(waiting, PAUSE_S if news is not None else None, FIRST_COMPLETED)
+                _pass_on(news, left, audience)
+                for future in ready:
+                    audience.done(left[futures[future]], future.result())
+                    del left[futures[future]]
+        except BrokenProcessPool:
+            return
+        except BaseException:
+            for child in multiprocessing.active_children():
+                child.terminate()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+_news: Any = None
+"""In a worker: where to tell how far it has got, None where nobody listens."""
+
+
+def _prepare_worker(news: Any) -> None:
+    global _news  # noqa: PLW0603 - a worker's own, set once
+    _news = news
+    if news is not None:
+        # what nobody reads any more must not keep a worker alive
+        news.cancel_join_thread()
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
 
 
-def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, told: Any) -> None:
+def _attempt_numbered(number: int, task: Task) -> list[Failure]:
+    """Make a task in a worker."""
+    if _news is None:
+        return attempt(task)
+    return attempt(task, lambda part, past_s: _news.put((number, part, past_s)))
+
+
+def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
+    while news is not None and not news.empty():
+        number, part, past_s = news.get()
+        if number in tasks:
+            audience.under_way(tasks[number], part, past_s)
+
+
+def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:
     """Make runs on the workers of a Dask cluster, which see the same files; a task whose worker died goes to another.
 
     Raises
@@ -122,7 +169,7 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, tol
             for future in distributed.as_completed(futures, loop=client.loop):
                 task = futures[future]
                 failed = future.exception()
-                told(task, future.result() if failed is None else [(run, str(failed)) for run in task.runs])
+                audience.done(task, future.result() if failed is None else [(run, str(failed)) for run in task.runs])
         except BaseException:
             client.cancel(list(futures))
             raise

@@ -12,6 +12,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batch.book import note, write_whole
 from odomcorrupt.batch.job import Task
 from odomcorrupt.batch.portion import LateTopic, portions
+from odomcorrupt.batch.pulse import Watched
 from odomcorrupt.batch.robots import drawn_values
 from odomcorrupt.batch.shared import SharedTransform
 from odomcorrupt.batch.sinks import Fan, FullSink, OverlaySink
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Message
     from odomcorrupt.batch.job import Job
     from odomcorrupt.batch.portion import Portion
+    from odomcorrupt.batch.pulse import Beat
     from odomcorrupt.batch.sinks import Sink
 
 __all__ = ["Failure", "attempt", "make"]
@@ -44,10 +46,16 @@ Failure = tuple[int, str]
 """A run, and why it could not be made."""
 
 
-def attempt(task: Task) -> list[Failure]:
-    """Make the runs of a task; where that fails, those that are missing once more, each alone."""
+def attempt(task: Task, beat: Beat | None = None) -> list[Failure]:
+    """Make the runs of a task; where that fails, those that are missing once more, each alone.
+
+    beat : hears how far the pass has got
+    """
     try:
-        make(task)
+        if beat is None:
+            make(task)
+        else:
+            make(task, lambda reader: Watched(reader, beat))
     except Exception:  # noqa: BLE001 - whatever ails one of many runs, the others are to be made
         return [failure for run in task.runs if (failure := _alone(task.job, run)) is not None]
     return []
@@ -63,7 +71,7 @@ def _alone(job: Job, run: int) -> Failure | None:
     return None
 
 
-def make(task: Task, part: Callable[[BagReader], BagReader] = lambda reader: reader) -> None:
+def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -> None:
     """Make the runs of a task in one pass.
 
     part : returns what is read of the input's reader, where that is not the whole

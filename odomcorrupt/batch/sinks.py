@@ -84,6 +84,8 @@ class BagSink:
 class Fan:
     """The writers of all runs, as one to add channels to."""
 
+    keeps_rest = False
+
     def __init__(self, writers: Sequence[BagWriter]) -> None:
         self._writers = writers
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.batch.engine import Shard
     from odomcorrupt.batch.estimate import Need
-    from odomcorrupt.batch.job import Job, Task
+    from odomcorrupt.batch.job import Job
     from odomcorrupt.batch.make import Failure
 
 __all__ = ["command"]
@@ -239,19 +239,13 @@ def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> l
     from odomcorrupt.batch.engine import run_local, run_on_dask, tasks_of
     from odomcorrupt.commands._rate import Rate
 
-    failures: list[Failure] = []
     with Rate(sum(len(runs) for _, runs in todo)) as rate:
-
-        def told(task: Task, failed: list[Failure]) -> None:
-            failures.extend(failed)
-            rate.add(len(task.runs))
-
         if given["dask"]:
-            run_on_dask(todo, given["dask"], told)
+            run_on_dask(todo, given["dask"], rate)
         else:
             tasks = [task for job, runs in todo for task in tasks_of(job, runs, given["jobs"])]
-            run_local(tasks, given["jobs"], told)
-    return failures
+            run_local(tasks, given["jobs"], rate)
+    return rate.failures
 
 
 def _collect(job: Job, runs: int) -> None:

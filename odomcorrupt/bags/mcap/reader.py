@@ -82,7 +82,7 @@ class McapReader:
         self.summary = Summary()
         self.losses: list[str] = []
         self._recover = recover
-        self._source = source
+        self._source = self._reading = source
         self._first_losses = 0
         try:
             self.header = self._read_header(source)
@@ -115,12 +115,18 @@ class McapReader:
         schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
         return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
 
+    @property
+    def part_read(self) -> float | None:
+        """Which part of the file's bytes the present pass has read, None where its size is not known."""
+        return self._reading.position / self._reading.size if self._reading.size else None
+
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._first_losses :]
         self._count = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
+                self._reading = source
                 source.seek(self._data_start)
                 yield from self._blocks(source)
         else:

@@ -56,7 +56,7 @@ class Ros1Reader:
         self.channels: Mapping[int, Channel] = self._channels
         self.losses: list[str] = []
         self._recover = recover
-        self._source = source
+        self._source = self._reading = source
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
@@ -101,12 +101,18 @@ class Ros1Reader:
         kept.pop("message_definition", None)
         return Definition(connection.type, "ros1msg", connection.fields.get("message_definition", b""), kept)
 
+    @property
+    def part_read(self) -> float | None:
+        """Which part of the file's bytes the present pass has read, None where its size is not known."""
+        return self._reading.position / self._reading.size if self._reading.size else None
+
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._header_losses :]
         self._count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
+                self._reading = source
                 source.seek(self._data_start)
                 yield from self._blocks(source)
         else:

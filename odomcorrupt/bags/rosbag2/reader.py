@@ -52,6 +52,7 @@ class Rosbag2Reader:
             if any(part.kind != self.kind for part in self.parts):
                 raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
             opened.pop_all()
+        self._reading = 0
         self.channels: Mapping[int, Channel] = self.parts[0].channels
         self.numbers: list[dict[int, int]] = []
         self._origins: dict[int, tuple[SqliteReader | McapReader, Channel]] = {}
@@ -67,9 +68,17 @@ class Rosbag2Reader:
         """What could not be read of the files, one sentence each."""
         return [loss for part in self.parts for loss in part.losses]
 
+    @property
+    def part_read(self) -> float | None:
+        """Which part of the files, each counted alike, the present pass has read; None where that is not known."""
+        now = self.parts[self._reading]
+        part = now.part_read if isinstance(now, McapReader) else None
+        return None if part is None else (self._reading + part) / len(self.parts)
+
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks, file after file."""
         for index, (part, numbers) in enumerate(zip(self.parts, self.numbers, strict=True)):
+            self._reading = index
             wanted = None if only is None else {own for own, number in numbers.items() if number in only}
             if len(self.parts) == 1:
                 yield from part.blocks(wanted)
