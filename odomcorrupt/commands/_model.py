@@ -226,14 +226,16 @@ def _model_of(noise: Noise) -> MotionModel:
 
 
 def _effect(text: str) -> Effect:
-    """Return the effect written as NAME:key=value,key=value; values may be degrees."""
-    from odomcorrupt.effects import effect_from_values, effect_named
+    """Return the effect written as NAME:key=value,key=value; values may be degrees, and NAME module.Class."""
+    from odomcorrupt.effects import effect_at, effect_named, effect_of
     from odomcorrupt.effects.effect import choices
     from odomcorrupt.errors import EffectError, ModelError
     from odomcorrupt.model import parse_alpha
 
     name, _, rest = text.partition(":")
-    words = choices(effect_named(name.strip()))
+    name = name.strip()
+    kind = effect_at(name) if "." in name else effect_named(name)
+    words = choices(kind)
     values: dict[str, float | str] = {}
     for part in rest.split(",") if rest else ():
         key, equals, value = part.partition("=")
@@ -243,4 +245,4 @@ def _effect(text: str) -> Effect:
             equals = ""
         if not equals:
             raise EffectError(f"--effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01")
-    return effect_from_values(name.strip(), values)
+    return effect_of(kind, values)

@@ -8,8 +8,10 @@ from __future__ import annotations
 import difflib
 import importlib
 import pkgutil
+import sys
 import warnings
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -19,7 +21,7 @@ from odomcorrupt.errors import EffectError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-__all__ = ["GROUP", "Effect", "effect_from_values", "effect_named", "registry"]
+__all__ = ["GROUP", "Effect", "effect_at", "effect_from_values", "effect_named", "effect_of", "registry"]
 
 GROUP = "odomcorrupt.effects"
 """Entry points of this group name effect classes of other packages."""
@@ -67,7 +69,41 @@ def effect_from_values(name: str, values: Mapping[str, float | str]) -> Effect:
         For an unknown effect or parameter (with the nearest name there is) or a value out of bounds.
 
     """
-    kind = effect_named(name)
+    return effect_of(effect_named(name), values)
+
+
+def effect_at(path: str) -> type[Effect]:
+    """Return the effect class at "module.Class", imported from Python's path or from the present folder.
+
+    Only what a person types may name code: a model file never does.
+
+    Raises
+    ------
+    EffectError
+        Where there is none.
+
+    """
+    module_name, _, class_name = path.rpartition(".")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # and there it stays: workers of a batch are told of the path, and load the class again
+    try:
+        kind = getattr(importlib.import_module(module_name), class_name, None)
+    except Exception as error:  # somebody else's code may fail in any way
+        raise EffectError(
+            f"effect {path}: {module_name} cannot be imported ({type(error).__name__}: {error}); it must be a module "
+            "of this folder or of an installed package"
+        ) from error
+    if not (isinstance(kind, type) and issubclass(kind, Effect) and "name" in vars(kind)):
+        raise EffectError(
+            f"effect {path}: is no effect; name a class made as docs/effects.md says, as in my_file.Wobble"
+        )
+    return kind
+
+
+def effect_of(kind: type[Effect], values: Mapping[str, float | str]) -> Effect:
+    """Return an effect of a class with parameter values; EffectError as in `effect_from_values`."""
+    name = kind.name
     names = [*(p.name for p in parameters(kind)), *choices(kind)]
     for key in values:
         if key not in names:

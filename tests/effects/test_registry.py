@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.metadata
 import json
 from importlib.metadata import EntryPoint
 
 import pytest
 from click.testing import CliRunner
 
-from odomcorrupt import effects
 from odomcorrupt.cli import cli, run
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.errors import EffectError
@@ -18,7 +18,7 @@ from odomcorrupt.errors import EffectError
 @pytest.fixture
 def plugged(monkeypatch):
     def plug(*points):
-        monkeypatch.setattr(effects, "entry_points", lambda group: [EntryPoint(*p, group) for p in points])
+        monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [EntryPoint(*p, group) for p in points])
         registry.cache_clear()
         return registry()
 
