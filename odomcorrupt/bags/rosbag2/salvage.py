@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["copy_tables", "salvaged_rows", "whole_pages"]
 
 _ROWS = "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid >= ? ORDER BY rowid"
+_GAPS = 2000
 _KINDS = {"INTEGER", "TEXT", "BLOB", "TIMESTAMP"}
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 
@@ -41,7 +42,9 @@ def whole_pages(path: Path) -> _TemporaryFileWrapper[bytes] | None:
 def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) -> Iterator[tuple[Any, ...]]:
     """Yield the messages that can be read, ascending by row; tell of the gaps."""
     first: int | None = -(1 << 63)
-    while first is not None:
+    for _ in range(_GAPS):
+        if first is None:
+            return
         last = first
         try:
             for row in connection.execute(_ROWS, (first,)):
@@ -56,6 +59,7 @@ def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) 
             losses.append(f"{name}: sqlite3 says {error}: messages from {since} to {until} are lost, if there were any")
         else:
             return
+    losses.append(f"{name}: has more than {_GAPS} gaps, what lies behind them was not read")
 
 
 def _next(connection: sqlite3.Connection, last: int) -> int | None:
@@ -73,7 +77,7 @@ def _next(connection: sqlite3.Connection, last: int) -> int | None:
             break
         found = int(row[0])
     # Between the last step that failed, or found nothing, and this one: the first that can be read.
-    low, high = begin + step // 2, begin + step
+    low, high = begin + max(step // 2, 1), begin + step
     while low < high:
         middle = (low + high) // 2
         try:
@@ -84,7 +88,7 @@ def _next(connection: sqlite3.Connection, last: int) -> int | None:
         high = middle
         if row is not None:
             found = int(row[0])
-    return found if found is None or found >= last else None
+    return found if found is not None and found > last else None
 
 
 def copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:

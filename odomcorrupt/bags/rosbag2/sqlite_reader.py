@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
@@ -34,11 +33,11 @@ class SqliteFraming:
     """How a block stood in its file.
 
     rows : (n,) row ids of the messages
-    before : the messages as they were read, to tell which were changed
+    before : the messages as they were read, to tell which were changed; None of one that was not read
     """
 
     rows: NDArray[np.int64]
-    before: list[bytes]
+    before: list[bytes | None]
 
 
 class SqliteReader:
@@ -60,9 +59,13 @@ class SqliteReader:
         self._recover = recover
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
-        with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
-            topics = read_topics(connection, path)
-            self.damaged = recover and not _sound(connection)
+        try:
+            with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
+                topics = read_topics(connection, path)
+                self.damaged = recover and not _sound(connection)
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
         self.channels: Mapping[int, Channel] = {
             topic.id: Channel(topic.id, topic.name, topic.type, topic.encoding, raw=topic) for topic in topics
         }
@@ -73,12 +76,15 @@ class SqliteReader:
         return topic.definition()
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
-        """Yield the blocks in the order in which messages were recorded, of some channels or of all."""
+        """Yield the blocks in the order in which messages were recorded.
+
+        only : channels whose messages are read; those of others are told of, but large ones stay where they are
+        """
         self.losses.clear()
         with reported(self.path), closing(read_only(self.readable, whole=not self._recover)) as connection:
             rows: list[int] = []
             head: list[tuple[int, int]] = []
-            data: list[bytes] = []
+            data: list[bytes | None] = []
             size = 0
             last = -(1 << 63)
             for row, channel, log_ns, blob in self._rows(connection, only):
@@ -86,13 +92,14 @@ class SqliteReader:
                     # Pages that point at each other could be read for ever.
                     raise BagError(f"{self.path}: message {row} comes behind message {last}; the bag is damaged")
                 last = row
-                if not isinstance(blob, bytes) or channel not in self.channels or not isinstance(log_ns, int):
+                unread = blob is None and only is not None and channel not in only
+                if not (unread or isinstance(blob, bytes)) or channel not in self.channels or type(log_ns) is not int:
                     self._lose(f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged")
                     continue
                 rows.append(row)
                 head.append((channel, log_ns))
                 data.append(blob)
-                size += len(blob)
+                size += 0 if unread else len(blob)
                 if size >= _BATCH_BYTES:
                     yield _block(rows, head, data)
                     rows, head, data, size = [], [], [], 0
@@ -110,11 +117,11 @@ class SqliteReader:
             return salvaged_rows(connection, str(self.path), self.losses)
         if only is None:
             return connection.execute("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid")
-        wanted = json.dumps([one for one in self.channels if one in only])
+        wanted = [one for one in self.channels if one in only]
         return connection.execute(
-            "SELECT rowid, topic_id, timestamp, data FROM messages "
-            "WHERE topic_id IN (SELECT value FROM json_each(?)) ORDER BY rowid",
-            (wanted,),
+            f"SELECT rowid, topic_id, timestamp, CASE WHEN topic_id IN ({', '.join('?' * len(wanted))}) THEN data END "  # noqa: S608 - question marks alone
+            "FROM messages ORDER BY rowid",
+            wanted,
         )
 
     def __enter__(self) -> Self:
@@ -127,12 +134,12 @@ class SqliteReader:
             self._whole.close()
 
 
-def _block(rows: list[int], head: list[tuple[int, int]], data: list[bytes]) -> Block:
+def _block(rows: list[int], head: list[tuple[int, int]], data: list[bytes | None]) -> Block:
     table = np.empty(len(rows), dtype=TABLE)
     table["channel"], table["log_ns"] = np.array(head, dtype=np.int64).T
-    table["length"] = [len(blob) for blob in data]
+    table["length"] = [0 if blob is None else len(blob) for blob in data]
     table["offset"] = np.cumsum(table["length"]) - table["length"]
-    joined = np.frombuffer(bytearray().join(data), dtype=np.uint8)
+    joined = np.frombuffer(bytearray().join(blob for blob in data if blob is not None), dtype=np.uint8)
     return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), data))
 
 

@@ -34,12 +34,11 @@ class SqliteWriter:
     keeps_rest : what is never passed to `write` is there all the same
     """
 
-    keeps_rest = True
-
     def __init__(self, path: Path, reader: SqliteReader) -> None:
         self._path = path
         self._partial = beside(path)
         self._reader = reader
+        self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
         self._open: sqlite3.Connection | None = None
         self._journal = ""
@@ -94,11 +93,11 @@ class SqliteWriter:
         if not isinstance(framing, SqliteFraming):
             raise BagError(f"{self._path}: a bag of another format cannot become sqlite3; name the output .mcap")
         changed: list[tuple[bytes, int]] = []
+        data = block.data.data
         spans = zip(block.table["offset"].tolist(), block.table["length"].tolist(), strict=True)
         for row, before, (offset, length) in zip(framing.rows.tolist(), framing.before, spans, strict=True):
-            now = block.data[offset : offset + length].tobytes()
-            if now != before:
-                changed.append((now, row))
+            if before is not None and (now := data[offset : offset + length]) != before:
+                changed.append((bytes(now), row))
         with reported(self._path):
             if self._reader.damaged:
                 self._insert_all(block, framing)

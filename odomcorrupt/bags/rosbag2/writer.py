@@ -13,6 +13,7 @@ from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output, beside
 from odomcorrupt.bags.rosbag2.metadata import Addition, TopicInfo, add_provenance, added, edited, generated
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
 from odomcorrupt.errors import BagError
 
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
-    from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 
 __all__ = ["Rosbag2Writer"]
 
@@ -32,7 +32,7 @@ class Rosbag2Writer:
     """A directory being written beside its final name, with the files of the reader's bag."""
 
     def __init__(self, path: Path, reader: Rosbag2Reader, codec: str | None = None, level: int | None = None) -> None:
-        self.keeps_rest = reader.kind == "sqlite3"
+        self.keeps_rest = all(isinstance(part, SqliteReader) and not part.damaged for part in reader.parts)
         self._path = path
         self._partial = beside(path)
         self._reader = reader
