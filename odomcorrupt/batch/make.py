@@ -102,8 +102,8 @@ def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part
             stack.enter_context(one.sink)
     keep, paths = job.output == "full", job.output == "trajectories"
     writers = [one.sink.writer for one in every if isinstance(one.sink, FullSink | SplitSink)]
-    adds: Any = Fan(writers) if writers and job.options.keep_truth is not None else None
-    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=adds):
+    fan: Any = Fan(writers)
+    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
         for one in every:
             one.strand.grow(portion.growth)
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data

@@ -82,12 +82,14 @@ class BagSink:
 
 
 class Fan:
-    """The writers of all runs, as one to add channels to."""
+    """The writers of all runs, as one to add channels to.
 
-    keeps_rest = False
+    keeps_rest : whether messages that do not change need not be read: their files have them, or nobody writes them
+    """
 
     def __init__(self, writers: Sequence[BagWriter]) -> None:
         self._writers = writers
+        self.keeps_rest = all(writer.keeps_rest for writer in writers)
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a channel to every run; its id is the same in all of them."""
