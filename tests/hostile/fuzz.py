@@ -1,0 +1,107 @@
+"""Damage everything that is read, at random, and try it: `python tests/hostile/fuzz.py --cases 100000 --seed 1`.
+
+A case is a seed: `--only BAG --case N` tries a single one again. Prints how many of what were tried and what came of
+them; stops at the first promise that is broken, unless told to go on.
+"""
+
+# ruff: noqa: T201 - a script that prints
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from intact import chunk_counts, untouched
+from mutations import mutated
+from smallbags import Small, make_small_bags
+from texts import TEXTS, TextTrial
+from trials import ACTIONS, BagTrial, FoundError
+
+
+class Fuzz:
+    """Tries cases: kind by kind in turn, each from a seed of its own."""
+
+    def __init__(self, room: Path, seed: int) -> None:
+        self.seed = seed
+        (room / "bags").mkdir()
+        (room / "trials").mkdir()
+        self.bags: dict[str, Small] = make_small_bags(room / "bags")
+        self.kinds = [*self.bags, *TEXTS]
+        self.files = [file for small in self.bags.values() for file in _files(small.path)]
+        self.bag_trial = BagTrial(room / "trials")
+        self.text_trial = TextTrial(room / "trials")
+        self.tried: Counter[str] = Counter()
+
+    @property
+    def outcomes(self) -> Counter[str]:
+        """What came of the cases, by action."""
+        return self.bag_trial.outcomes + self.text_trial.outcomes
+
+    def case(self, kind: str, number: int) -> None:
+        """Try one case."""
+        rng = np.random.default_rng([self.seed, self.kinds.index(kind), number])
+        self.tried[kind] += 1
+        if kind in TEXTS:
+            self.text_trial.run(kind, rng)
+            return
+        small = self.bags[kind]
+        files = _files(small.path)
+        file = files[int(rng.integers(len(files)))]
+        other = self.files[int(rng.integers(len(self.files)))]
+        way, data = mutated(file.read_bytes(), other.read_bytes(), rng)
+        place = self.bag_trial.lay(small.path, file.name if small.path.is_dir() else None, data)
+        chunks = chunk_counts(file) if file == small.path else []
+        left = untouched(chunks, file.read_bytes(), data)
+        self.bag_trial.run(place, small.count, way, ACTIONS[int(rng.integers(len(ACTIONS)))], left)
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+def main() -> int:
+    """Be the script."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=10_000)
+    parser.add_argument("--hours", type=float, default=1e9, help="stop after so long")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", help="one kind")
+    parser.add_argument("--case", type=int, help="one case of it")
+    parser.add_argument("--go-on", action="store_true", help="tell of what is found and go on")
+    parser.add_argument("--room", type=Path, help="where to work, best in memory [default: as for temporary files]")
+    given = parser.parse_args()
+    begun, found = time.monotonic(), 0
+    with tempfile.TemporaryDirectory(dir=given.room) as room:
+        fuzz = Fuzz(Path(room), given.seed)
+        kinds = [given.only] if given.only else fuzz.kinds
+        numbers = [given.case] if given.case is not None else range(given.cases // len(kinds) + 1)
+        for number in numbers:
+            if time.monotonic() - begun > given.hours * 3600:
+                break
+            for kind in kinds:
+                try:
+                    fuzz.case(kind, number)
+                except FoundError as error:
+                    found += 1
+                    cause = "".join(traceback.format_exception(error.__cause__)[-3:]) if error.__cause__ else ""
+                    print(f"--seed {given.seed} --only '{kind}' --case {number}: {error}\n{cause}", flush=True)
+                    if not given.go_on:
+                        return 1
+        seconds = time.monotonic() - begun
+        print(f"{sum(fuzz.tried.values())} cases of seed {given.seed} in {seconds:.0f} s, {found} promises broken")
+        print("; ".join(f"{kind} {count}" for kind, count in fuzz.tried.items()))
+        print("; ".join(f"{what} {count}" for what, count in sorted(fuzz.outcomes.items())))
+    return int(found > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
