@@ -16,9 +16,11 @@ __all__ = ["refuse_existing", "write_bytes", "write_text"]
 
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
-    """Raise before any work is done, where an output would replace something."""
+    """Raise before any work is done, where an output would replace something, or has no place to be."""
     if path is not None and path.exists() and not overwrite:
         raise OdomCorruptError(f"{path}: exists already; choose another name or pass --overwrite")
+    if path is not None and not path.parent.is_dir():
+        raise OdomCorruptError(f"{path}: the directory {path.parent} does not exist; create it first")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -127,6 +127,9 @@ def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
     assert run(["preview", office_bag, "-o", str(picture)]) == 1
     assert "exists already" in capsys.readouterr().err
+    assert run(["preview", office_bag, "-o", str(tmp_path / "nowhere" / "fan.png")]) == 1
+    captured = capsys.readouterr()
+    assert (captured.out, "nowhere does not exist; create it first" in captured.err) == ("", True)
 
 
 def read_preset():
