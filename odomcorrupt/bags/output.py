@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
+from odomcorrupt.bags.checksum import crc_of_both
 from odomcorrupt.errors import BagError
 
 __all__ = ["Output", "beside", "refuse_target"]
@@ -59,7 +61,10 @@ class Output:
         if self._path is None:
             return
         if _is_stream(self._path):
-            self._stream = self._path.open("wb")
+            try:
+                self._stream = self._path.open("wb")
+            except OSError as error:
+                raise self._failed(error) from error
             return
         self._path = Path(os.path.realpath(self._path))
         self._partial = beside(self._path)
@@ -68,6 +73,16 @@ class Output:
             self._stream = self._partial.open("xb", buffering=1 << 18)
         except OSError as error:
             raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
+
+    def write_summed(self, piece: bytes | memoryview, crc: int) -> None:
+        """Write bytes whose CRC-32 is known."""
+        summing, self.summing = self.summing, False
+        try:
+            self.write(piece)
+        finally:
+            self.summing = summing
+        if summing:
+            self.crc = crc_of_both(self.crc, crc, len(piece))
 
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes, all of them."""
@@ -90,9 +105,12 @@ class Output:
         """Write over bytes of a file and return to its end."""
         if self._stream is None or self._partial is None:
             raise BagError(f"{self.name}: cannot seek; write this format to a file")
-        self._stream.seek(position)
-        self._stream.write(data)
-        self._stream.seek(0, os.SEEK_END)
+        try:
+            self._stream.seek(position)
+            self._stream.write(data)
+            self._stream.seek(0, os.SEEK_END)
+        except OSError as error:
+            raise self._failed(error) from error
 
     def commit(self) -> None:
         """Make what was written appear under its name, safe against a power cut."""
@@ -113,11 +131,11 @@ class Output:
         """Leave nothing behind."""
         if self._path is None or self._stream is None:
             return
-        try:
+        # What a full disk keeps in the buffer is lost with the file.
+        with suppress(OSError):
             self._stream.close()
-        finally:
-            if self._partial is not None:
-                self._partial.unlink(missing_ok=True)
+        if self._partial is not None:
+            self._partial.unlink(missing_ok=True)
 
     def _failed(self, error: OSError) -> BagError:
         if isinstance(error, BrokenPipeError):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import zlib
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, PartFraming
-from odomcorrupt.bags.codecs import compress, compress_for_ros1
+from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.writer import McapWriter
+from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.writer import Ros1Writer
@@ -37,7 +38,7 @@ class Rests:
     def __init__(self) -> None:
         self._portion: Portion | None = None
         self._blocks: list[Block] = []
-        self._packed: dict[tuple[int, int, str], bytes | memoryview] = {}
+        self._packed: dict[tuple[int, int, str], Any] = {}
 
     def of(self, portion: Portion) -> list[Block]:
         """Return the blocks of a portion."""
@@ -50,23 +51,27 @@ class Rests:
             ]
         return self._blocks
 
-    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-        """Compress for an MCAP, what all runs share once."""
-        return self._once(compress, codec, data, level)
+    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+        """Compress and sum for an MCAP, what all runs share once."""
+        chunk: Packed = self._once(packed, codec, data, level)
+        return chunk
 
     def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
         """Compress for a ROS 1 bag, what all runs share once."""
-        return self._once(compress_for_ros1, codec, data, level)
+        chunk: bytes | memoryview = self._once(compress_for_ros1, codec, data, level)
+        return chunk
 
-    def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
+    def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
         # a block of several chunks is packed chunk by chunk
-        if not any(np.may_share_memory(block.data, data) for block in self._blocks):
-            fresh: bytes | memoryview = how(codec, data, level)
-            return fresh
         key = (data.__array_interface__["data"][0], data.size, codec)
-        if key not in self._packed:
-            self._packed[key] = how(codec, data, level)
-        return self._packed[key]
+        if key in self._packed:
+            return self._packed[key]
+        chunk = how(codec, data, level)
+        if any(np.may_share_memory(block.data, data) for block in self._blocks):
+            if isinstance(chunk, Packed):
+                chunk = chunk._replace(packed_crc=zlib.crc32(chunk.data))
+            self._packed[key] = chunk
+        return chunk
 
 
 def _without(block: Block, place: Place) -> Block:

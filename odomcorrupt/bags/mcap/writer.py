@@ -6,7 +6,7 @@ import struct
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -39,7 +39,20 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.output import Output
 
-__all__ = ["McapWriter"]
+__all__ = ["McapWriter", "Packed", "packed"]
+
+
+class Packed(NamedTuple):
+    """A chunk's compressed data, with the CRC-32 of what was compressed, and of itself where somebody knows it."""
+
+    data: bytes | memoryview
+    crc: int
+    packed_crc: int | None = None
+
+
+def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+    """Compress and sum a chunk's records."""
+    return Packed(compress(codec, data, level), zlib.crc32(data.data))
 
 
 class McapWriter:
@@ -48,7 +61,7 @@ class McapWriter:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
-    pack : compresses chunks, as `compress` does; a batch packs what its bags share once
+    pack : compresses chunks, as `packed` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
@@ -58,7 +71,7 @@ class McapWriter:
         self._reader = reader
         self._codec = codec
         self._level = level
-        self.pack = compress
+        self.pack = packed
         self._index = Index()
         self._directory = Directory(reader)
         self._sequences = Sequences()
@@ -132,19 +145,24 @@ class McapWriter:
         for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
-            packed = self.pack(codec, data, self._level)
-            crc = zlib.crc32(data.data)
-            head = chunk_head(start_ns, end_ns, size=data.size, crc=crc, codec=codec, packed=len(packed))
+            chunk_data = self.pack(codec, data, self._level)
+            size = len(chunk_data.data)
+            head = chunk_head(start_ns, end_ns, size=data.size, crc=chunk_data.crc, codec=codec, packed=size)
             span = ChunkSpan(
                 start_ns,
                 end_ns,
                 position=self._output.position,
-                length=len(head) + len(packed),
+                length=len(head) + size,
                 codec=codec,
                 size=data.size,
-                packed=len(packed),
+                packed=size,
             )
-            self._output.write(head, packed, self._index.add_chunk(span, indexes))
+            self._output.write(head)
+            if chunk_data.packed_crc is None:
+                self._output.write(chunk_data.data)
+            else:
+                self._output.write_summed(chunk_data.data, chunk_data.packed_crc)
+            self._output.write(self._index.add_chunk(span, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record as it stands, or a later piece of one (opcode 0)."""
