@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import shlex
+from pathlib import Path
 
 import click
 
+from odomcorrupt.commands._advice import check_drive, write_drive
 from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
 
 __all__ = ["command"]
@@ -15,40 +17,56 @@ __all__ = ["command"]
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]")
 @recording_options
+@click.option(
+    "--drive",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     arguments: tuple[str, ...],
     odom: str | None,
     truth: str | None,
     track: float | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags so
+    drive: Path | None,
+    overwrite: bool,  # noqa: FBT001 - click passes flags so
+    as_json: bool,  # noqa: FBT001 - as above
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
     need_study()
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
     from odomcorrupt.report.tables import candidates_table, clock_lines
+    from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.judge.ladder import held_out_ladder
     from odomcorrupt.study.search.learn import learn
 
     paths, models = split_arguments(arguments)
     if len(models) > 1:
         raise click.UsageError(f"{len(models)} models given; diagnose one at a time")
+    check_drive(drive, overwrite=overwrite)
     name, model = next(iter(models.items()), (None, None))
-    effects = (*model.effects, *model.setup.effects) if model is not None else ()
+    # the set-up belongs to the recordings: what a model knows of it is no reason not to look for it here
+    effects = model.effects if model is not None else ()
+    known = {effect.name for effect in model.setup.effects} if model is not None else set()
     law = model.noise.law_name if model is not None else "diffusion"
     runs = read_all(paths, odom, truth, track if track is not None else (model.track_m if model else None))
     learned = learn(runs, effects, law_name=law)
+    advice = advise(learned)
+    if drive is not None:
+        write_drive(drive, advice)
     if as_json:
         ladder = held_out_ladder(learned, runs)
         click.echo(json.dumps(learned_json(learned, ladder), indent=2, allow_nan=False))
         return
     for line in clock_lines([r.name for r in runs], learned.clocks):
         click.echo(line)
-    click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned)}")
-    if not learned.added:
+    click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned, advice)}")
+    added = [effect for effect in learned.added if effect not in known]
+    if not added:
         return
     words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
     words += ["--start", name] if name else []
-    words += [w for effect in learned.added for w in ("--add", effect)]
+    words += [w for effect in added for w in ("--add", effect)]
     click.echo(f"\nnext: odomcorrupt fit {shlex.join(words)} -o robot.toml")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from odomcorrupt.commands._advice import check_drive, write_drive
 from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
 
@@ -19,6 +20,11 @@ __all__ = ["command"]
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
 @click.option("--judge", type=click.Path(), multiple=True, help="Recording to judge the result on (repeatable).")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture of the error falling.")
+@click.option(
+    "--drive",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(
@@ -29,6 +35,7 @@ def command(
     output: Path | None,
     judge: tuple[str, ...],
     plot: Path | None,
+    drive: Path | None,
     as_json: bool,  # noqa: FBT001 - click passes flags so
     overwrite: bool,  # noqa: FBT001 - as above
 ) -> None:
@@ -43,6 +50,7 @@ def command(
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
     from odomcorrupt.report.tables import clock_lines, fit_text
+    from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.fitting.robot import fit_robot
     from odomcorrupt.study.judge.compare import compare
     from odomcorrupt.study.judge.ladder import held_out_ladder
@@ -53,9 +61,11 @@ def command(
         raise click.UsageError(f"{next(iter(models))} is a model; `fit --start` and `diagnose` take models")
     refuse_existing(output, overwrite=overwrite)
     refuse_existing(plot, overwrite=overwrite)
+    check_drive(drive, overwrite=overwrite)
     runs = read_all(paths, odom, truth, track)
     judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
     learned = learn(runs)
+    advice = advise(learned)
     base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
     random = [gain.effect for gain in learned.noise]
     robot = fit_robot(runs, (*learned.fit.effects, *random), law_name="diffusion", clocks=learned.clocks)
@@ -69,11 +79,13 @@ def command(
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         lines = clock_lines([r.name for r in runs], learned.clocks)
-        lines += [found_text(learned), fit_text(robot), ""]
+        lines += [found_text(learned, advice), fit_text(robot), ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
         write_text(output, format_model(robot.model))
         click.echo(f"wrote {output}", err=True)
+    if drive is not None:
+        write_drive(drive, advice)
     if plot is not None:
         from odomcorrupt.report.ladder import draw_ladder
 

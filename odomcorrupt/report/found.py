@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.report.advice import advice_text, limits_sentence
 from odomcorrupt.report.tables import ladder_text, value_text
 
 if TYPE_CHECKING:
+    from odomcorrupt.study.advice.advise import Advice
     from odomcorrupt.study.search.learn import Learned
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["found_text"]
+__all__ = ["NOTHING", "found_text"]
 
-_SEEN = 4.2
-"""An effect this many standard errors large is found nearly always."""
+NOTHING = "nothing is missing: no known effect would explain more than chance does"
 
 
-def found_text(learned: Learned) -> str:
-    """Return the findings in the order of their weight; a sentence with sizes where nothing is missing."""
+def found_text(learned: Learned, advice: Advice) -> str:
+    """Return the findings in the order of their weight, what is open, and the sizes that would have been seen."""
     lines = []
     if learned.added:
         lines += ["missing, in the order of evidence, each on top of the ones before:", ladder_text(learned)]
@@ -31,7 +32,8 @@ def found_text(learned: Learned) -> str:
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown)
     if not lines:
-        lines = ["nothing is missing: no known effect would explain more than chance does", *_limits(learned)]
+        lines = [NOTHING]
+    lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
 
 
@@ -39,14 +41,3 @@ def _unknown_lines(unknown: Unknown) -> list[str]:
     driver = unknown.driver.replace("_", " ")
     finding = f"unknown: the {unknown.channel} error depends on {driver} ({unknown.nats:.0f} nats)"
     return [f"{finding}, and no known effect explains it", f"  to try: {unknown.expression}"]
-
-
-def _limits(learned: Learned) -> list[str]:
-    seen = []
-    for candidate in learned.rounds[-1].candidates:
-        score = candidate.score
-        if not score.separable or candidate.refused == "not testable on this drive":
-            continue
-        sizes = zip(amplitudes(score.effect), score.standard_error, strict=True)
-        seen += [f"{score.effect.name} {value_text(_SEEN * float(error), None, p.unit)}" for p, error in sizes]
-    return [f"these sizes would have been seen: {', '.join(seen)}"] if seen else []

@@ -1,0 +1,43 @@
+"""What diagnose and learn do with advice: write the drive that settles what is open."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing, write_bytes
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.study.advice.advise import Advice
+
+__all__ = ["check_drive", "write_drive"]
+
+
+def check_drive(path: Path | None, *, overwrite: bool) -> None:
+    """Refuse a name that cannot be written, before any work is done."""
+    if path is not None and path.suffix != ".mcap":
+        raise click.UsageError(f"--drive {path}: commands are written as MCAP; end the name in .mcap")
+    refuse_existing(path, overwrite=overwrite)
+
+
+def write_drive(path: Path, advice: Advice) -> None:
+    """Write the advised manoeuvre as /cmd_vel, and say what it is; where nothing is open, say that."""
+    import numpy as np
+
+    from odomcorrupt.bags.twists import write_twists
+    from odomcorrupt.report.advice import drive_sentence
+    from odomcorrupt.study.advice.plan import STEP_S
+
+    plan = advice.best
+    if plan is None:
+        click.echo(f"{path} is not written: nothing is open that a drive would settle", err=True)
+        return
+    twist = np.stack((plan.v_mps, np.zeros_like(plan.v_mps), plan.omega_radps), axis=1)
+    bag = io.BytesIO()
+    write_twists(bag, np.arange(len(twist), dtype=np.float64) * STEP_S, twist)
+    write_bytes(path, bag.getvalue())
+    click.echo(f"wrote {path}: {drive_sentence(plan)}", err=True)

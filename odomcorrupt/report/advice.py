@@ -1,0 +1,65 @@
+"""Advice as sentences: the same ones in the terminal and in the report."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.tables import value_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.study.advice.advise import Advice, Choice, Limit, Untestable
+    from odomcorrupt.study.advice.plan import Plan
+
+__all__ = ["advice_text", "choice_sentence", "drive_sentence", "drive_words", "limits_sentence", "untestable_sentence"]
+
+
+def advice_text(advice: Advice) -> str:
+    """Return all advice, a sentence a line; "" where nothing is open."""
+    lines = [choice_sentence(choice) for choice in advice.choices]
+    groups: dict[tuple[str, str], list[Untestable]] = {}
+    for one in advice.untestable:
+        groups.setdefault((one.why, drive_words(one.plan, one.hint)), []).append(one)
+    lines += [untestable_sentence(group) for group in groups.values()]
+    return "\n".join(lines)
+
+
+def choice_sentence(choice: Choice) -> str:
+    """Return "A or B: these data cannot tell; drive X"."""
+    names = " or ".join(choice.names)
+    if choice.plan is None:
+        way_out = f": {choice.hint}" if choice.hint else ""
+        return f"{names}: no drive of these can tell{way_out}"
+    why = f" ({choice.why})" if choice.why else ""
+    return (
+        f"{names}: these data cannot tell{why}; drive {drive_sentence(choice.plan)}: "
+        f"that is expected to tell by {choice.nats:.0f} nats"
+    )
+
+
+def untestable_sentence(group: Sequence[Untestable]) -> str:
+    """Return "A, B: not testable here: never reversed; drive X" of effects that share reason and drive."""
+    names = ", ".join(one.effect for one in group)
+    words = drive_words(group[0].plan, group[0].hint)
+    return f"{names}: not testable here: {group[0].why}" + (f"; {words}" if words else "")
+
+
+def drive_words(plan: Plan | None, hint: str) -> str:
+    """Return "drive X", or what an effect itself says where no plan shows it."""
+    return f"drive {drive_sentence(plan)}" if plan is not None else hint
+
+
+def drive_sentence(plan: Plan) -> str:
+    """Return what to drive, how long, how fast and on how much floor."""
+    length, width = plan.floor_m
+    moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
+    return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
+
+
+def limits_sentence(limits: Sequence[Limit]) -> str:
+    """Return the sizes that would have been seen, in units a person thinks in; "" where there are none."""
+    if not limits:
+        return ""
+    sizes = ", ".join(f"{limit.effect} {value_text(limit.size, None, limit.unit)}".strip() for limit in limits)
+    return f"these sizes would have been seen: {sizes}"

@@ -1,0 +1,123 @@
+"""How much a drive would tell: regressor columns of manoeuvres never driven, whitened with the noise of the fit.
+
+The expected log likelihood ratio between "A" and "anything that B can do" is half the squared length of what A adds
+to the whitened residuals, less its projection on the columns of B and of all that is free beside them (clocks, and
+effects that are believed). Columns of the recorded drives and of the planned one are stacked: what is known already
+stays known, and a clock belongs to one drive alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.advice.plan import ideal_recording
+from odomcorrupt.study.fitting.gauss_newton import believed_columns
+from odomcorrupt.study.fitting.problem import pose_problem
+from odomcorrupt.study.fitting.random_process import with_random
+from odomcorrupt.study.likelihood.whitener import whitener
+from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.advice.plan import Plan
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.fitting.problem import Problem
+    from odomcorrupt.study.likelihood.whitener import Whitener
+
+__all__ = ["Field", "planned_field", "recorded_field", "separation", "sizes"]
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A drive, recorded or planned, and what whitens its residuals.
+
+    clocks : (K, 3, c) columns of its own clock, free
+    """
+
+    problem: Problem
+    whitener: Whitener
+    clocks: Array
+
+    def white(self, effects: Sequence[Effect]) -> Array:
+        """Return whitened columns (3 K, p) of the amplitudes of some effects."""
+        parts = [self.problem.columns(effect) for effect in effects if amplitudes(effect)]
+        if not parts:
+            return np.zeros((3 * len(self.problem.nodes), 0))
+        return self.whitener.whiten(np.concatenate(parts, axis=2))
+
+    def white_clocks(self) -> Array:
+        """Return whitened columns (3 K, c) of its clock."""
+        if not self.clocks.shape[2]:
+            return np.zeros((3 * len(self.problem.nodes), 0))
+        return self.whitener.whiten(self.clocks)
+
+
+def recorded_field(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> Field:
+    """Return the drives that were fitted."""
+    own = sum(len(amplitudes(e)) for e in fit.problem.effects)
+    return Field(fit.problem, fit.noise.whitener, believed_columns(fit.problem, free_clocks)[:, :, own:])
+
+
+def planned_field(fit: Fit, plan: Plan) -> Field:
+    """Return a planned drive, with the noise of the fit and a clock that is free in offset and rate."""
+    problem = pose_problem([ideal_recording(plan, fit.problem.recordings[0])], approach=fit.problem.approach)
+    truth = fit.noise.truth if fit.problem.headings else replace(fit.noise.truth, yaw_rad=UNKNOWN_RAD)
+    q = problem.nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
+    clocks = problem.clock_columns()
+    noise = replace(fit.noise, whitener=whitener(problem.nodes, q, truth))
+    return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
+
+
+def separation(one: Effect, other: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
+    """Return the nats by which the drives together are expected to favour `one`, were it true as it stands.
+
+    beside : effects that are free beside both
+    """
+    away = np.array([getattr(one, p.name) - p.identity for p in amplitudes(one)])
+    signal, rest = _stacked((one,), (other, *beside), fields)
+    return 0.5 * float(np.sum(_without(rest, signal @ away) ** 2))
+
+
+def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
+    """Return the standard errors (p,) of an effect's amplitudes that the drives together give; inf where none."""
+    signal, rest = _stacked((effect,), beside, fields)
+    left = _without(rest, signal)
+    scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))
+    normal = (left / scale).T @ (left / scale)
+    if not signal.any() or np.linalg.eigvalsh(normal)[0] < 1e-8:
+        return np.full(signal.shape[1], np.inf)
+    errors: Array = np.sqrt(np.diag(np.linalg.inv(normal))) / scale
+    return errors
+
+
+def _stacked(own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field]) -> tuple[Array, Array]:
+    """Return columns of `own` and of the rest, drives on top of each other, clocks beside each other."""
+    clocks = [field.white_clocks() for field in fields]
+    height = sum(len(c) for c in clocks)
+    apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
+    row = column = 0
+    for block in clocks:
+        apart[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    signal = np.concatenate([field.white(own) for field in fields])
+    shared = np.concatenate([field.white(beside) for field in fields])
+    return signal, np.concatenate((shared, apart), axis=1)
+
+
+def _without(rest: Array, signal: Array) -> Array:
+    """Return what is left of signals (n,) or (n, p) beside the columns (n, q)."""
+    rest = rest[:, np.abs(rest).max(axis=0, initial=0.0) > 0.0]
+    if not rest.shape[1]:
+        return signal
+    unit = rest / np.linalg.norm(rest, axis=0)
+    u, size, _ = np.linalg.svd(unit, full_matrices=False)
+    basis = u[:, size > 1e-8 * size[0]]
+    left: Array = signal - basis @ (basis.T @ signal)
+    return left

@@ -1,0 +1,216 @@
+"""Manoeuvres that a robot can be sent on, as plans of speeds that any room of a few metres allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import cycle
+from math import pi
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+__all__ = ["MANOEUVRES", "Hold", "Limits", "Manoeuvre"]
+
+_GENTLE = (0.5, 1.2)
+_HARD = (2.0, 4.0)
+LINE_M = 4.0
+_SLOW = 0.3
+"""Slow is this part of fast."""
+
+
+class Limits(NamedTuple):
+    """How fast the robot may go, m/s, and turn, rad/s: what it has been seen to do, or what is harmless."""
+
+    v_mps: float
+    omega_radps: float
+
+
+class Hold(NamedTuple):
+    """Go to these speeds at these accelerations (m/s^2, rad/s^2) and keep them for a while."""
+
+    v_mps: float
+    omega_radps: float
+    hold_s: float
+    accelerations: tuple[float, float] = _GENTLE
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """One round of a drive, to be repeated as long as it takes.
+
+    sentence : what to drive, after "drive" or "then"
+    round : limits in, one round of plans out, for ever
+    least_s : how long it must last to be what it is
+    """
+
+    name: str
+    sentence: str
+    round: Callable[[Limits], Iterator[Hold]]
+    least_s: float = 120.0
+
+
+def _go(way_m: float, v_mps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
+    """Drive so far (negative: backwards), from rest to rest."""
+    ramp_s = v_mps / accelerations[0]
+    sign = 1.0 if way_m > 0.0 else -1.0
+    yield Hold(sign * v_mps, 0.0, max(abs(way_m) / v_mps - ramp_s, 0.2), accelerations)
+    yield Hold(0.0, 0.0, 0.5, accelerations)
+
+
+def _turn(angle_rad: float, omega_radps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
+    """Turn on the spot by so much, from rest to rest."""
+    ramp_s = omega_radps / accelerations[1]
+    sign = 1.0 if angle_rad > 0.0 else -1.0
+    yield Hold(0.0, sign * omega_radps, max(abs(angle_rad) / omega_radps - ramp_s, 0.2), accelerations)
+    yield Hold(0.0, 0.0, 0.5, accelerations)
+
+
+def _arc(angle_rad: float, v_mps: float, omega_radps: float) -> Iterator[Hold]:
+    """Drive a bend without a stop before or after it."""
+    # the change from one side to the other turns by half a ramp's worth at both ends
+    hold_s = max(abs(angle_rad) / omega_radps - omega_radps / _GENTLE[1], 0.2)
+    yield Hold(v_mps, omega_radps if angle_rad > 0.0 else -omega_radps, hold_s)
+
+
+def _bend_rate(limits: Limits, v_mps: float) -> float:
+    """Return a turn rate that fits a bend of about a metre at this speed."""
+    return min(limits.omega_radps, v_mps / 0.8)
+
+
+def _stand(seconds: float) -> Iterator[Hold]:
+    yield Hold(0.0, 0.0, seconds)
+
+
+def _stands(limits: Limits) -> Iterator[Hold]:
+    for side in cycle((1.0, -1.0)):
+        yield from _stand(30.0)
+        yield from _go(LINE_M, limits.v_mps)
+        yield from _stand(30.0)
+        yield from _turn(side * pi, limits.omega_radps)
+        yield from _go(LINE_M, limits.v_mps)
+        yield from _turn(side * pi, limits.omega_radps)
+
+
+def _there_and_back(limits: Limits) -> Iterator[Hold]:
+    while True:
+        yield from _go(LINE_M, limits.v_mps)
+        yield from _go(-LINE_M, 0.6 * limits.v_mps)
+
+
+def _two_speeds(limits: Limits) -> Iterator[Hold]:
+    for part, side in cycle(((_SLOW, 1.0), (1.0, -1.0), (1.0, 1.0), (1.0, -1.0))):
+        yield from _go(LINE_M, part * limits.v_mps)
+        yield from _turn(side * pi, limits.omega_radps)
+
+
+def _there_and_back_at_two_speeds(limits: Limits) -> Iterator[Hold]:
+    for part in cycle((_SLOW, 1.0, 1.0, 1.0)):
+        yield from _go(LINE_M, part * limits.v_mps)
+        yield from _stand(2.0)
+        yield from _go(-LINE_M, part * limits.v_mps)
+        yield from _stand(2.0)
+
+
+def _spins(limits: Limits) -> Iterator[Hold]:
+    for part in cycle((1.0, 0.4)):
+        yield from _turn(2.0 * pi, part * limits.omega_radps)
+        yield from _turn(-2.0 * pi, part * limits.omega_radps)
+        yield from _stand(1.0)
+
+
+def _squares(limits: Limits) -> Iterator[Hold]:
+    for side in cycle((1.0, -1.0)):
+        for _ in range(4):
+            yield from _go(0.75 * LINE_M, limits.v_mps)
+            yield from _turn(side * 0.5 * pi, limits.omega_radps)
+
+
+def _pair(v_mps: float, omega_radps: float) -> Iterator[Hold]:
+    """Go round once to the left and once to the right: bends that end a little ahead of where they began."""
+    for side in (1.0, -1.0):
+        yield from _arc(side * 2.0 * pi, v_mps, omega_radps)
+
+
+def _eight(v_mps: float, omega_radps: float, side: float) -> Iterator[Hold]:
+    """Drive two figures of eight, the second the other way up, which ends where the first began."""
+    for _ in range(2):
+        yield from _arc(side * 2.0 * pi, v_mps, omega_radps)
+        yield from _arc(-side * 3.0 * pi, v_mps, omega_radps)
+
+
+def _eights(limits: Limits) -> Iterator[Hold]:
+    for side in cycle((1.0, -1.0)):
+        yield from _eight(limits.v_mps, _bend_rate(limits, limits.v_mps), side)
+
+
+def _eights_at_two_speeds(limits: Limits) -> Iterator[Hold]:
+    v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
+    for side in cycle((1.0, -1.0)):
+        yield from _eight(v, omega, side)
+        yield from _pair(_SLOW * v, _SLOW * omega)
+
+
+def _turns_apart(limits: Limits) -> Iterator[Hold]:
+    """Turn at one rate at three speeds, none, low and high: what goes with v omega and what goes with omega part."""
+    v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
+    for side in cycle((1.0, -1.0)):
+        yield from _pair(0.0, omega)
+        yield from _pair(_SLOW * v, omega)
+        yield from _eight(v, omega, side)
+
+
+def _hard(limits: Limits) -> Iterator[Hold]:
+    for part, side in cycle(((1.0, 1.0), (0.5, -1.0))):
+        for _ in range(3):
+            yield from _go(0.4 * LINE_M, part * limits.v_mps, _HARD)
+        yield from _turn(side * pi, limits.omega_radps, _HARD)
+
+
+def _star(limits: Limits) -> Iterator[Hold]:
+    while True:
+        yield from _go(LINE_M, limits.v_mps)
+        yield from _turn(0.75 * pi, limits.omega_radps)
+
+
+def _everything(limits: Limits) -> Iterator[Hold]:
+    v, omega = limits
+    for side in cycle((1.0, -1.0)):
+        yield from _go(LINE_M, _SLOW * v)
+        yield from _turn(side * pi, omega)
+        yield from _go(LINE_M, v)
+        yield from _go(-0.5 * LINE_M, 0.5 * v)
+        yield from _stand(10.0)
+        yield from _arc(side * 2.0 * pi, _SLOW * v, _SLOW * _bend_rate(limits, v))
+        yield from _arc(side * 2.0 * pi, v, _bend_rate(limits, v))
+        yield from _stand(0.5)
+        yield from _go(0.4 * LINE_M, v, _HARD)
+        yield from _turn(side * 1.5 * pi, omega)
+
+
+def _loop(limits: Limits) -> Iterator[Hold]:
+    while True:
+        for _ in range(4):
+            yield from _go(0.75 * LINE_M, limits.v_mps)
+            yield from _arc(0.5 * pi, limits.v_mps, _bend_rate(limits, limits.v_mps))
+
+
+MANOEUVRES: tuple[Manoeuvre, ...] = (
+    Manoeuvre("stands", "straights with stands of half a minute between them", _stands),
+    Manoeuvre("there_and_back", "straight there, and straight back in reverse", _there_and_back),
+    Manoeuvre("two_speeds", "the same straight slowly and fast", _two_speeds),
+    Manoeuvre(
+        "there_and_back_at_two_speeds",
+        "straight there and back in reverse, slowly and fast",
+        _there_and_back_at_two_speeds,
+    ),
+    Manoeuvre("spins", "turns on the spot, left and right, slowly and fast", _spins),
+    Manoeuvre("squares", "squares with corners on the spot, to the left and to the right in turn", _squares),
+    Manoeuvre("eights", "figures of eight", _eights),
+    Manoeuvre("eights_at_two_speeds", "figures of eight, slowly and fast", _eights_at_two_speeds),
+    Manoeuvre("turns_apart", "the same turn on the spot, slowly and fast, to the left and to the right", _turns_apart),
+    Manoeuvre("hard", "short straights with hard starts and hard braking, and turns on the spot between them", _hard),
+    Manoeuvre("star", "straights in eight headings, with turns on the spot between them", _star),
+    Manoeuvre("everything", "a bit of everything: straights, bends and turns, slow, fast and in reverse", _everything),
+    Manoeuvre("loop", "one loop again and again for ten minutes", _loop, least_s=600.0),
+)
