@@ -123,8 +123,8 @@ class BagReader(Protocol):
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks in file order, each with a buffer of its own: several are held at once.
 
-        only : ids of channels that are wanted; messages of others, and blocks without wanted ones, may be left out
-            where that is cheaper
+        only : ids of channels that are wanted; the bytes of others' messages may be left out where that is cheaper,
+            and their length is 0 then
         """
 
     def definition(self, channel: Channel) -> Definition:

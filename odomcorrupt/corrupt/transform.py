@@ -145,7 +145,10 @@ class Transform:
         if self.options.new_odom_frame is not None and writer is not None:
             self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
         waiting: deque[_Held] = deque()
-        for block in joined(reader.blocks()):
+        only = None
+        if writer is not None and writer.keeps_rest:
+            only = {number for number, channel in reader.channels.items() if _may_move(channel)}
+        for block in joined(reader.blocks(only)):
             waiting.append(self._take(block, reader))
             while waiting and self._ready(waiting[0]):
                 yield self._patch(waiting.popleft())
@@ -169,7 +172,7 @@ class Transform:
         parts = []
         for number in sorted(present):
             channel = reader.channels[number]
-            if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
+            if _may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
         if parts:
             self._add(self.driver.read(block, parts, time_ns))
@@ -261,3 +264,7 @@ class Transform:
         elif self.edge is not None and self.driver.frames is not None:
             self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
         return held.block
+
+
+def _may_move(channel: Channel) -> bool:
+    return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)

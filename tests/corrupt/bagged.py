@@ -96,7 +96,7 @@ class MemoryBag:
     kind: str = "mcap"
     name: str = "test.mcap"
 
-    def blocks(self):
+    def blocks(self, _only=None):
         yield from self.held
 
 

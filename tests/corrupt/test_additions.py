@@ -21,6 +21,8 @@ CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}
 class MemoryWriter:
     """A writer that remembers which channels were added."""
 
+    keeps_rest = False
+
     def __init__(self):
         self.channels = {}
 

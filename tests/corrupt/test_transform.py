@@ -315,7 +315,7 @@ def test_blocks_are_not_held_for_longer_than_two_seconds():
     bag = MemoryBag(blocks_of(messages, 5))
     read_ahead = []
 
-    def watched():
+    def watched(_only=None):
         for block in bag.held:
             read_ahead.append(int(block.table["log_ns"][-1]))
             yield block
@@ -435,7 +435,7 @@ def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
     messages = [(channel, 10**18, data) for channel, _, data in robot(*office(20.0, 40.0))]
     bag, read_blocks, held = MemoryBag(blocks_of(messages, 30), CHANNELS), [], 0
 
-    def watched():
+    def watched(_only=None):
         for block in bag.held:
             read_blocks.append(block)
             yield block
