@@ -1,0 +1,88 @@
+"""A or B: pairs of names that the data cannot tell apart, and the drive that would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects import registry
+from odomcorrupt.study.advice.drives import best_plan, missing_motion
+from odomcorrupt.study.advice.information import separation
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.advice.drives import Drives
+    from odomcorrupt.study.advice.information import Field
+    from odomcorrupt.study.advice.plan import Plan
+    from odomcorrupt.study.search.candidates import Candidate
+    from odomcorrupt.study.search.learn import Round
+
+__all__ = ["Choice", "open_choices"]
+
+_IDENTICAL_NATS = 0.5
+"""Less than this from ten minutes of the best drive: no drive can tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One of several names, and these data cannot tell which.
+
+    why : what the drive lacked, in words; "" where it lacked nothing
+    plan : the drive that would tell, or None where no drive can
+    nats : by how much it is expected to favour the right one
+    hint : where no drive can tell: what can
+    """
+
+    names: tuple[str, ...]
+    why: str
+    plan: Plan | None
+    nats: float
+    hint: str = ""
+
+
+def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Callable[[Field | None], float]]]:
+    """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
+    if not look.alternatives or look.added is None:
+        return [], []
+    kinds = registry()
+    twins = [n for n in look.alternatives if kinds[n].twin_of in (look.added, *look.alternatives)]
+    names = [n for n in look.alternatives if n not in twins]
+    rivals = {c.score.effect.name: c for c in look.candidates}
+    found, told = [], []
+    for name in names:
+        gain = _telling(drives, rivals[look.added], rivals[name])
+        plan, nats = best_plan(drives, gain)
+        if nats < _IDENTICAL_NATS:
+            about = kinds[look.added].about
+            found.append(Choice((look.added, name), "", None, nats, about.drive if about else ""))
+            continue
+        found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
+        told.append(gain)
+    for twin in twins:
+        about = kinds[twin].about
+        first = str(kinds[twin].twin_of)
+        found.append(Choice((first, twin), "", None, 0.0, about.drive if about else ""))
+    return found, told
+
+
+def _telling(drives: Drives, one: Candidate, other: Candidate) -> Callable[[Field | None], float]:
+    """Return what tells how many nats a drive adds to the choice between two, whichever of them is true."""
+    a, b = (_as_fitted(c) for c in (one, other))
+    beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
+    inflation = max(one.score.inflation, other.score.inflation)
+
+    def nats(drive: Field | None) -> float:
+        fields = [drives.recorded] if drive is None else [drives.recorded, drive]
+        return min(separation(a, b, beside, fields), separation(b, a, beside, fields)) / inflation
+
+    known = nats(None)
+    return lambda drive: nats(drive) - known
+
+
+def _as_fitted(candidate: Candidate) -> Effect:
+    if candidate.fit is None:
+        return candidate.score.effect
+    name = candidate.score.effect.name
+    return next(e for e in candidate.fit.effects if e.name == name)
