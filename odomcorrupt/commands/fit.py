@@ -18,7 +18,7 @@ __all__ = ["command"]
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
 @click.option("--start", type=click.Path(dir_okay=False, path_type=Path), help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
-@click.option("--law", help="Noise law. [default: that of the start model, or diffusion]")
+@click.option("--law", help="Noise law, or all: the likeliest. [default: that of the start model, or diffusion]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 def command(
     recordings: tuple[str, ...],
@@ -31,14 +31,15 @@ def command(
     law: str | None,
     overwrite: bool,  # noqa: FBT001 - click passes flags so
 ) -> None:
-    """Fit the noise coefficients, the truth's own noise and the clocks, and the effects asked for.
+    """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the effects asked for.
 
-    Several recordings are runs of one robot, each with a clock of its own.
+    Of the set-up, a lever arm and a mounting yaw of the truth are fitted where the data show them. Several recordings
+    are runs of one robot, each with a clock of its own.
     """
     need_study()
     from odomcorrupt.modelfile import format_model, read_model
-    from odomcorrupt.report.tables import fit_text
-    from odomcorrupt.study.fitting.robot import effects_to_fit, fit_robot
+    from odomcorrupt.report.fitted import fit_text, laws_table
+    from odomcorrupt.study.fitting.robot import effects_to_fit, fit_every_law, fit_robot
 
     paths, models = split_arguments(recordings)
     if models:
@@ -48,7 +49,12 @@ def command(
     effects = effects_to_fit(begin, add)
     law_name = law or (begin.noise.law_name if begin is not None else "diffusion")
     runs = read_all(paths, odom, truth, track if track is not None else (begin.track_m if begin else None))
-    result = fit_robot(runs, effects, law_name=law_name, start=begin)
+    if law_name == "all":
+        results = fit_every_law(runs, effects, start=begin)
+        click.echo(laws_table(results) + "\n")
+        result = next(iter(results.values()))
+    else:
+        result = fit_robot(runs, effects, law_name=law_name, start=begin)
     click.echo(fit_text(result))
     if output is not None:
         write_text(output, format_model(result.model))

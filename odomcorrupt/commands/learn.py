@@ -49,7 +49,8 @@ def command(
     from odomcorrupt.report.comparison_json import comparison_json
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import clock_lines, fit_text
+    from odomcorrupt.report.fitted import fit_text
+    from odomcorrupt.report.tables import clock_lines
     from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.fitting.robot import fit_robot
     from odomcorrupt.study.judge.compare import compare

@@ -1,4 +1,4 @@
-"""Results of the study as plain text: what a person reads in a terminal."""
+"""Results of a search as plain text: what a person reads in a terminal."""
 
 from __future__ import annotations
 
@@ -10,16 +10,11 @@ from odomcorrupt.effects.effect import amplitudes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.fitting.clocks import Clocks
-    from odomcorrupt.study.fitting.intervals import Interval
-    from odomcorrupt.study.fitting.robot import RobotFit
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Learned, Round
 
-__all__ = ["candidates_table", "clock_lines", "fit_text", "ladder_text", "value_text"]
-
-_AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "rad", "across_trans": "m"}
+__all__ = ["candidates_table", "clock_lines", "ladder_text", "value_text"]
 
 
 def value_text(value: float, error: float | None, unit: str) -> str:
@@ -47,51 +42,6 @@ def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
             parts.append(f"skew {clock.rate * 1e6:.0f} +- {errors[1] * 1e6:.0f} ppm")
         lines.append(f"{name}: the odometry's clock is off: {', '.join(parts)}")
     return lines
-
-
-def fit_text(result: RobotFit) -> str:
-    """Return what a fit found."""
-    truth = result.fit.noise.truth
-    names = [r.name for r in result.fit.problem.recordings]
-    lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
-    lines += [_interval_line(result, interval) for interval in result.intervals]
-    errors = iter(result.fit.standard_errors)
-    lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
-    lines += clock_lines(names, result.clocks)
-    wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
-    heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
-    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
-    flagged = int((result.fit.noise.weights > 1.0).sum())
-    if flagged:
-        lines.append(
-            f"{flagged} of {len(result.fit.problem.nodes)} half-second stretches look like slips and weigh less"
-        )
-    lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
-    return "\n".join(lines)
-
-
-def _interval_line(result: RobotFit, interval: Interval) -> str:
-    name, value = interval.name, interval.value
-    heading = name.startswith("rot_")
-    scale, unit = (degrees(1.0), "deg") if heading else (1e3, "mm")
-    sense = (
-        f"{unit} after one {'metre' if _AFTER[name] == 'm' else 'radian'}" if _plain(result) else "as the law has it"
-    )
-    ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
-    human = f"  = {value * scale:.3g} {sense}" if _plain(result) else f"  {sense}"
-    return f"  {name:<13}{value:<10.4g} {ends:<22}{human}"
-
-
-def _plain(result: RobotFit) -> bool:
-    return result.fit.problem.approach.law_name == "diffusion"
-
-
-def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
-    values = [
-        f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}"
-        for p, error in zip(amplitudes(effect), errors, strict=True)
-    ]
-    return f"  {effect.name}: {', '.join(values)}"
 
 
 def candidates_table(look: Round, *, most: int = 8) -> str:

@@ -63,6 +63,20 @@ class Fit:
         """Log likelihood in nats."""
         return self.noise.log_likelihood
 
+    @property
+    def wald(self) -> dict[str, float]:
+        """Wald's statistic of each effect: chi-square with as many degrees as it has amplitudes if it did nothing."""
+        statistics = {}
+        position = 0
+        for effect in self.effects:
+            own = amplitudes(effect)
+            rows = slice(position, position + len(own))
+            position += len(own)
+            away = np.array([getattr(effect, p.name) - p.identity for p in own])
+            covariance = self.noise.theta_covariance[rows, rows]
+            statistics[effect.name] = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+        return statistics
+
 
 def fit(
     recordings: Sequence[Recording],

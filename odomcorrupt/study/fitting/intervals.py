@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.study.likelihood.noise_fit import LOWEST, NAMES, NoiseTask
+from odomcorrupt.study.likelihood.noise_fit import HIGHEST, LOWEST, NAMES, NoiseTask
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
@@ -32,6 +32,11 @@ class Interval:
     value: float
     low: float
     high: float
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the drive bounds it from above at all."""
+        return self.high < HIGHEST
 
     @property
     def standard_error(self) -> float:

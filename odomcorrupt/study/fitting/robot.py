@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
+from odomcorrupt.laws import LAWS
 from odomcorrupt.model import MotionModel, Noise, Setup
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
@@ -15,6 +18,7 @@ from odomcorrupt.study.fitting.correlation import fit_correlation
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.intervals import Interval, coefficient_intervals
+from odomcorrupt.study.fitting.setup import find_setup
 from odomcorrupt.study.recordings.encoders import refilled
 
 if TYPE_CHECKING:
@@ -23,7 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["RobotFit", "effects_to_fit", "fit_robot", "model_of"]
+__all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +43,12 @@ class RobotFit:
     clocks: Clocks
     intervals: tuple[Interval, ...]
     ten_second_error_m: float
+
+    @property
+    def information_nats(self) -> float:
+        """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
+        nodes = len(self.fit.problem.nodes)
+        return self.fit.log_likelihood - 0.5 * len(self.fit.pieces.active) * float(np.log(nodes))
 
 
 def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
@@ -64,7 +74,7 @@ def fit_robot(
     start: MotionModel | None = None,
     clocks: Clocks | None = None,
 ) -> RobotFit:
-    """Fit clocks (unless they are known already), effects and noise to recordings of one robot.
+    """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
 
     Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
     """
@@ -72,6 +82,7 @@ def fit_robot(
     approach = choose_approach(recordings, law_name)
     if clocks is None:
         clocks = find_clocks(recordings, approach)
+        effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
     fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
     columns = believed_columns(fitted.problem, clocks.free)
     intervals = coefficient_intervals(fitted, columns)
@@ -88,6 +99,21 @@ def fit_robot(
         source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
     )
     return RobotFit(model, fitted, clocks, tuple(intervals), error)
+
+
+def fit_every_law(
+    recordings: Sequence[Recording], effects: Sequence[Effect], *, start: MotionModel | None = None
+) -> dict[str, RobotFit]:
+    """Fit every law with the same effects, clocks and set-up, the likeliest first.
+
+    A law that depends on the step is applied to the odometry's own steps.
+    """
+    first, *others = LAWS
+    results = {first: fit_robot(recordings, effects, law_name=first, start=start)}
+    same = [*results[first].fit.effects, *(e for e in effects if e.kind == "noise")]
+    for name in others:
+        results[name] = fit_robot(recordings, same, law_name=name, start=start, clocks=results[first].clocks)
+    return dict(sorted(results.items(), key=lambda item: item[1].information_nats, reverse=True))
 
 
 def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:

@@ -22,13 +22,14 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.likelihood.nodes import Nodes
 
-__all__ = ["LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "estimated", "fit_noise"]
+__all__ = ["HIGHEST", "LOWEST", "NAMES", "LawPieces", "NoiseFit", "NoiseTask", "estimated", "fit_noise"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
 LOWEST = 1e-5
 """A coefficient this small is none."""
-_LOW, _HIGH = np.log(LOWEST), np.log(10.0)
+HIGHEST = 10.0
+_LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
 _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6

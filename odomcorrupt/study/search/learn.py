@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.drift import ten_second_error
+from odomcorrupt.study.fitting.events import slip_bursts
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect
-from odomcorrupt.study.search.events import slip_bursts
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
@@ -153,23 +152,10 @@ def _again(fitted: Fit, clocks: Clocks, effects: Sequence[Effect], random: Seque
 def _without_idlers(fitted: Fit, clocks: Clocks, keep: set[str]) -> Fit:
     """Drop effects that the later ones have made idle: a Wald test first, because refits cost time."""
     while fitted.effects:
-        idle = [name for name, gain in _wald(fitted).items() if gain < _DROP_NATS and name not in keep]
-        if not idle:
+        worth = {name: 0.5 * square for name, square in fitted.wald.items() if name not in keep}
+        idlest = min(worth, key=worth.__getitem__, default=None)
+        if idlest is None or worth[idlest] >= _DROP_NATS:
             return fitted
-        kept = [e for e in fitted.effects if e.name != idle[0]]
+        kept = [e for e in fitted.effects if e.name != idlest]
         fitted = _again(fitted, clocks, kept, random=fitted.random)
     return fitted
-
-
-def _wald(fitted: Fit) -> dict[str, float]:
-    """Return about how many nats each effect is worth, weakest first."""
-    worth = {}
-    position = 0
-    for effect in fitted.effects:
-        own = amplitudes(effect)
-        rows = slice(position, position + len(own))
-        position += len(own)
-        away = np.array([getattr(effect, p.name) - p.identity for p in own])
-        covariance = fitted.noise.theta_covariance[rows, rows]
-        worth[effect.name] = 0.5 * float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
-    return dict(sorted(worth.items(), key=lambda pair: pair[1]))
