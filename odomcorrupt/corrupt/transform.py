@@ -30,7 +30,7 @@ from odomcorrupt.corrupt.targets import (
     plain,
     side_of,
 )  # fmt: skip
-from odomcorrupt.corrupt.witnesses import frame_of
+from odomcorrupt.corrupt.witnesses import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:
@@ -147,7 +147,9 @@ class Transform:
         waiting: deque[_Held] = deque()
         only = None
         if writer is not None and writer.keeps_rest:
-            only = {number for number, channel in reader.channels.items() if _may_move(channel)}
+            only = {
+                number for number, channel in reader.channels.items() if _may_move(channel) or may_be_placed(channel)
+            }
         for block in joined(reader.blocks(only)):
             waiting.append(self._take(block, reader))
             while waiting and self._ready(waiting[0]):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block, Channel
 
-__all__ = ["frame_of", "truth_tellers"]
+__all__ = ["frame_of", "may_be_placed", "truth_tellers"]
 
 TELLING = frozenset({
     "DynamicJointState", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates", "NavSatFix",
@@ -39,6 +39,15 @@ PLACED = {
     "visualization_msgs/msg/MarkerArray": 4,
 }
 """Messages that tell the truth where they are placed in the odom frame, and at which byte their (first) header is."""
+
+
+LARGE = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})
+"""Messages that are not read for their frame's sake alone."""
+
+
+def may_be_placed(channel: Channel) -> bool:
+    """Whether a channel's messages are worth reading where only those that may move would be."""
+    return channel.msgtype in PLACED and channel.msgtype not in LARGE
 
 
 def truth_tellers(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import struct
 
 import numpy as np
 import pytest
+from bagged import odometry
+from drives import office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
+from odomcorrupt.cli import run
 from odomcorrupt.corrupt.witnesses import frame_of, truth_tellers
 
 
@@ -71,3 +75,27 @@ def test_short_messages_other_types_and_other_encodings_say_nothing():
     assert frame_of(block_of(message("cdr", "odom", many=False)), channel(1, "/x", "std_msgs/msg/String")) is None
     assert frame_of(block_of(message("cdr", "odom", many=False)), channel(1, "/x", grid, "json")) is None
     assert frame_of(block_of(message("cdr", "odom", many=False)), channel(2, "/x", grid)) is None
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_grid_in_the_odom_frame_is_named_whatever_the_bag_is_stored_as(tmp_path, capsys, storage):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    plugin = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    t, poses = office(10.0, 5.0)
+    with Writer(tmp_path / "in", version=9, storage_plugin=plugin) as writer:
+        odom = writer.add_connection("/odom", "nav_msgs/msg/Odometry", typestore=types)
+        grids = {
+            frame: writer.add_connection(f"/grid_in_{frame}", "nav_msgs/msg/OccupancyGrid", typestore=types)
+            for frame in ("odom", "map")
+        }
+        for stamp, pose in zip(t.tolist(), poses, strict=True):
+            writer.write(odom, stamp, odometry(stamp, pose))
+            for frame, grid in grids.items():
+                writer.write(grid, stamp, message("cdr", frame, many=False))
+    assert run(["info", str(tmp_path / "in"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["still_true"] == ["/grid_in_odom"]
+    assert run([str(tmp_path / "in"), str(tmp_path / "out"), "--seed", "1"]) == 0
+    assert "that reads them: /grid_in_odom.\n" in capsys.readouterr().err
