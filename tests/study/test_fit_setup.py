@@ -1,0 +1,61 @@
+"""A fit finds by itself where the truth's tracked point sits, and nothing where it sits right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden import as_recording
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.laws import LAWS, Coefficients
+from odomcorrupt.pose import compose
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.fitting.robot import effects_to_fit, fit_every_law, fit_robot
+from odomcorrupt.study.recordings.trajectory import Trajectory
+
+MOUNTED = (0.08, -0.03, 0.02)
+"""Where the truth's marker sits on the base: x, y (m), yaw (rad)."""
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return as_recording(simulate(3, None, duration_s=240.0))
+
+
+@pytest.fixture(scope="module")
+def mounted(clean):
+    xyt = compose(clean.truth.xyt, np.broadcast_to(MOUNTED, clean.truth.xyt.shape))
+    return replace(clean, truth=Trajectory(clean.truth.stamps_ns, xyt))
+
+
+def test_a_marker_beside_the_base_frame_is_found_in_the_setup_and_not_in_the_robot(mounted):
+    result = fit_robot([mounted], (), law_name="diffusion")
+    found = {effect.name: effect for effect in result.model.setup.effects}
+    errors = result.model.standard_errors
+    assert found.keys() == {"lever_arm", "mount_yaw"}
+    assert abs(found["lever_arm"].x - MOUNTED[0]) < 4.0 * errors["lever_arm.x"] < 0.01
+    assert abs(found["lever_arm"].y - MOUNTED[1]) < 4.0 * errors["lever_arm.y"] < 0.01
+    assert abs(found["mount_yaw"].yaw - MOUNTED[2]) < 4.0 * errors["mount_yaw.yaw"] < 0.01
+    assert result.model.effects == ()
+
+
+def test_a_marker_on_the_base_frame_leaves_the_setup_empty(clean):
+    assert fit_robot([clean], (), law_name="diffusion").model.setup.effects == ()
+
+
+def test_what_cannot_be_told_from_an_effect_that_is_asked_for_is_not_looked_for(mounted):
+    result = fit_robot([mounted], effects_to_fit(None, ["icr_shift"]), law_name="diffusion")
+    assert "lever_arm" not in {effect.name for effect in result.model.setup.effects}
+
+
+def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
+    steps = wander(5, 300.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), 5), seed=5)
+    results = fit_every_law([run], ())
+    assert results.keys() == LAWS.keys()
+    assert next(iter(results)) == "diffusion"
+    nats = [result.information_nats for result in results.values()]
+    assert nats == sorted(nats, reverse=True)
+    assert nats[0] > nats[1]
