@@ -157,7 +157,8 @@ def main() -> NoReturn:
     # threads of a linear algebra library only wait for each other on matrices as narrow as ours
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
-    signal.signal(signal.SIGTERM, _terminated)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _terminated)
     # imports make many objects and little rubbish
     gc.set_threshold(50_000)
     code = run(sys.argv[1:])

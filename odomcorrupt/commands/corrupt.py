@@ -16,7 +16,7 @@ __all__ = ["command"]
 
 
 @click.command("corrupt", cls=AlphaCommand, short_help="Corrupt the odometry of a bag (the default: needs no name).")
-@click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
+@click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True, readable=False))
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True))
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")

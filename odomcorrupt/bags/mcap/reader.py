@@ -202,6 +202,7 @@ class McapReader:
         """Read what follows the data section's end; tell whether that is all, or go to data that stands behind it."""
         source.read(length, what)
         private: list[bytes] = []
+        begin = source.position
         try:
             while opcode != FOOTER:
                 if source.sniff(len(MAGIC)) == MAGIC:
@@ -215,9 +216,12 @@ class McapReader:
                     return False
                 self.summary.keep(opcode, source.read(length, what), self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
-                self._lose(BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged"))
+                raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
         except BagError as error:
             self._lose(error)
+            # An end that is none: there may be data behind it.
+            if next_record(source, begin):
+                return False
         self.summary.private = private
         return True
 

@@ -48,13 +48,19 @@ class Topic:
 
 
 @contextmanager
-def reported(path: Path) -> Iterator[None]:
+def reported(path: Path, *, writing: bool = False) -> Iterator[None]:
     """Say of sqlite's errors which file they are about."""
     try:
         yield
-    except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
+    except (OSError, MemoryError, sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
+        if isinstance(error, BagError):
+            raise
+        if writing:
+            reason = error.strerror if isinstance(error, OSError) else f"sqlite3 says {error}"
+            raise BagError(f"{path}: cannot be written: {reason}") from error
+        reason = str(error) or type(error).__name__
         raise BagError(
-            f"{path}: sqlite3 says {error}; the bag is truncated or damaged; --recover saves what is whole"
+            f"{path}: sqlite3 says {reason}; the bag is truncated or damaged; --recover saves what is whole"
         ) from error
 
 

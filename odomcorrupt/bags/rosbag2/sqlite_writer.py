@@ -60,7 +60,7 @@ class SqliteWriter:
             "offered_qos_profiles": definition.metadata.get("offered_qos_profiles", ""),
             "type_description_hash": definition.metadata.get("topic_type_hash", ""),
         }
-        with reported(self._path):
+        with reported(self._path, writing=True):
             self._insert("topics", values)
             if columns(self._connection, "message_definitions") and not self._defines(msgtype):
                 self._insert(
@@ -78,13 +78,13 @@ class SqliteWriter:
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
         """Say how the bag came about in the file's own metadata, where it has any."""
-        with reported(self._path):
+        with reported(self._path, writing=True):
             if not columns(self._connection, "metadata"):
                 return
-            for row, text in self._connection.execute("SELECT rowid, metadata FROM metadata").fetchall():
+            for row, raw in self._connection.execute("SELECT rowid, CAST(metadata AS BLOB) FROM metadata").fetchall():
                 # What cannot be understood stays as it is.
-                with suppress(BagError):
-                    new = edited(text, lambda info: add_provenance(info, name, items))
+                with suppress(BagError, UnicodeDecodeError):
+                    new = edited((raw or b"").decode(), lambda info: add_provenance(info, name, items))
                     self._connection.execute("UPDATE metadata SET metadata = ? WHERE rowid = ?", (new, row))
 
     def write(self, block: Block) -> None:
@@ -98,7 +98,7 @@ class SqliteWriter:
         for row, before, (offset, length) in zip(framing.rows.tolist(), framing.before, spans, strict=True):
             if before is not None and (now := data[offset : offset + length]) != before:
                 changed.append((bytes(now), row))
-        with reported(self._path):
+        with reported(self._path, writing=True):
             if self._reader.damaged:
                 self._insert_all(block, framing)
             else:
@@ -120,7 +120,7 @@ class SqliteWriter:
         """Count what the file holds by now."""
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
-        with reported(self._path):
+        with reported(self._path, writing=True):
             rows = self._connection.execute(query).fetchall()
         start_ns, end_ns = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
         return PartContents(self._path.name, {names[row[0]]: row[1] for row in rows}, start_ns, end_ns)
@@ -143,7 +143,7 @@ class SqliteWriter:
 
     def __enter__(self) -> Self:
         try:
-            with reported(self._path):
+            with reported(self._path, writing=True):
                 self._begin()
         except BaseException as error:
             self._discard()
@@ -192,7 +192,7 @@ class SqliteWriter:
     ) -> None:
         try:
             if kind is None:
-                with reported(self._path):
+                with reported(self._path, writing=True):
                     self._finish()
         finally:
             self._discard()
