@@ -1,0 +1,363 @@
+"""Damage and bad luck, at the command line: one line, the right exit code, input untouched, nothing left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from mutations import mcap_records
+from smallbags import make_small_bags
+
+from odomcorrupt.bags.messages import gather, locate, scatter
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.cli import run
+
+OURS = [sys.executable, "-m", "odomcorrupt"]
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    return make_small_bags(tmp_path_factory.mktemp("bags"))
+
+
+def call(*words, stdin=None, **options):
+    """Run the program as a user does; return exit code and what was said."""
+    done = subprocess.run(
+        [*OURS, *map(str, words)],
+        stdin=stdin or subprocess.DEVNULL,
+        capture_output=True,
+        timeout=60,
+        check=False,
+        **options,
+    )
+    return done.returncode, done.stderr.decode()
+
+
+def laid(tmp_path, data, name="in.mcap"):
+    """Put a damaged bag into a directory of its own, and give the output another."""
+    (tmp_path / "in").mkdir(exist_ok=True)
+    (tmp_path / "out").mkdir(exist_ok=True)
+    source = tmp_path / "in" / name
+    source.write_bytes(data)
+    return source, tmp_path / "out" / name
+
+
+def refused(source, target, *words, **options):
+    """Expect a failure in one line that leaves all as it was; return the line."""
+    before, stamp = source.read_bytes(), source.stat().st_mtime_ns
+    code, said = call(source, target, "--seed", "7", *words, **options)
+    assert (code, said.count("\n"), said[:13]) == (1, 1, "odomcorrupt: "), said
+    assert (source.read_bytes(), source.stat().st_mtime_ns) == (before, stamp)
+    assert not list(target.parent.iterdir())
+    assert [one.name for one in source.parent.iterdir()] == [source.name]
+    return said
+
+
+DAMAGE = {
+    "empty": (lambda _: b"", "is empty"),
+    "truncated": (lambda data: data[: len(data) // 2], "truncated"),
+    "no end": (lambda data: data[:-1], "truncated or was never closed"),
+    "magic": (lambda data: b"\x88" + data[1:], "which is no MCAP, ROS 1 bag or ROS 2 bag"),
+    "header": (lambda data: data[:8] + b"\x07" + data[9:], "not a header"),
+}
+
+
+@pytest.mark.parametrize(("harm", "words"), DAMAGE.values(), ids=DAMAGE)
+def test_a_damaged_bag_is_refused_in_a_line(harm, words, bags, tmp_path):
+    assert words in refused(*laid(tmp_path, harm(bags["mcap zstd"].path.read_bytes())))
+
+
+def chunk_of(size, data, *, crc=0, name=b"zstd"):
+    content = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name + struct.pack("<Q", len(data)) + data
+    return struct.pack("<BQ", 6, len(content)) + content
+
+
+def with_chunk(data, chunk):
+    """Put a chunk in the place of a bag's first one."""
+    begin, end = next((begin, end) for opcode, begin, end in mcap_records(data) if opcode == 6)
+    return data[:begin] + chunk + data[end:]
+
+
+def bomb(size):
+    """A small frame that unpacks to `size` zeros, and says so only as it goes."""
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    piece = bytes(1 << 24)
+    return b"".join(packer.compress(piece) for _ in range(size >> 24)) + packer.flush()
+
+
+@pytest.mark.parametrize(
+    ("chunk", "words"),
+    [
+        (lambda: chunk_of(1 << 42, b"\x28\xb5\x2f\xfd\x00\x00"), "says it unpacks to 4398046511104 bytes"),
+        (lambda: chunk_of(1 << 29, bomb(1 << 24)), "come out; the bag is damaged"),
+        (lambda: chunk_of(1000, bomb(1 << 30)), "come out; the bag is damaged"),
+        (lambda: chunk_of((1 << 30) + 1, bomb(1 << 24)), "more than the 1073741824 that a chunk may"),
+        (
+            lambda: chunk_of(9, zstandard.compress(b"\x05" + (2**63).to_bytes(8, "little")), crc=0),
+            "does not fit its 9 bytes",
+        ),
+        (lambda: chunk_of(4, zstandard.compress(b"abcd"), crc=zlib.crc32(b"abce")), "checksum does not match"),
+    ],
+    ids=["claims terabytes", "claims more", "unpacks to more", "too large", "lying record", "checksum"],
+)
+def test_a_chunk_that_lies_is_refused_before_it_takes_memory(chunk, words, bags, tmp_path):
+    source, target = laid(tmp_path, with_chunk(bags["mcap zstd"].path.read_bytes(), chunk()))
+    megabytes = 1_500
+
+    def bound():
+        resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20, megabytes << 20))
+
+    assert words in refused(source, target, preexec_fn=bound)
+
+
+def changed(source, target, change):
+    """Copy a bag with its odometry's numbers changed."""
+    with open_reader(source) as reader, open_writer(target, reader) as writer:
+        for block in reader.blocks():
+            for channel in reader.channels.values():
+                if channel.topic == "/odom":
+                    for layout in locate(block, channel):
+                        change(block, layout, layout.items[0])
+            writer.write(block)
+    return target
+
+
+def odometry(path):
+    """Return positions and orientations of the odometry."""
+    found = []
+    with open_reader(path) as reader:
+        for block in reader.blocks():
+            for channel in reader.channels.values():
+                if channel.topic == "/odom":
+                    for layout in locate(block, channel):
+                        item = layout.items[0]
+                        found.append(
+                            np.hstack([gather(block, layout, item, name) for name in ("position", "orientation")])
+                        )
+    return np.concatenate(found)
+
+
+def test_a_pose_that_is_no_number_is_counted_and_the_others_stay_numbers(bags, tmp_path):
+    calls = []
+
+    def spoil(block, layout, item):
+        calls.append(layout)
+        if len(calls) % 3 == 2:
+            position = gather(block, layout, item, "position")
+            position[0] = [np.nan, np.inf, 1e300]
+            scatter(block, layout, item, "position", position)
+
+    source = changed(bags["mcap zstd"].path, tmp_path / "in.mcap", spoil)
+    code, said = call(source, tmp_path / "out.mcap", "--seed", "7")
+    assert code == 0, said
+    assert "Warning" not in said
+    assert "no numbers" in said or "not numbers" in said or "unusable" in said, said
+    before, after = odometry(source), odometry(tmp_path / "out.mcap")
+    sound = np.isfinite(before).all(axis=1)
+    assert 0 < np.count_nonzero(~sound) < len(sound) / 2
+    assert np.isfinite(after[sound]).all()
+
+
+def test_a_quaternion_of_another_length_turns_by_as_much(bags, tmp_path):
+    def stretch(block, layout, item):
+        scatter(block, layout, item, "orientation", 3.0 * gather(block, layout, item, "orientation"))
+
+    source = changed(bags["mcap zstd"].path, tmp_path / "in.mcap", stretch)
+    assert call(source, tmp_path / "three.mcap", "--seed", "7")[0] == 0
+    assert call(bags["mcap zstd"].path, tmp_path / "one.mcap", "--seed", "7")[0] == 0
+    three, one = odometry(tmp_path / "three.mcap"), odometry(tmp_path / "one.mcap")
+    unit = three[:, 3:] / np.linalg.norm(three[:, 3:], axis=1, keepdims=True)
+    np.testing.assert_allclose(three[:, :3], one[:, :3], atol=1e-12)
+    np.testing.assert_allclose(unit, one[:, 3:], atol=1e-12)
+
+
+def test_a_wrong_definition_is_carried_and_a_wrong_type_is_told(bags, tmp_path):
+    data = bags["mcap none"].path.read_bytes()
+    garbled = data.replace(b"float64[36] covariance", b"float64[99] covariance")
+    assert garbled != data
+    # the definition's checksum stands in its chunk's: none
+    code, said = call(*laid(tmp_path, _without_checksums(garbled)), "--seed", "7")
+    assert code == 0, said
+
+
+def _without_checksums(data):
+    out = bytearray(data)
+    for opcode, begin, end in mcap_records(data):
+        if opcode == 6:
+            out[begin + 33 : begin + 37] = bytes(4)
+        elif opcode == 15:
+            out[begin + 9 : begin + 13] = bytes(4)
+        elif opcode == 2:
+            out[end - 4 : end] = bytes(4)
+    return bytes(out)
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file", "sqlite3 directory", "mcap directory"])
+def test_a_full_disk_is_said_and_leaves_nothing(kind, bags, tmp_path):
+    source = bags[kind].path
+
+    def small():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
+
+    code, said = call(source, tmp_path / source.name, "--seed", "7", preexec_fn=small)
+    assert (code, said.count("\n")) == (1, 1), said
+    assert "cannot be written" in said or "sqlite3 says" in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_stdout_is_said(bags):
+    with open("/dev/full", "wb") as full:  # noqa: PTH123 - a device
+        done = subprocess.run(
+            [*OURS, str(bags["mcap zstd"].path), "-", "--seed", "7"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr.decode().splitlines()[0].startswith("odomcorrupt: stdout: cannot be written: No space left")
+    assert done.stderr.count(b"\n") == 1, done.stderr
+
+
+@pytest.fixture
+def room():
+    """Yield a directory that every user can reach."""
+    with tempfile.TemporaryDirectory() as made:
+        Path(made).chmod(0o755)
+        yield Path(made)
+
+
+def as_nobody(*words):
+    """Run a command without the rights of root, in a fork: not every user may run our Python; return code and words."""
+    seen, told = os.pipe()
+    child = os.fork()
+    if child == 0:
+        code = 99
+        with contextlib.suppress(BaseException), os.fdopen(told, "w") as stream:
+            if os.getuid() == 0:
+                os.setgid(NOBODY)
+                os.setuid(NOBODY)
+            with contextlib.redirect_stderr(stream):
+                code = run([str(word) for word in words])
+        os._exit(code)
+    os.close(told)
+    with os.fdopen(seen) as stream:
+        said = stream.read()
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file", "sqlite3 directory"])
+def test_what_may_not_be_written_is_said(kind, bags, room, tmp_path):
+    source = room / bags[kind].path.name
+    shutil.copytree(bags[kind].path, source) if bags[kind].path.is_dir() else shutil.copyfile(bags[kind].path, source)
+    # all imports are done before the rights are gone
+    assert run([str(source), str(tmp_path / source.name), "--seed", "7"]) == 0
+    (room / "shut").mkdir(mode=0o555)
+    code, said = as_nobody(source, room / "shut" / source.name, "--seed", "7")
+    assert (code, said.count("\n")) == (1, 1), said
+    assert "Permission denied" in said or "unable to open" in said
+    assert not list((room / "shut").iterdir())
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 lz4", "sqlite3 file"])
+def test_what_may_not_be_read_is_said(kind, bags, room, tmp_path):
+    source = room / bags[kind].path.name
+    shutil.copyfile(bags[kind].path, source)
+    assert run([str(source), str(tmp_path / source.name), "--seed", "7"]) == 0
+    source.chmod(0)
+    room.chmod(0o777)
+    code, said = as_nobody(source, room / f"out{source.suffix}", "--seed", "7")
+    assert (code, said.count("\n")) == (1, 1), said
+    assert "Permission denied" in said
+    assert [one.name for one in room.iterdir()] == [source.name]
+
+
+def test_a_directory_that_vanishes_meanwhile_is_said(bags, tmp_path):
+    room = tmp_path / "room"
+    room.mkdir()
+    fifo = tmp_path / "slow.mcap"
+    os.mkfifo(fifo)
+    data = bags["mcap zstd"].path.read_bytes()
+    process = subprocess.Popen(
+        [*OURS, str(fifo), str(room / "out.mcap"), "--seed", "7", "--odom-topic", "/odom"], stderr=subprocess.PIPE
+    )
+    with fifo.open("wb") as stream:
+        stream.write(data[:1000])
+        stream.flush()
+        deadline = time.monotonic() + 30
+        while not list(room.iterdir()) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        for left in room.iterdir():
+            left.unlink()
+        room.rmdir()
+        stream.write(data[1000:])
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert said.decode().startswith(f"odomcorrupt: {room / 'out.mcap'}: cannot be written: No such file"), said
+    assert said.count(b"\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, None)]
+)
+def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_path):
+    target = tmp_path / "out.mcap"
+    target.write_bytes(b"what was there")
+    data = bags["mcap zstd"].path.read_bytes()
+    words = [*OURS, "-", str(target), "--seed", "7", "--odom-topic", "/odom", "--overwrite"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdin.write(data[: len(data) // 2])
+        process.stdin.flush()
+        deadline = time.monotonic() + 30
+        while len(list(tmp_path.iterdir())) < 2 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        process.send_signal(number)
+        said = process.stderr.read()
+        assert process.wait(timeout=30) == (-number if code is None else code)
+    assert target.read_bytes() == b"what was there"
+    assert b"Traceback" not in said
+    if code is not None:
+        assert [one.name for one in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_a_reader_that_leaves_early_is_no_traceback(bags):
+    words = [*OURS, str(bags["mcap none"].path), "-", "--seed", "7"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.read(10)
+        process.stdout.close()
+        said = process.stderr.read().decode()
+    assert "Traceback" not in said
+    assert said.count("\n") <= 1
+
+
+@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
+def test_recovery_tells_what_it_lost_and_exits_with_3(kind, bags, tmp_path):
+    data = bytearray(bags[kind].path.read_bytes())
+    at = int((0.6 if kind == "sqlite3 file" else 0.4) * len(data)) // 4096 * 4096
+    data[at : at + 4096] = b"\xff" * 4096
+    source, target = laid(tmp_path, bytes(data), f"in{bags[kind].path.suffix}")
+    assert "--recover" in refused(source, target)
+    code, said = call(source, target, "--seed", "7", "--recover")
+    assert code == 3, said
+    assert target.exists()
+    assert "--recover" not in said
+    with open_reader(target) as reader:
+        saved = sum(len(block.table) for block in reader.blocks())
+    assert 0.3 * bags[kind].count < saved < bags[kind].count
+
+
+@pytest.mark.parametrize("data", [b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"", b"nothing"])
+def test_what_cannot_be_recovered_is_not_told_to_recover(data, tmp_path):
+    source, target = laid(tmp_path, data)
+    assert "--recover" not in refused(source, target, "--recover")
