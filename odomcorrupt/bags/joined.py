@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block
+from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 
@@ -62,7 +62,8 @@ class _Run:
         ends = np.cumsum([block.data.size for block in self.blocks]).tolist()
         begins = [0, *ends[:-1]]
         at = _address(first) - _address_of(whole)
-        table = np.concatenate([block.table for block in self.blocks])
+        # as plain bytes: numpy is slow to see that records of the same fields can stand behind each other
+        table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
         raw = first.raw
         if isinstance(raw, Ros1Framing):

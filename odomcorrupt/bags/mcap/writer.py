@@ -52,7 +52,8 @@ class Packed(NamedTuple):
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
     """Compress and sum a chunk's records."""
-    return Packed(compress(codec, data, level), zlib.crc32(data.data))
+    crc = zlib.crc32(data.data)
+    return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
 
 
 class McapWriter:
