@@ -58,7 +58,7 @@ def command(
         write_drive(drive, advice)
     if as_json:
         ladder = held_out_ladder(learned, runs)
-        click.echo(json.dumps(learned_json(learned, ladder), indent=2, allow_nan=False))
+        click.echo(json.dumps(learned_json(learned, ladder, advice), indent=2, allow_nan=False))
         return
     for line in clock_lines([r.name for r in runs], learned.clocks):
         click.echo(line)

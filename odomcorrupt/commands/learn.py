@@ -76,7 +76,7 @@ def command(
         ladder["with " + ", ".join(names)] = robot.model
     comparison = compare(judges, ladder)
     if as_json:
-        found = learned_json(learned, held_out_ladder(learned, runs))
+        found = learned_json(learned, held_out_ladder(learned, runs), advice)
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         lines = clock_lines([r.name for r in runs], learned.clocks)

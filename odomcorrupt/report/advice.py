@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.tables import value_text
@@ -54,6 +55,8 @@ def drive_sentence(plan: Plan) -> str:
     """Return what to drive, how long, how fast and on how much floor."""
     length, width = plan.floor_m
     moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
+    if plan.fastest_mps == 0.0:
+        moving = f"up to {degrees(plan.quickest_radps):.0f} deg/s"
     return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
 
 

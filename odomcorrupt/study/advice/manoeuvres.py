@@ -208,7 +208,7 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("squares", "squares with corners on the spot, to the left and to the right in turn", _squares),
     Manoeuvre("eights", "figures of eight", _eights),
     Manoeuvre("eights_at_two_speeds", "figures of eight, slowly and fast", _eights_at_two_speeds),
-    Manoeuvre("turns_apart", "the same turn on the spot, slowly and fast, to the left and to the right", _turns_apart),
+    Manoeuvre("turns_apart", "the same turn on the spot, in a tight bend and in a wide one, both ways", _turns_apart),
     Manoeuvre("hard", "short straights with hard starts and hard braking, and turns on the spot between them", _hard),
     Manoeuvre("star", "straights in eight headings, with turns on the spot between them", _star),
     Manoeuvre("everything", "a bit of everything: straights, bends and turns, slow, fast and in reverse", _everything),

@@ -60,6 +60,11 @@ class Plan:
         """Largest speed, m/s."""
         return float(np.abs(self.v_mps).max())
 
+    @property
+    def quickest_radps(self) -> float:
+        """Largest turn rate, rad/s."""
+        return float(np.abs(self.omega_radps).max())
+
 
 def safe_limits(motions: Sequence[Motion]) -> Limits:
     """Return how fast a robot may be sent: as fast as it has been seen to go, within what is harmless indoors."""

@@ -1,0 +1,74 @@
+"""How sure a name is: the posterior share of what was named among its listed rivals, chance, and something else.
+
+With g the nats that a name gains and g_i those of its rivals (all less what their parameters gain by chance), and u
+the nats that curves over speed, time, heading and so on still gain when everything named is believed, the odds
+against the name are
+
+    sum_i exp(T (g_i - g))  +  exp(-T g)  +  ELSE + LEFT u / g
+
+rivals, nothing at all, and something else: a cause that is in no library is explained by a known one in part only,
+and what is left of it shows. `calibrated` alone turns odds into the probability that is told.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, inf, isfinite, log
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.search.learn import Learned, Round
+
+__all__ = ["Evidence", "calibrated", "confidence", "evidence_of", "odds_against"]
+
+TEMPER = 1.0
+"""T: how much a nat counts; below 1 where the noise model is too narrow."""
+ELSE = 0.005
+"""Odds against any name however plain: names that the library does not have."""
+LEFT = 1.0
+"""What is left unexplained, in parts of what the name explains, counts as much as odds against it."""
+SLOPE, SHIFT = 1.0, 0.0
+"""Of the calibration line in log odds; to be fitted to a reliability curve."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for a name and against it, in nats.
+
+    own : what it gains, less what its parameters gain by chance
+    rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
+    left : what the plainest unknown dependence still gains in the end
+    """
+
+    own: float
+    rivals: tuple[float, ...] = ()
+    left: float = 0.0
+
+
+def confidence(evidence: Evidence) -> float:
+    """Return the probability, within (0, 1), that a name is right, or a twin of what is."""
+    return calibrated(odds_against(evidence))
+
+
+def odds_against(evidence: Evidence) -> float:
+    """Return the odds of rivals, nothing and something else together against the name; positive, perhaps infinite."""
+    if not evidence.own > 0.0:
+        return inf
+    rivals = sum(exp(min(TEMPER * (g - evidence.own), 700.0)) for g in evidence.rivals if isfinite(g))
+    nothing = exp(-min(TEMPER * evidence.own, 700.0))
+    return rivals + nothing + ELSE + LEFT * max(evidence.left, 0.0) / evidence.own
+
+
+def calibrated(odds: float) -> float:
+    """Return the probability told for odds against a name: a line in log odds, the one thing that calibration moves."""
+    if not isfinite(odds):
+        return 0.0
+    return 1.0 / (1.0 + exp(min(max(SLOPE * log(odds) + SHIFT, -700.0), 700.0)))
+
+
+def evidence_of(look: Round, learned: Learned) -> Evidence:
+    """Return the evidence for what a look added, in the light of what is left when the search has ended."""
+    rivals = tuple(c.gain for c in look.candidates[1:] if not c.refused)
+    price = 0.5 * log(len(learned.fit.problem.nodes))
+    left = max((u.nats - price * len(u.curve) for u in learned.unknown), default=0.0)
+    return Evidence(look.candidates[0].gain, rivals, left)
