@@ -2,7 +2,8 @@
 
 An effect is admitted only if both gates of the score test pass, it gains on blocks held out of its estimate, its size
 is physically possible and well enough known, and the drift over 10 s of the data it was fitted on does not grow
-(a likelihood alone may want a cause that improves single steps and spoils the path).
+(a likelihood alone may want a cause that improves single steps and spoils the path). Two causes may make up for each
+other on the path, though: one that spoils it is admitted after all where, beside the next one, the drift falls.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ LEVEL = 0.01
 _SHORTLIST = 4
 _WORTH_A_REFIT = 0.25
 """Part of the leader's evidence below which a refit would not turn the tables."""
+_SPOILS = f"makes the {WINDOW_S:g} s error larger"
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 
@@ -71,6 +73,26 @@ def library(fitted: Fit) -> list[tuple[Effect, ...]]:
 
 def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
     """Return all candidates, the ones that may be added first and in order of evidence."""
+    candidates = _candidates(fitted, free_clocks)
+    best = max((c.gain for c in candidates if not c.refused), default=0.0)
+    excused = [_excused(c, free_clocks) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
+    return sorted(excused, key=_rank, reverse=True)
+
+
+def _excused(candidate: Candidate, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+    """Return the candidate admitted, where what comes next makes good the path that it spoils alone."""
+    if candidate.fit is None:
+        return candidate
+    following = [c for c in _candidates(candidate.fit, free_clocks) if not c.refused]
+    made_good = any(c.rmse[1] <= candidate.rmse[0] for c in following)
+    return replace(candidate, refused="") if made_good else candidate
+
+
+def _rank(candidate: Candidate) -> tuple[bool, float, float]:
+    return (candidate.refused == "", candidate.gain, -candidate.score.p)
+
+
+def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
     believed = believed_columns(fitted.problem, free_clocks)
     families = library(fitted)
     members = [best_member(fitted, family, believed) for family in families]
@@ -88,9 +110,12 @@ def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
         if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
             continue
-        refits, leader = refits + 1, max(leader, weight)
+        refits += 1
         candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
-    return sorted(candidates, key=lambda c: (c.refused == "", c.gain, -c.score.p), reverse=True)
+        if not candidates[-1].refused:
+            # one that cannot be had stands in nobody's way
+            leader = max(leader, weight)
+    return sorted(candidates, key=_rank, reverse=True)
 
 
 def _evidence(score: Score, trials: int, count: int) -> float:
@@ -141,5 +166,5 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
     if gain <= 0.0:
         refused = "gains nothing when everything is fitted together"
     elif after > before:
-        refused = f"makes the {WINDOW_S:g} s error larger"
+        refused = _SPOILS
     return Candidate(score, again, gain, (before, after), refused)

@@ -1,0 +1,97 @@
+"""What was learned, as plain numbers: the only place that knows how a search tells its results."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from laboratory.cases import CLOCKS, same_class
+from odomcorrupt.effects.effect import amplitudes, parameters
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.search.learn import Learned
+
+__all__ = ["errors_of", "told"]
+
+SURE = float(np.sqrt(chi2.isf(1e-4, 1)))
+
+
+def told(learned: Learned) -> dict[str, Any]:
+    """Return names in order, the alternatives of each, confidences, values with errors, noise and what is unknown."""
+    clock_names, values = _clocks(learned)
+    position = 0
+    for effect in learned.fit.effects:
+        own = amplitudes(effect)
+        errors = learned.fit.standard_errors[position : position + len(own)]
+        position += len(own)
+        values[effect.name] = {
+            "values": {p.name: getattr(effect, p.name) for p in parameters(effect)},
+            "errors": {p.name: float(error) for p, error in zip(own, errors, strict=True)},
+        }
+    looks = [
+        {"added": r.added, "alternatives": list(r.alternatives), "gains": _gains(r.candidates)} for r in learned.rounds
+    ]
+    for look in looks:
+        look["confidence"] = confidence(look["gains"], look["added"])
+    return {
+        "clocks": clock_names,
+        "added": list(learned.added),
+        "looks": looks,
+        "noise": [[gain.effect.name, gain.nats] for gain in learned.noise],
+        "unknown": [[u.driver, u.channel, u.nats, u.expression] for u in learned.unknown],
+        "found": values,
+        "nodes": len(learned.fit.problem.nodes),
+    }
+
+
+def confidence(gains: dict[str, float], added: str | None) -> float | None:
+    """Return the posterior of the added name among all refitted candidates and none, each as likely beforehand."""
+    if added is None or added not in gains:
+        return None
+    best = max(*gains.values(), 0.0)
+    total = math.exp(-best) + sum(math.exp(gain - best) for gain in gains.values())
+    return math.exp(gains[added] - best) / total
+
+
+def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the relative error of what was found of a cause, and for each parameter whether its interval covers.
+
+    What points somewhere is compared as a vector; twins share their parameters.
+    """
+    name = cause if cause in found else same_class(cause)
+    if name not in found:
+        return None
+    values, errors = found[name]["values"], found[name]["errors"]
+    if cause == "slope":
+        sought = truth["creep"] * np.exp(1j * truth["direction"])
+        got = values["creep"] * np.exp(1j * values["direction"])
+        return {"relative": float(abs(got - sought) / abs(sought)), "covered": []}
+    keys = [key for key in values if key in errors]
+    sought = np.array([float(truth.get(key, 0.0)) for key in keys])
+    got = np.array([float(values[key]) for key in keys])
+    relative = float(np.linalg.norm(got - sought) / np.linalg.norm(sought))
+    covered = [bool(abs(g - s) <= 1.96 * errors[key]) for key, g, s in zip(keys, got, sought, strict=True)]
+    return {"relative": relative, "covered": covered}
+
+
+def _gains(candidates: Any) -> dict[str, float]:
+    return {c.score.effect.name: float(c.gain) for c in candidates if np.isfinite(c.gain)}
+
+
+def _clocks(learned: Learned) -> tuple[list[str], dict[str, Any]]:
+    """Return which clock is off, the plainer first, and both numbers with their errors."""
+    offset, rate = learned.clocks.free[0]
+    clock, error = learned.fit.problem.clocks[0], learned.fit.clock_errors[0]
+    found = {}
+    if offset:
+        found["time_offset"] = (abs(clock.offset_s) / max(error[0], 1e-12), "offset", clock.offset_s, float(error[0]))
+    if rate:
+        found["clock_skew"] = (abs(clock.rate) / max(error[1], 1e-15), "rate", clock.rate, float(error[1]))
+    names = sorted((name for name in CLOCKS if name in found and found[name][0] > SURE), key=lambda n: -found[n][0])
+    values = {
+        name: {"values": {key: value}, "errors": {key: deviation}} for name, (_, key, value, deviation) in found.items()
+    }
+    return names, values

@@ -1,0 +1,91 @@
+"""What is asked of each case: one function for each kind of arm, plain numbers out."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hidden import as_recording, ten_second_error
+
+from laboratory.answer import errors_of, told
+from laboratory.drives import judges, learning_run
+from laboratory.information import expected_information
+from laboratory.invariance import variants
+from laboratory.planted import planted
+from laboratory.sham import sham
+from odomcorrupt.effects.user import user_effect
+from odomcorrupt.errors import EffectError
+from odomcorrupt.simulate import OUTSIDE
+from odomcorrupt.study.search.learn import learn
+
+if TYPE_CHECKING:
+    from laboratory.cases import Case
+    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.search.learn import Learned
+
+__all__ = ["ask"]
+
+
+def ask(case: Case, real: str) -> dict[str, Any]:
+    """Return what a case shows."""
+    if case.arm == "planted":
+        return planted(case, Path(real))
+    if case.arm == "body":
+        return _body(case)
+    run = learning_run(case)
+    recording = as_recording(run)
+    if case.arm == "invariance":
+        return variants(case, run)
+    learned, seconds = _learned(recording)
+    answer = told(learned)
+    row: dict[str, Any] = {"answer": answer, "learn_s": seconds, "truth": run.answer["causes"]}
+    if case.causes:
+        row["errors"] = {c: errors_of(run.answer["causes"][c], c, answer["found"]) for c in case.causes}
+    if case.arm in ("single", "outside"):
+        row["expected"] = expected_information(case)
+    judged, floor = judges(case)
+    row["error"] = _errors(learned, judged, floor)
+    if case.arm == "controls":
+        row["sham"] = sham(case, recording, judged)
+    if case.arm == "outside":
+        row["depends_on"] = OUTSIDE[case.causes[0]].depends_on
+        row["error"]["offered"] = _offered(learned, judged)
+    return row
+
+
+def _learned(recording: Recording) -> tuple[Learned, float]:
+    begun = time.process_time()
+    learned = learn([recording])
+    return learned, time.process_time() - begun
+
+
+def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, float]:
+    """Return 10 s errors (m) of another drive: as it came, after adding what was learned, and without the flaw."""
+    clock = learned.fit.problem.clocks[0]
+    return {
+        "before": ten_second_error([judged]),
+        "after": ten_second_error([judged], learned.fit.effects, clock),
+        "floor": ten_second_error([floor]),
+    }
+
+
+def _offered(learned: Learned, judged: Recording) -> float | None:
+    """Return the 10 s error when the first offered expression is added, too; None where none is offered."""
+    if not learned.unknown:
+        return None
+    try:
+        effect = user_effect("offered", learned.unknown[0].expression, {})
+        return ten_second_error([judged], (*learned.fit.effects, effect), learned.fit.problem.clocks[0])
+    except EffectError:
+        return float(np.inf)
+
+
+def _body(case: Case) -> dict[str, Any]:
+    """Learn from a body in MuJoCo."""
+    from mujocosim import simulate_body  # noqa: PLC0415 - heavy, and needed here alone
+
+    run = simulate_body(case.seed, case.causes[0], duration_s=300.0)
+    learned, seconds = _learned(as_recording(run))
+    return {"answer": told(learned), "learn_s": seconds, "truth": run.answer["causes"], "body": run.answer["body"]}

@@ -1,0 +1,134 @@
+"""Which drives are made, fixed before any of them is: arms, causes, sizes, routes and seeds.
+
+The order within an arm is such that any beginning of it is balanced over causes, sizes and routes; the arms are mixed
+in proportion to their lengths. So a run that is cut short is a smaller sample of the same design.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.simulate import CAUSES, OUTSIDE, ROUTES
+from odomcorrupt.simulate.flaws import EVERY, SIZES
+
+__all__ = ["ARMS", "CLOCKS", "LENGTHS", "PILOT", "RANDOM", "SYSTEMATIC", "Case", "cases", "same_class"]
+
+RANDOM = ("gauss_markov", "gyro_bias_walk", "heavy_tails", "lost_increments", "quantization", "slip_burst")
+CLOCKS = ("clock_skew", "time_offset")
+SYSTEMATIC = tuple(sorted(set(CAUSES) - set(RANDOM)))
+"""Causes of the library that act always: geometry, sensors, contact and clocks."""
+FIRST_SEED = {
+    "controls": 50_000, "rtk": 50_300, "single": 51_000, "noise": 51_300, "outside": 51_400, "mixtures": 51_500,
+    "noisy_mixtures": 51_600, "invariance": 51_700, "planted": 51_800, "body": 51_900,
+}  # fmt: skip
+"""Seeds that no test, no fixture and no pilot has used."""
+LENGTHS = {
+    "controls": 200, "rtk": 60, "single": 162, "noise": 36, "outside": 54, "mixtures": 60, "noisy_mixtures": 20,
+    "invariance": 5, "planted": 12, "body": 7,
+}  # fmt: skip
+ARMS = tuple(LENGTHS)
+FIRST = {
+    "controls": 102, "rtk": 30, "single": 54, "noise": 18, "outside": 27, "mixtures": 42, "noisy_mixtures": 6,
+    "invariance": 5, "planted": 12, "body": 7,
+}  # fmt: skip
+"""How many of each arm come before all others; where time is short these are what matters."""
+PILOT = 9_000 - 50_000
+"""What a pilot adds to a seed, so that it never meets a fresh one."""
+PLANTS = ("wheel_scale", "unequal_wheels", "gyro_bias", "wheelbase")
+BODIES = (
+    "larger_right_wheel", "larger_wheels", "wider_axle", "soft_tyres", "one_sided_load", "slippery_patch",
+    "tilted_floor",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One drive to be learned from.
+
+    causes : what is wrong with the robot; of the arm "planted" the effect that is put in, of "body" what is built
+    size : a key of the laboratory's sizes, or "" where there is nothing to size
+    """
+
+    arm: str
+    number: int
+    seed: int
+    route: str
+    causes: tuple[str, ...] = ()
+    size: str = ""
+    truth: str = "mocap"
+    yaw_from: str = "encoders"
+    drive_type: str = "differential"
+
+    @property
+    def key(self) -> str:
+        """What the results file calls it."""
+        return f"{self.arm}/{self.number}"
+
+
+def same_class(name: str) -> str:
+    """Return the name that stands for all effects with the very same f."""
+    kind = registry().get(name)
+    return (kind.twin_of if kind is not None else None) or name
+
+
+def cases(*, pilot: bool = False) -> list[Case]:
+    """Return all cases in the order in which they are run."""
+    shift = PILOT if pilot else 0
+    made = [_case(arm, i, FIRST_SEED[arm] + shift + i) for arm in ARMS for i in range(LENGTHS[arm])]
+    return sorted(made, key=_turn)
+
+
+def _turn(case: Case) -> tuple[bool, float, int]:
+    """Return when a case is run: the first of all arms in proportion, then the rest likewise."""
+    first = FIRST[case.arm]
+    late = case.number >= first
+    part = (case.number - first) / (LENGTHS[case.arm] - first) if late else (case.number + 0.5) / first
+    return late, part, ARMS.index(case.arm)
+
+
+def _case(arm: str, i: int, seed: int) -> Case:
+    routes, sizes = list(ROUTES), list(SIZES)
+    if arm in ("controls", "rtk"):
+        return Case(
+            arm, i, seed, routes[i % 6],
+            truth="rtk" if arm == "rtk" else "mocap",
+            yaw_from=("encoders", "gyro")[i // 6 % 2],
+            drive_type="skid" if i // 12 % 3 == 2 else "differential",
+        )  # fmt: skip
+    if arm in ("single", "noise", "outside"):
+        names = {"single": SYSTEMATIC, "noise": RANDOM, "outside": tuple(sorted(OUTSIDE))}[arm]
+        which, again = i % len(names), i // len(names)
+        third, rep = again % 3, again // 3
+        return Case(
+            arm, i, seed, routes[(which + third + 3 * rep) % 6], (names[which],), sizes[(which + third + rep) % 3],
+            yaw_from=_heading((names[which],), rep),
+            drive_type="skid" if rep == 1 else "differential",
+        )  # fmt: skip
+    if arm in ("mixtures", "noisy_mixtures"):
+        pair = _pair(i, noisy=arm == "noisy_mixtures")
+        return Case(arm, i, seed, routes[i % 6], pair, sizes[(i + i // 6) % 3], yaw_from=_heading(pair, i))
+    if arm == "invariance":
+        return Case(arm, i, seed, routes[i], (("wheelbase",), ("side_slip",), (), ("lever_arm",), ("gyro_bias",))[i],
+                    "medium" if i != 2 else "", yaw_from="gyro" if i == 4 else "encoders")  # fmt: skip
+    if arm == "planted":
+        return Case(arm, i, seed, "real", (PLANTS[(i + i // 4) % 4],))
+    return Case(arm, i, seed, "office", (BODIES[i],))
+
+
+def _heading(causes: tuple[str, ...], turn: int) -> str:
+    """Return a source of turns with which all of these show; where both do, by turns."""
+    usable = [source for source in ("encoders", "gyro") if all(source in EVERY[c].shows_with for c in causes)]
+    return usable[turn % len(usable)]
+
+
+def _pair(i: int, *, noisy: bool) -> tuple[str, str]:
+    """Draw two causes that show with one source of turns and are not the same thing by another name."""
+    rng = np.random.default_rng((51, i, noisy))
+    while True:
+        first, second = (str(n) for n in (rng.choice(SYSTEMATIC), rng.choice(RANDOM if noisy else SYSTEMATIC)))
+        shared = set(EVERY[first].shows_with) & set(EVERY[second].shows_with)
+        if shared and same_class(first) != same_class(second):
+            return first, second

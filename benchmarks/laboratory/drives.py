@@ -1,0 +1,57 @@
+"""The drives of a case: the one that is learned from, the one that judges, and the same without the flaw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from hidden import as_recording
+
+from odomcorrupt.simulate import TRACKERS, Rig, SimulatedRun, simulate, simulate_without
+from odomcorrupt.simulate.flaws import SIZES
+
+if TYPE_CHECKING:
+    from laboratory.cases import Case
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["LEARNED_S", "judges", "learning_run", "noiseless_pair", "quiet_run"]
+
+LEARNED_S, JUDGED_S = 600.0, 300.0
+JUDGE_SEED = 400_000
+"""What is added to a seed for another drive of the same robot."""
+QUIET = Rig(ticks_per_turn=None)
+
+
+def learning_run(case: Case) -> SimulatedRun:
+    """Return the drive to learn from."""
+    return simulate(case.seed, case.causes, duration_s=LEARNED_S, **_options(case))
+
+
+def quiet_run(case: Case) -> SimulatedRun:
+    """Return the same drive, had the robot no flaw."""
+    return simulate_without(case.seed, case.causes, duration_s=LEARNED_S, **_options(case))
+
+
+def noiseless_pair(case: Case) -> tuple[SimulatedRun, SimulatedRun]:
+    """Return the drive with its flaw and without, both without ticks and without noise of the truth."""
+    still = replace(TRACKERS[case.truth], noise_m=0.0, noise_rad=0.0, wander_m=0.0)
+    options = _options(case) | {"truth": still, "rig": QUIET, "duration_s": LEARNED_S}
+    return simulate(case.seed, case.causes, **options), simulate_without(case.seed, case.causes, **options)
+
+
+def judges(case: Case) -> tuple[Recording, Recording]:
+    """Return another drive of the same robot, with its flaw and without."""
+    options = _options(case) | {"duration_s": JUDGED_S, "robot_seed": case.seed}
+    seed = case.seed + JUDGE_SEED
+    with_flaw, without = simulate(seed, case.causes, **options), simulate_without(seed, case.causes, **options)
+    return as_recording(with_flaw, "judged"), as_recording(without, "floor")
+
+
+def _options(case: Case) -> dict[str, Any]:
+    return {
+        "size": SIZES.get(case.size, 1.0),
+        "truth": case.truth,
+        "route": case.route,
+        "yaw_from": case.yaw_from,
+        "drive_type": case.drive_type,
+    }

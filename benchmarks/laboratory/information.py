@@ -1,0 +1,73 @@
+"""What a drive can tell of its cause, computed from its design alone, before anything is learned.
+
+The same drive with and without the flaw, both without ticks and without noise of the truth, differ in their residuals
+by what the flaw does and nothing else. Whitened with the noise of the flawless drive, half the squared length of that
+difference is the log likelihood (nats) that the true cause is expected to gain, and its root is the size of the flaw in
+standard errors. What is left of it beside another effect's column is what tells the cause from that effect.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from hidden import as_recording
+
+from laboratory.cases import same_class
+from laboratory.drives import noiseless_pair, quiet_run
+from odomcorrupt.effects import registry
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.likelihood.nodes import GAP_S, intervals, pick_nodes
+
+if TYPE_CHECKING:
+    from laboratory.cases import Case
+    from odomcorrupt.study.recordings.trajectory import Recording
+
+__all__ = ["EXCITED_NATS", "expected_information"]
+
+EXCITED_NATS = 8.0
+"""A cause is excited where it is expected to gain this many nats beyond its price, and separable where it does so
+beyond every other effect: then chance alone names another first in 2 % of drives."""
+
+
+def expected_information(case: Case) -> dict[str, float | str | bool]:
+    """Return expected nats (price taken off), size in standard errors, the nearest rival and what tells it apart."""
+    flawless = as_recording(quiet_run(case))
+    base = fit([flawless], approach=choose_approach([flawless]))
+    flawed, clean = (as_recording(run) for run in noiseless_pair(case))
+    shift = _residual(flawed, clean, base.problem.approach.spacing_s) - _residual(
+        clean, clean, base.problem.approach.spacing_s
+    )
+    # an offset of the clock makes the ends of the drive hang over
+    shift[:2], shift[-2:] = 0.0, 0.0
+    white = base.noise.whitener.whiten(shift)
+    total = 0.5 * float(white @ white)
+    own = {same_class(cause) for cause in case.causes}
+    nearest, apart = "", total
+    for name, kind in registry().items():
+        family = kind.scan(base.problem.motions)
+        if kind.kind == "noise" or len(family) != 1 or same_class(name) in own:
+            continue
+        column = base.noise.whitener.whiten(base.problem.columns(family[0]))
+        left = white - column @ np.linalg.lstsq(column, white, rcond=None)[0]
+        if 0.5 * float(left @ left) < apart:
+            nearest, apart = name, 0.5 * float(left @ left)
+    price = 0.5 * float(np.log(len(shift)))
+    return {
+        "nats": total - price,
+        "standard_errors": float(np.sqrt(2.0 * total)),
+        "rival": nearest,
+        "apart_nats": apart,
+        "excited": total - price >= EXCITED_NATS,
+        "separable": apart >= EXCITED_NATS,
+    }
+
+
+def _residual(recording: Recording, like: Recording, spacing_s: float) -> np.ndarray:
+    """Return the residuals (K, 3) over the same truth samples as those of `like`."""
+    odo_s, truth_s = like.odometry_s, like.truth.seconds_since(like.origin_ns)
+    picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
+    return intervals(replace(recording, origin_ns=like.origin_ns), picked, kept).residual.copy()

@@ -1,0 +1,88 @@
+"""The page of figures: docs/hidden_effects.md from a file of results."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from laboratory.cases import ARMS, LENGTHS
+from laboratory.samples import bodies, plants, sames
+from laboratory.tables import (
+    confusion,
+    controls,
+    falls,
+    misses,
+    mixtures,
+    noise,
+    outside,
+    part,
+    reliability,
+    single,
+    table,
+)
+from laboratory.verdicts import is_excited
+
+__all__ = ["page"]
+
+HEAD = """\
+# The hidden-effect laboratory
+
+What `learn` finds where the answer is known, written by `python benchmarks/hidden_effects.py summary`. The protocol,
+frozen before the run, is [benchmarks/laboratory/protocol.md](../benchmarks/laboratory/protocol.md): arms, sizes, what
+"excited" and "right" mean, and how goals are judged. Goals stand beside the figures; every miss is listed.
+"""
+
+
+def page(rows: list[dict[str, Any]]) -> str:
+    """Return the whole page."""
+    arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
+    good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
+    excited = [row for row in good["single"] if is_excited(row)]
+    lines = [HEAD, "## How much of it ran", ""]
+    lines += table(("arm", "planned", "ran", "broke"), [
+        [name, LENGTHS[name], len(arm[name]), len(arm[name]) - len(good[name])] for name in ARMS
+    ])  # fmt: skip
+    lines += ["## Nothing is wrong", "", "Motion capture:", "", *controls(good["controls"], "at most 2 in 200")]
+    lines += ["RTK:", "", *controls(good["rtk"], "at most 1 in 30")]
+    lines += ["A wrong effect added on purpose:", "", *_shams(good["controls"])]
+    lines += ["## One systematic cause", "", *single(arm["single"]), *confusion(arm["single"])]
+    lines += ["First names that are not right:", "", *misses(arm["single"])]
+    lines += ["## The error falls", "", "Held-out 10 s error over that of the same drive without the flaw.", ""]
+    lines += table(("drives", "number", "before, median / p90", "after, median (goal 1.02)", "p90 (goal 1.08)"), [
+        falls(excited, "one cause, excited"),
+        *(falls([r for r in excited if r["case"]["size"] == s], f"{s}") for s in ("strong", "medium", "weak")),
+        falls(good["single"], "one cause, all"),
+        falls(good["mixtures"], "two causes"),
+        falls(good["outside"], "outside causes, known effects alone"),
+        falls(good["controls"], "nothing wrong"),
+    ])  # fmt: skip
+    lines += ["## Causes outside the library", "", *outside(arm["outside"])]
+    lines += ["## Two causes", "", *mixtures(arm["mixtures"])]
+    lines += ["A systematic one and a random one, apart:", "", *mixtures(arm["noisy_mixtures"])]
+    lines += ["## Noise causes", "", *noise(arm["noise"])]
+    lines += ["## How sure", "", "Names that were added and kept, of all drives with one, two or no known cause:", ""]
+    lines += reliability([*good["controls"], *good["rtk"], *good["single"], *good["mixtures"]])
+    lines += ["With causes outside the library, where every known name is wrong:", "", *reliability(good["outside"])]
+    lines += ["## The same drive told otherwise", "", *sames(good["invariance"])]
+    lines += ["## Planted in real recordings", "", *plants(good["planted"])]
+    lines += ["## A body in MuJoCo", "", *bodies(good["body"])]
+    seconds = [row["learn_s"] for row in rows if "learn_s" in row]
+    if seconds:
+        times = f"median {np.median(seconds):.1f}, 90th percentile {np.quantile(seconds, 0.9):.1f}"
+        lines += ["## Time", "", f"CPU seconds of learning from 10 min at 50 Hz (goal 5), machine shared: {times}.", ""]
+    broken = [row for row in rows if "failed" in row]
+    if broken:
+        lines += ["## What broke", ""]
+        lines += [f"- {row['key']}: {row['failed'].strip().splitlines()[-1]}" for row in broken]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _shams(rows: list[dict[str, Any]]) -> list[str]:
+    ratios = np.array([row["sham"]["ratio"] for row in rows if "sham" in row])
+    if not len(ratios):
+        return ["none ran", ""]
+    spread = " to ".join(f"{np.quantile(ratios, q):.3f}" for q in (0.1, 0.9))
+    lower = [part([bool(r < limit) for r in ratios]) for limit in (0.99, 0.97)]
+    told = f"median {np.median(ratios):.3f} (goal: not below 1), 10th to 90th percentile {spread}"
+    return [f"{told}; lower by more than 1 % in {lower[0]}, by more than 3 % in {lower[1]}.", ""]

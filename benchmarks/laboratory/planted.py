@@ -1,0 +1,78 @@
+"""Real noise with a known cause: an effect is put into the odometry of real recordings; the difference must come back.
+
+The corruption is the package's own, without noise, on the increments of the recorded odometry.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from laboratory.answer import told
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.sources import Source, read_runs
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from laboratory.cases import Case
+    from odomcorrupt.effects.effect import Effect
+
+__all__ = ["SIZES", "plant", "planted"]
+
+ROBOTS = (
+    ("optiodom_diff_free_030120210001_run1", 0.2), ("polimi_mecanum_bag1", None),
+    ("optiodom_tricyc_free_140120211508_run1", None),
+)  # fmt: skip
+"""Recordings, and the track where the robot has one."""
+SIZES = {
+    "wheel_scale": {"e": 0.02},
+    "unequal_wheels": {"curvature": 0.03},
+    "gyro_bias": {"bias": 0.01},
+    "wheelbase": {"e": 0.04},
+}
+
+
+def plant(recording: Recording, effect: Effect) -> Recording:
+    """Return the recording with an effect put into its odometry."""
+    model = MotionModel(
+        Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), effects=(effect,), track_m=recording.track_m
+    )
+    odometry = recording.odometry
+    knots = NoisyPath(model, 0).feed(odometry.stamps_ns, odometry.xyt)
+    return replace(recording, odometry=Trajectory(odometry.stamps_ns, odometry.xyt + knots.error_xyt))
+
+
+def planted(case: Case, folder: Path) -> dict[str, Any]:
+    """Return what is learned of a recording as it is and with an effect planted."""
+    name, track_m = ROBOTS[case.number // 4 % len(ROBOTS)]
+    file = folder / f"{name}.mcap"
+    if not file.exists():
+        return {"absent": name}
+    sign = (-1.0) ** case.number
+    sizes = {key: sign * value for key, value in SIZES[case.causes[0]].items()}
+    recording = read_runs(Source(file, track_m=track_m))[0]
+    with_it = plant(recording, effect_from_values(case.causes[0], sizes))
+    if not np.isfinite(with_it.odometry.xyt).all():
+        raise ValueError(f"{name}: planting {case.causes[0]} gives no numbers")
+    plain, planted = learn([recording]), learn([with_it])
+    # what the plain recording says of the same effects: a difference needs both sides of one model
+    same = fit(
+        [recording],
+        planted.fit.effects,
+        clocks=plain.clocks.clocks,
+        free_clocks=plain.clocks.free,
+        approach=planted.fit.problem.approach,
+        random=planted.fit.random,
+    )
+    beside = {e.name: {p.name: getattr(e, p.name) for p in parameters(e)} for e in same.effects}
+    return {"recording": name, "planted": sizes, "plain": told(plain), "answer": told(planted), "beside": beside}

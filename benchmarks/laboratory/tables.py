@@ -1,0 +1,217 @@
+"""The tables of the page: one function for each arm, rows of results in, lines of markdown out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from laboratory.verdicts import HIGH, alternatives, extras, first_name, is_excited, is_separable, names, right
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = [
+    "confusion",
+    "controls",
+    "falls",
+    "misses",
+    "mixtures",
+    "noise",
+    "outside",
+    "part",
+    "reliability",
+    "single",
+    "table",
+]
+
+Rows = list[dict[str, Any]]
+Lines = list[str]
+
+
+def part(hits: Sequence[bool], goal: str = "") -> str:
+    """Return hits of tries as text, with the percentage."""
+    if not len(hits):
+        return "none ran"
+    share = f"{sum(hits)} of {len(hits)} ({100.0 * np.mean(hits):.0f} %)"
+    return f"{share}; goal {goal}" if goal else share
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> Lines:
+    """Return a table in markdown."""
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return [*lines, *("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows), ""]
+
+
+def controls(rows: Rows, goal: str) -> Lines:
+    """Return what was named where nothing is wrong, by kind."""
+    kinds = {
+        "an effect": [bool(row["answer"]["added"]) for row in rows],
+        "a clock": [bool(row["answer"]["clocks"]) for row in rows],
+        "noise": [bool(row["answer"]["noise"]) for row in rows],
+        "unknown dependence": [bool(row["answer"]["unknown"]) for row in rows],
+        "**anything**": [first_name(row) != "nothing" for row in rows],
+    }
+    by = [[kind, part(hits), goal if kind == "**anything**" else ""] for kind, hits in kinds.items()]
+    lines = table(("named", "drives", "goal"), by)
+    lines += [f"- {_drive(row)}: {_said(row)}" for row in rows if first_name(row) != "nothing"]
+    return [*lines, ""]
+
+
+def single(rows: Rows) -> Lines:
+    """Return names, alternatives, parameters and intervals by size."""
+    goals = {"strong": ("99 %", "100 %"), "medium": ("98 %", "99 %"), "weak": ("90 %", "96 %")}
+    out = []
+    for size, (first_goal, listed_goal) in goals.items():
+        own = [row for row in rows if row["case"]["size"] == size]
+        sure, excited = [r for r in own if is_separable(r)], [r for r in own if is_excited(r)]
+        listed = [row for row in excited if names(row)]
+        out.append([
+            size,
+            part([right(first_name(row), row) for row in sure], first_goal),
+            part([any(right(name, row) for name in alternatives(row)) for row in excited], listed_goal),
+            f"{np.mean([len(alternatives(row)) for row in listed]):.2f}; goal 1.5" if listed else "none",
+            part([right(first_name(row), row) for row in own]),
+            _errors(excited),
+            f"{np.mean([len(extras(row)) for row in own]):.2f}" if own else "",
+        ])  # fmt: skip
+    head = (
+        "size", "first name right (excited, separable)", "in the list (excited)", "listed", "first right, all drives",
+        "parameter error, median / p90; within 10 %", "false extras a drive",
+    )  # fmt: skip
+    covered = [
+        hit for row in rows if is_excited(row) for e in row.get("errors", {}).values() if e for hit in e["covered"]
+    ]
+    return [*table(head, out), f"95 % intervals that cover: {part(covered, '90 to 98 %')}.", ""]
+
+
+def _errors(rows: Rows) -> str:
+    found = [e["relative"] for row in rows for e in row.get("errors", {}).values() if e]
+    if not found:
+        return "none"
+    return f"{100 * np.median(found):.1f} / {100 * np.quantile(found, 0.9):.1f} %; {part([e <= 0.1 for e in found])}"
+
+
+def falls(rows: Rows, title: str) -> list[object]:
+    """Return a row: held-out error after adding over that without the flaw, and before."""
+    told = [row["error"] for row in rows if "error" in row]
+    if not told:
+        return [title, 0, "", "", ""]
+    after = np.array([e["after"] / e["floor"] for e in told])
+    before = np.array([e["before"] / e["floor"] for e in told])
+    return [
+        title, len(told), f"{np.median(before):.2f} / {np.quantile(before, 0.9):.2f}", f"{np.median(after):.3f}",
+        f"{np.quantile(after, 0.9):.3f}",
+    ]  # fmt: skip
+
+
+def confusion(rows: Rows) -> Lines:
+    """Return a list of causes with what was named first, which is the matrix without its zeros."""
+    out = []
+    for cause in sorted({row["case"]["causes"][0] for row in rows}):
+        own = [row for row in rows if row["case"]["causes"][0] == cause]
+        counts = Counter(first_name(row) for row in own)
+        z = [row["expected"]["standard_errors"] for row in own if "expected" in row]
+        size = f"{min(z):.0f} to {max(z):.0f}" if z else ""
+        found = ", ".join(f"{name} {n}" if not right(name, own[0]) else f"**{name} {n}**"
+                          for name, n in counts.most_common())  # fmt: skip
+        out.append([f"`{cause}`", len(own), size, found])
+    return table(("cause", "drives", "expected standard errors", "named first (right in bold)"), out)
+
+
+def misses(rows: Rows) -> Lines:
+    """Return a line for every drive whose first name is not right, excited or not."""
+    lines = []
+    for row in rows:
+        if right(first_name(row), row):
+            continue
+        expected = row.get("expected")
+        why = ""
+        if expected:
+            state = "" if expected["excited"] else ", not excited"
+            state += "" if expected["separable"] or not expected["excited"] else ", not separable"
+            why = f" ({expected['nats']:.0f} nats, {expected['apart_nats']:.0f} beside {expected['rival']}{state})"
+        lines.append(f"- {_drive(row)}{why}: {_said(row)}")
+    return [*(lines or ["None."]), ""]
+
+
+def outside(rows: Rows) -> Lines:
+    """Return drivers, known names and expressions."""
+    driver = [any(u[0] == row["depends_on"] for u in row["answer"]["unknown"][:1]) for row in rows if "answer" in row]
+    anywhere = [any(u[0] == row["depends_on"] for u in row["answer"]["unknown"]) for row in rows if "answer" in row]
+    known = [any(c is not None and c >= HIGH for _, c in _confidences(row)) for row in rows if "answer" in row]
+    excited = [row for row in rows if "answer" in row and is_excited(row)]
+    offered = [row["error"]["offered"] / row["error"]["floor"] for row in excited if row["error"]["offered"]]
+    lines = table(("asked", "result"), [
+        ["right driver first", part(driver, "90 %")],
+        ["right driver among those named", part(anywhere)],
+        ["right driver first, excited", part([any(u[0] == r["depends_on"] for u in r["answer"]["unknown"][:1])
+                                              for r in excited], "90 %")],
+        ["known name with high confidence", part(known, "at most 5 %")],
+        ["error with the expression within 1.25 of the floor", part([o <= 1.25 for o in offered])],
+        ["its median and 90th percentile", f"{np.median(offered):.2f} / {np.quantile(offered, 0.9):.2f}; goal 1.25"
+         if offered else "none offered"],
+    ])  # fmt: skip
+    return [*lines, *(f"- {_drive(row)}: depends on {row.get('depends_on')}; {_said(row)}" for row in rows), ""]
+
+
+def mixtures(rows: Rows) -> Lines:
+    """Return how many of two causes were named, noise among them."""
+    hits = []
+    for row in rows:
+        found = [*names(row), *(n for n, _ in row.get("answer", {"noise": []})["noise"])]
+        hits.append(sum(any(right(n, {"case": {"causes": [cause]}}) for n in found) for cause in row["case"]["causes"]))
+    lines = table(("asked", "result"), [
+        ["one right", part([h >= 1 for h in hits], "97 %")],
+        ["both right", part([h == 2 for h in hits], "80 %")],
+        ["false extras a drive", f"{np.mean([len(extras(row)) for row in rows]):.2f}; goal 0.2" if rows else "none"],
+    ])  # fmt: skip
+    wrong = [(row, h) for row, h in zip(rows, hits, strict=True) if h < 2 or extras(row)]
+    return [*lines, *(f"- {_drive(row)}: {h} right; {_said(row)}" for row, h in wrong), ""]
+
+
+def noise(rows: Rows) -> Lines:
+    """Return which noise causes were named as noise."""
+    out = []
+    for cause in sorted({row["case"]["causes"][0] for row in rows}):
+        own = [row for row in rows if row["case"]["causes"][0] == cause and "answer" in row]
+        hits = [any(name == cause for name, _ in row["answer"]["noise"]) for row in own]
+        named = Counter(n for row in own for n in [*(m for m, _ in row["answer"]["noise"]), *names(row)])
+        out.append([f"`{cause}`", part(hits), ", ".join(f"{n} {c}" for n, c in named.most_common()) or "nothing"])
+    return table(("noise cause", "named as noise", "everything that was named"), out)
+
+
+def reliability(rows: Rows) -> Lines:
+    """Return how often names were right by how sure they were said to be."""
+    pairs = [(c, right(name, row)) for row in rows if "answer" in row for name, c in _confidences(row) if c is not None]
+    edges = (0.0, 0.5, 0.8, 0.9, 0.99, 0.999, 1.0 + 1e-9)
+    out = []
+    for low, high in pairwise(edges):
+        own = [(c, hit) for c, hit in pairs if low <= c < high]
+        if own:
+            out.append([f"{low:g} to {min(high, 1.0):g}", f"{np.mean([c for c, _ in own]):.3f}",
+                        part([hit for _, hit in own])])  # fmt: skip
+    return table(("confidence", "mean", "right"), out)
+
+
+def _confidences(row: dict[str, Any]) -> list[tuple[str, float | None]]:
+    kept = row["answer"]["added"]
+    return [(look["added"], look["confidence"]) for look in row["answer"]["looks"] if look["added"] in kept]
+
+
+def _drive(row: dict[str, Any]) -> str:
+    case = row["case"]
+    words = [" + ".join(case["causes"]) or "nothing", case["size"], case["route"], case["yaw_from"]]
+    return f"{row['key']} " + ", ".join(w for w in (*words, "skid" if case["drive_type"] == "skid" else "") if w)
+
+
+def _said(row: dict[str, Any]) -> str:
+    if "failed" in row:
+        return "failed: " + row["failed"].strip().splitlines()[-1]
+    answer = row["answer"]
+    words = [f"named {', '.join(names(row))}"] if names(row) else []
+    words += [f"noise {', '.join(n for n, _ in answer['noise'])}"] if answer["noise"] else []
+    words += ["unknown " + ", ".join(f"{u[1]} over {u[0]}" for u in answer["unknown"][:2])] if answer["unknown"] else []
+    return "; ".join(words) or "nothing"

@@ -1,0 +1,6 @@
+"""Tests of traps share the drives of the study's tests."""
+
+import sys
+from pathlib import Path
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1])]

@@ -1,0 +1,21 @@
+"""13.5: what improves single steps and spoils the path is refused, unless the next cause makes the path good."""
+
+from __future__ import annotations
+
+from hidden import as_recording
+
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.search.learn import learn
+
+MIXED = {"mount_yaw": {"yaw": -0.02}, "unequal_wheels": {"curvature": -0.01}}
+
+
+def test_two_causes_that_make_up_for_each_other_on_the_path_are_both_named():
+    # breaks where the gate looks at one cause alone: a turned marker hides a bend, and alone nearly doubles the error
+    run = simulate(9102, tuple(MIXED), duration_s=300.0, route="loops", parameters=MIXED)
+    learned = learn([as_recording(run)])
+    first = learned.rounds[0].candidates[0]
+    assert first.score.effect.name == "mount_yaw"
+    assert first.rmse[1] > first.rmse[0]
+    assert set(learned.added) == set(MIXED)
+    assert learned.error_m < 0.6 * first.rmse[0]
