@@ -155,6 +155,18 @@ def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_want
     ]
 
 
+def test_what_is_not_asked_of_a_database_is_told_of_but_not_read():
+    with open_reader(OFFICE) as reader:
+        wanted = {channel.id for channel in reader.channels.values() if channel.topic == "/odom"}
+        every = np.concatenate([block.table for block in reader.blocks()])
+        some = np.concatenate([block.table for block in reader.blocks(wanted)])
+        read = sum(block.data.size for block in reader.blocks(wanted))
+    own = np.isin(every["channel"], list(wanted))
+    assert np.array_equal(every[["channel", "log_ns"]], some[["channel", "log_ns"]])
+    assert np.array_equal(some["length"], np.where(own, every["length"], 0))
+    assert read == every["length"][own].sum()
+
+
 def test_added_messages_and_topics_are_there_and_counted(bag, tmp_path):
     made = {}
 
