@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batch.job import Job
     from odomcorrupt.batch.make import Failure
 
-__all__ = ["Audience", "Shard", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
+__all__ = ["Audience", "Shard", "count_missing", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
 
 GROUP = 32
 """Runs of one pass at most: each holds an open file and a path of its own."""
@@ -46,6 +46,12 @@ class Shard:
     def has(self, run: int) -> bool:
         """Whether a run is one of this shard's."""
         return run % self.count == self.number - 1
+
+
+def count_missing(job: Job, runs: range, shard: Shard) -> int:
+    """Return how many runs of a shard are not made yet, without a list of them."""
+    made = sum(run in runs and shard.has(run) for run in read_records(job.directory))
+    return len(runs[shard.number - 1 :: shard.count]) - made
 
 
 def missing_runs(job: Job, runs: range, shard: Shard) -> list[int]:

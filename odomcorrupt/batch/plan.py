@@ -51,8 +51,10 @@ def plan(
         Where inputs would share a directory, or an output cannot be had of them.
 
     """
-    if len({source.name for source in inputs}) < len(inputs):
-        raise BatchError("inputs: two of them have the same name, and would share a directory; rename one")
+    stems = [source.stem for source in inputs]
+    if len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise BatchError(f"inputs: two of them are called {twice}, and would share a directory; rename one")
     if posterior and not model.standard_errors:
         raise BatchError("--robots posterior: the model has no standard errors; give the --model that a fit wrote")
     stated = frozenset[str]() if model_file is None else stated_spreads(model_file)

@@ -195,13 +195,13 @@ def _require_driver(jobs: Sequence[Job]) -> None:
 
 
 def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
-    from odomcorrupt.batch.engine import missing_runs
+    from odomcorrupt.batch.engine import count_missing
     from odomcorrupt.batch.estimate import Need, estimate, free_bytes
 
     count = size = overlay = 0
     seconds = 0.0
     for job in jobs:
-        missing = len(missing_runs(job, runs, shard))
+        missing = count_missing(job, runs, shard)
         each = estimate(job)
         count += missing
         size += missing * each.bytes

@@ -143,3 +143,37 @@ def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_told(output,
     assert made.read_bytes() == (here / "alone.mcap").read_bytes()
     assert all(record["losses"] for record in records(here / "runs"))
     assert "--recover" in shlex.split(records(here / "runs")[0]["command"])
+
+
+def test_models_and_inputs_that_are_swept_have_directories_whose_commands_make_their_bytes(here, capsys):
+    for name, scale in (("a", "0.01"), ("b", "0.02")):
+        (here / f"{name}.toml").write_text(
+            "schema = 1\n[noise]\nrot_rot = 0.03\nrot_trans = 0.02\ntrans_trans = 0.02\ntrans_rot = 0.0\n"
+            f'[[effect]]\nname = "wheel_scale"\ne = {scale}\n'
+        )
+    sweep = ["--sweep", "model=a.toml,b.toml", "--sweep", "alpha-scale=0.5,1", "--seed", "3"]
+    assert run(["batch", "office.mcap", "office.bag", "runs", "--runs", "2", *sweep]) == 1
+    assert "two of them are called office" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+    (here / "other.bag").symlink_to(FIXTURES / "office.bag")
+    assert run(["batch", "office.mcap", "other.bag", "runs", "--runs", "2", *sweep]) == 0
+    points = sorted((here / "runs").glob("*/*"))
+    assert [one.relative_to(here / "runs").as_posix() for one in points] == [
+        f"{bag}/model={model},alpha-scale={scale}"
+        for bag in ("office", "other") for model in "ab" for scale in ("0.5", "1")
+    ]  # fmt: skip
+    seen = set()
+    for point in points:
+        record = records(point)[1]
+        words = shlex.split(record["command"])[1:]
+        assert run([*words, "--overwrite"]) == 0
+        made = (point / record["file"]).read_bytes()
+        assert (here / words[1]).read_bytes() == made
+        seen.add(made)
+    assert len(seen) == len(points)
+
+
+def test_more_runs_than_any_disk_holds_are_refused_at_once(here, capsys):
+    assert run(["batch", "office.mcap", "runs", "--runs", "900000000", "--seed", "1"]) == 1
+    assert "900000000 runs need about" in capsys.readouterr().err
+    assert not (here / "runs").exists()
