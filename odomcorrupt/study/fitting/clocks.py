@@ -55,10 +55,19 @@ def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[
     rivals = [kinds[name]() for name in RIVALS if recording.track_m is not None or not kinds[name].needs_track]
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(recording)
+    noise = None
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
-            best = fit([recording], (*nuisance, *beside), clocks=[clock], free_clocks=[free], approach=approach)
+            best = fit(
+                [recording],
+                (*nuisance, *beside),
+                clocks=[clock],
+                free_clocks=[free],
+                approach=approach,
+                start=noise,
+            )
+            noise = best.noise.free
             clock = best.problem.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])

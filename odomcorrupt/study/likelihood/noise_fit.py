@@ -7,16 +7,27 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import blas, lapack
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.laws import Coefficients, variances
 from odomcorrupt.model import TruthNoise
-from odomcorrupt.study.likelihood.whitener import Whitener, band_of, factored, floor_band, truth_pieces, truth_weights
+from odomcorrupt.study.likelihood.whitener import (
+    BAND,
+    Whitener,
+    band_of,
+    factored,
+    floor_band,
+    truth_pieces,
+    truth_weights,
+)
 from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.increments import Increments
     from odomcorrupt.laws import Law
     from odomcorrupt.pose import Array
@@ -34,6 +45,7 @@ _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6
 _ROBUST_ROUNDS = 5
+_STEP = 1e-4
 _CHANCE, _SIGNAL = 0.002, 0.04
 """Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
 _OUTLIER = float(chi2.isf(2e-4, 3))
@@ -159,8 +171,7 @@ class NoiseTask:
     def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise, columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
-        shares = np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
-        white = factored((shares @ self._bands).reshape(self._floor.shape) + self._floor)
+        white = factored(self._band(self._shares(free)))
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         nothing = np.zeros(0)
         blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
@@ -175,15 +186,70 @@ class NoiseTask:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
+        movable = np.flatnonzero(low < high)
+        begin = np.clip(free, low, high)
+        # in units of its own standard error every number is as easy to climb along as the others
+        unit = self._units(self.evaluate(begin), movable)
+
+        def cost(x: Array) -> tuple[float, Array]:
+            done = self.evaluate(np.clip(x * unit, low, high))
+            return -done.log_likelihood, -self._slope(done, movable) * unit
+
         found = minimize(
-            lambda x: -self.evaluate(x).log_likelihood,
-            np.clip(free, low, high),
+            cost,
+            begin / unit,
             method="L-BFGS-B",
-            bounds=list(zip(low, high, strict=True)),
-            options={"eps": 1e-4, "ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
+            jac=True,
+            bounds=list(zip(low / unit, high / unit, strict=True)),
+            options={"ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
         )
-        climbed: Array = found.x
+        climbed: Array = np.clip(found.x * unit, low, high)
         return climbed
+
+    def _slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are."""
+        left = np.ascontiguousarray(self._stacked[:, :, 0] - self._stacked[:, :, 1:] @ done.theta)
+        shares = self._shares(done.free)
+        band = self._band(shares)
+        slope = np.zeros(len(done.free))
+        for i in movable:
+            moved = done.free.copy()
+            moved[i] += _STEP
+            white = factored(band + self._sum(self._shares(moved) - shares))
+            slope[i] = (white.log_likelihood(white.whiten(left)) - done.log_likelihood) / _STEP
+        return slope
+
+    def _units(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return about the standard error (m,) of each number by itself, from the average information.
+
+        Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
+        """
+        white = done.whitener
+        pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
+        shares = self._shares(done.free)
+        units = np.ones(len(done.free))
+        for i in movable:
+            moved = done.free.copy()
+            moved[i] += _STEP
+            change = self._sum((self._shares(moved) - shares) / _STEP)
+            push = white.whiten(blas.dsbmv(BAND, 1.0, change, pull.ravel(), lower=1).reshape(-1, 3))
+            units[i] = 1.0 / np.sqrt(np.clip(0.5 * float(push @ push), 1.0, 1e8))
+        return units
+
+    def _shares(self, free: Array) -> Array:
+        """Return the weight of every band."""
+        coefficients, truth = self._unpack(free)
+        return np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+
+    def _sum(self, shares: Array) -> Array:
+        """Return the bands that have a weight, weighed and summed."""
+        used = np.flatnonzero(shares)
+        summed: Array = (shares[used] @ self._bands[used]).reshape(self._floor.shape)
+        return summed
+
+    def _band(self, shares: Array) -> Array:
+        """Return the covariance as a band."""
+        return self._sum(shares) + self._floor
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""

@@ -35,7 +35,7 @@ __all__ = [
 
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
 """Variance that nothing falls below (10 um, 1 urad): a robot that stands still must not make a singular matrix."""
-_BAND = 5
+BAND = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def truth_pieces(nodes: Nodes) -> list[tuple[Array, Array]]:
 def band_of(diagonal: Array, below: Array | None = None) -> Array:
     """Return blocks (K, 3, 3) on the diagonal, and (K - 1, 3, 3) below it, as a lower banded matrix (6, 3 K)."""
     k = len(diagonal)
-    band = np.zeros((_BAND + 1, 3 * k))
+    band = np.zeros((BAND + 1, 3 * k))
     for row in range(3):
         for column in range(row + 1):
             band[row - column, column::3] = diagonal[:, row, column]
@@ -132,7 +132,7 @@ def whitener(nodes: Nodes, q: Array, truth: TruthNoise) -> Whitener:
 
 def floor_band(count: int) -> Array:
     """Return the floor of the covariance as a band (6, 3 K)."""
-    band = np.zeros((_BAND + 1, 3 * count))
+    band = np.zeros((BAND + 1, 3 * count))
     band[0] = np.tile(FLOOR, count)
     return band
 
