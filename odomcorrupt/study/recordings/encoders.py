@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["encoder_effects", "refilled"]
 
 _MOVING_MPS = 0.05
+_ARM_M = 0.2
+"""How far wheels are from the middle, about: a turn on the spot moves them, too."""
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
 _CAUGHT_UP = 1.35
@@ -59,12 +61,12 @@ def refilled(recording: Recording, effects: Sequence[Effect]) -> Recording:
 def _lost(recording: Recording) -> tuple[NDArray[np.bool_], int]:
     """Return which increments (n,) stand still alone between neighbours that move, and how many move at all."""
     steps = increments(recording.odometry.xyt)
-    speed = np.hypot(steps.ds_m, steps.dl_m) / np.diff(recording.odometry_s)
+    way = np.hypot(steps.ds_m, steps.dl_m) + _ARM_M * np.abs(steps.dtheta_rad)
+    speed = way / np.diff(recording.odometry_s)
     still = (np.abs(steps.ds_m) < 1e-12) & (np.abs(steps.dl_m) < 1e-12) & (np.abs(steps.dtheta_rad) < 1e-12)
     moving = speed > _MOVING_MPS
     lost = np.zeros(len(steps), dtype=bool)
     # a count that only came late is caught up by a neighbour: the two beside it then go farther than those around them
-    way = speed * np.diff(recording.odometry_s)
     caught_up = way[1:-3] + way[3:-1] > _CAUGHT_UP * (way[:-4] + way[4:])
     lost[2:-2] = still[2:-2] & moving[1:-3] & moving[3:-1] & ~caught_up
     return lost, max(int(moving.sum() + lost.sum()), 1)
