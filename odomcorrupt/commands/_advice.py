@@ -1,4 +1,4 @@
-"""What diagnose and learn do with advice: write the drive that settles what is open."""
+"""What diagnose and learn do with what they found: write the drive that settles what is open, and the report."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing, write_bytes
+from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.judge.compare import Comparison
+    from odomcorrupt.study.search.learn import Learned
 
-__all__ = ["check_drive", "write_drive"]
+__all__ = ["check_drive", "write_drive", "write_report"]
 
 
 def check_drive(path: Path | None, *, overwrite: bool) -> None:
@@ -41,3 +43,12 @@ def write_drive(path: Path, advice: Advice) -> None:
     write_twists(bag, np.arange(len(twist), dtype=np.float64) * STEP_S, twist)
     write_bytes(path, bag.getvalue())
     click.echo(f"wrote {path}: {drive_sentence(plan)}", err=True)
+
+
+def write_report(path: Path, learned: Learned, ladder: Comparison, advice: Advice, following: str) -> None:
+    """Write the page; `following` is the command to type next, or ""."""
+    from odomcorrupt import __version__
+    from odomcorrupt.report.found_html import Story, found_html
+
+    write_text(path, found_html(Story(learned, ladder, advice, following), version=__version__))
+    click.echo(f"wrote {path}", err=True)

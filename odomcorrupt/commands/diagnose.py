@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from odomcorrupt.commands._advice import check_drive, write_drive
+from odomcorrupt.commands._advice import check_drive, write_drive, write_report
+from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
 
 __all__ = ["command"]
@@ -22,6 +23,11 @@ __all__ = ["command"]
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
 )
+@click.option(
+    "--report",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write all of it as one page of HTML, pictures too.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
@@ -30,21 +36,23 @@ def command(
     truth: str | None,
     track: float | None,
     drive: Path | None,
+    report: Path | None,
     overwrite: bool,  # noqa: FBT001 - click passes flags so
     as_json: bool,  # noqa: FBT001 - as above
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
     need_study()
-    from odomcorrupt.report.found import found_text
+    from odomcorrupt.report.found import found_text, shares_text
     from odomcorrupt.report.json import learned_json
     from odomcorrupt.report.tables import candidates_table, clock_lines
     from odomcorrupt.study.advice.advise import advise
-    from odomcorrupt.study.judge.ladder import held_out_ladder
+    from odomcorrupt.study.judge.ladder import ladder_comparison
     from odomcorrupt.study.search.learn import learn
 
     paths, models = split_arguments(arguments)
     if len(models) > 1:
         raise click.UsageError(f"{len(models)} models given; diagnose one at a time")
+    refuse_existing(report, overwrite=overwrite)
     check_drive(drive, overwrite=overwrite)
     name, model = next(iter(models.items()), (None, None))
     # the set-up belongs to the recordings: what a model knows of it is no reason not to look for it here
@@ -56,17 +64,22 @@ def command(
     advice = advise(learned)
     if drive is not None:
         write_drive(drive, advice)
-    if as_json:
-        ladder = held_out_ladder(learned, runs)
-        click.echo(json.dumps(learned_json(learned, ladder, advice), indent=2, allow_nan=False))
-        return
-    for line in clock_lines([r.name for r in runs], learned.clocks):
-        click.echo(line)
-    click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned, advice)}")
-    added = [effect for effect in learned.added if effect not in known]
-    if not added:
-        return
     words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
     words += ["--start", name] if name else []
+    added = [effect for effect in learned.added if effect not in known]
     words += [w for effect in added for w in ("--add", effect)]
-    click.echo(f"\nnext: odomcorrupt fit {shlex.join(words)} -o robot.toml")
+    following = f"odomcorrupt fit {shlex.join(words)} -o robot.toml" if added else ""
+    begin = Path(name).name if name else "without effects"
+    ladder = ladder_comparison(learned, runs, begin) if as_json or report is not None or learned.added else None
+    if ladder is not None and as_json:
+        click.echo(json.dumps(learned_json(learned, ladder.judgements, advice), indent=2, allow_nan=False))
+    else:
+        for line in clock_lines([r.name for r in runs], learned.clocks):
+            click.echo(line)
+        click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned, advice)}")
+        if ladder is not None:
+            click.echo(f"\n{shares_text(ladder.judgements)}")
+        if following:
+            click.echo(f"\nnext: {following}")
+    if report is not None and ladder is not None:
+        write_report(report, learned, ladder, advice, following)

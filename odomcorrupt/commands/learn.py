@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import check_drive, write_drive
+from odomcorrupt.commands._advice import check_drive, write_drive, write_report
 from odomcorrupt.commands._output import refuse_existing, write_text
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
+from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.study.judge.compare import Comparison
 
 __all__ = ["command"]
 
@@ -20,6 +27,11 @@ __all__ = ["command"]
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
 @click.option("--judge", type=click.Path(), multiple=True, help="Recording to judge the result on (repeatable).")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture of the error falling.")
+@click.option(
+    "--report",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write all of it as one page of HTML, pictures too.",
+)
 @click.option(
     "--drive",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -35,6 +47,7 @@ def command(
     output: Path | None,
     judge: tuple[str, ...],
     plot: Path | None,
+    report: Path | None,
     drive: Path | None,
     as_json: bool,  # noqa: FBT001 - click passes flags so
     overwrite: bool,  # noqa: FBT001 - as above
@@ -47,21 +60,21 @@ def command(
     from odomcorrupt.modelfile import format_model
     from odomcorrupt.report.comparison import comparison_text
     from odomcorrupt.report.comparison_json import comparison_json
+    from odomcorrupt.report.fitted import fit_text
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.fitted import fit_text
     from odomcorrupt.report.tables import clock_lines
     from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.fitting.robot import fit_robot
     from odomcorrupt.study.judge.compare import compare
-    from odomcorrupt.study.judge.ladder import held_out_ladder
+    from odomcorrupt.study.judge.ladder import ladder_comparison
     from odomcorrupt.study.search.learn import learn
 
     paths, models = split_arguments(recordings)
     if models:
         raise click.UsageError(f"{next(iter(models))} is a model; `fit --start` and `diagnose` take models")
-    refuse_existing(output, overwrite=overwrite)
-    refuse_existing(plot, overwrite=overwrite)
+    for path in (output, plot, report):
+        refuse_existing(path, overwrite=overwrite)
     check_drive(drive, overwrite=overwrite)
     runs = read_all(paths, odom, truth, track)
     judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
@@ -75,8 +88,9 @@ def command(
     if names:
         ladder["with " + ", ".join(names)] = robot.model
     comparison = compare(judges, ladder)
-    if as_json:
-        found = learned_json(learned, held_out_ladder(learned, runs), advice)
+    steps = ladder_comparison(learned, judges) if as_json or report is not None else None
+    if as_json and steps is not None:
+        found = learned_json(learned, steps.judgements, advice)
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         lines = clock_lines([r.name for r in runs], learned.clocks)
@@ -88,7 +102,21 @@ def command(
     if drive is not None:
         write_drive(drive, advice)
     if plot is not None:
-        from odomcorrupt.report.ladder import draw_ladder
+        _draw(plot, comparison)
+    if report is not None and steps is not None:
+        words = [*map(str, paths), *source_words(odom, truth, track)]
+        write_report(report, learned, steps, advice, _following(output, words))
 
-        draw_ladder(comparison, plot)
-        click.echo(f"wrote {plot}", err=True)
+
+def _draw(path: Path, comparison: Comparison) -> None:
+    from odomcorrupt.report.ladder import draw_ladder
+
+    draw_ladder(comparison, path)
+    click.echo(f"wrote {path}", err=True)
+
+
+def _following(model: Path | None, words: Sequence[str]) -> str:
+    """Return what to type when all is learned: corrupt with the model, or write one first."""
+    if model is None:
+        return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
+    return f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(str(model))}"

@@ -13,17 +13,28 @@ if TYPE_CHECKING:
     from odomcorrupt.study.advice.advise import Advice, Choice, Limit, Untestable
     from odomcorrupt.study.advice.plan import Plan
 
-__all__ = ["advice_text", "choice_sentence", "drive_sentence", "drive_words", "limits_sentence", "untestable_sentence"]
+__all__ = [
+    "advice_sentences",
+    "advice_text",
+    "choice_sentence",
+    "drive_sentence",
+    "drive_words",
+    "limits_sentence",
+    "untestable_sentence",
+]
 
 
 def advice_text(advice: Advice) -> str:
     """Return all advice, a sentence a line; "" where nothing is open."""
-    lines = [choice_sentence(choice) for choice in advice.choices]
+    return "\n".join(advice_sentences(advice))
+
+
+def advice_sentences(advice: Advice) -> list[str]:
+    """Return a sentence for every choice, and one for all effects that share reason and drive."""
     groups: dict[tuple[str, str], list[Untestable]] = {}
     for one in advice.untestable:
         groups.setdefault((one.why, drive_words(one.plan, one.hint)), []).append(one)
-    lines += [untestable_sentence(group) for group in groups.values()]
-    return "\n".join(lines)
+    return [*map(choice_sentence, advice.choices), *map(untestable_sentence, groups.values())]
 
 
 def choice_sentence(choice: Choice) -> str:

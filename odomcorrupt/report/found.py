@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.report.advice import advice_text, limits_sentence
+from odomcorrupt.report.sentences import size
 from odomcorrupt.report.tables import ladder_text, value_text
+from odomcorrupt.study.likelihood.nodes import join
+from odomcorrupt.study.likelihood.windows import distance_windows, rmse
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.judge.compare import Judgement
     from odomcorrupt.study.search.learn import Learned
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["NOTHING", "found_text"]
+__all__ = ["NOTHING", "found_text", "position_error", "shares_text"]
 
 NOTHING = "nothing is missing: no known effect would explain more than chance does"
 
@@ -41,3 +49,25 @@ def _unknown_lines(unknown: Unknown) -> list[str]:
     driver = unknown.driver.replace("_", " ")
     finding = f"unknown: the {unknown.channel} error depends on {driver} ({unknown.nats:.0f} nats)"
     return [f"{finding}, and no known effect explains it", f"  to try: {unknown.expression}"]
+
+
+def shares_text(ladder: Sequence[Judgement]) -> str:
+    """Return what each step takes off the held-out error, 10 s, 10 m and 50 m after the truth; "" with one model."""
+    lines = ["held-out position error (RMS):"]
+    for before, after in pairwise(ladder):
+        parts = [_fall("10 s", before.ten_second_error_m, after.ten_second_error_m)]
+        parts += [_fall(f"{d:g} m", position_error(before, d), position_error(after, d)) for d in (10.0, 50.0)]
+        lines.append(f"  {after.name:<18}{'   '.join(part for part in parts if part)}")
+    return "\n".join(lines) if len(ladder) > 1 else ""
+
+
+def position_error(judgement: Judgement, distance_m: float) -> float:
+    """Return the position error (m, RMS) after a length of path; NaN where no stretch is that long."""
+    windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
+    return rmse(join(windows, [0] * len(windows))) if windows else float("nan")
+
+
+def _fall(what: str, before: float, after: float) -> str:
+    if not (isfinite(before) and isfinite(after) and before > 0.0):
+        return ""
+    return f"{what}: {size('along', before)} -> {size('along', after)} ({100.0 * (after / before - 1.0):+.0f} %)"

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import base64
 from html import escape
 from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.comparison import falls_sentence, ladder_steps, share_of_worst
-from odomcorrupt.report.figure import rendered
+from odomcorrupt.report.page import page, picture, table
 from odomcorrupt.report.pictures import PICTURES
 from odomcorrupt.report.sentences import MOST, SIGNS, judgement_sentence, sentence, size
-from odomcorrupt.report.style import CSS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from matplotlib.figure import Figure
-
-    from odomcorrupt.report.pictures import Picture
     from odomcorrupt.study.judge.calibration import Horizon
     from odomcorrupt.study.judge.compare import Comparison, Judgement
 
-__all__ = ["report_html"]
-
-_HEAVY = 600_000
-"""A drawing of more bytes than this is taken as pixels, where these are fewer: the page stays below 3 MB."""
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""What the browser is allowed to load: nothing but the page itself."""
+__all__ = ["ladder_table", "report_html"]
 
 
 def report_html(comparison: Comparison, *, version: str) -> str:
@@ -39,31 +27,13 @@ def report_html(comparison: Comparison, *, version: str) -> str:
         "<h2>In words</h2>",
         *_words(comparison),
         "<h2>Side by side</h2>",
-        _ladder_table(comparison),
-        *(_picture(name, picture, comparison) for name, picture in PICTURES.items()),
+        ladder_table(comparison),
+        *(picture(name, p.title, p.caption, p.draw(comparison)) for name, p in PICTURES.items()),
         "<h2>Numbers</h2>",
         *(_horizon_table(judgement) for judgement in comparison.judgements),
         f'<p class="quiet">{escape(_legend(version))}</p>',
     ]
-    return "\n".join(
-        [
-            "<!DOCTYPE html>",
-            '<html lang="en">',
-            "<head>",
-            '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escape(title)}</title>",
-            '<link rel="icon" href="data:,">',
-            f"<style>{CSS}</style>",
-            "</head>",
-            "<body>",
-            *body,
-            "</body>",
-            "</html>",
-            "",
-        ]
-    )
+    return page(title, body)
 
 
 def _models_line(comparison: Comparison) -> str:
@@ -98,7 +68,8 @@ def _words(comparison: Comparison) -> list[str]:
     return parts
 
 
-def _ladder_table(comparison: Comparison) -> str:
+def ladder_table(comparison: Comparison) -> str:
+    """Return the errors, nats and verdict of every model on the way, with bars for the errors."""
     steps = ladder_steps(comparison)
     rows = []
     for name, error, judgement in steps:
@@ -125,13 +96,13 @@ def _ladder_table(comparison: Comparison) -> str:
         "", "error after 10 s", "", "nats per metre", f"gain over {comparison.judgements[0].name}", "ATE, aligned",
         "RPE over 1 m", "verdict",
     )  # fmt: skip
-    return _table(heads, rows)
+    return table(heads, rows)
 
 
 def _horizon_table(judgement: Judgement) -> str:
     heads = ("path", "windows", "along (expected)", "across (expected)", "yaw (expected)", "NEES", "95 % by chance",
              "in 50 %", "in 90 %", "CRPS along, across, yaw")  # fmt: skip
-    return _table(heads, [_horizon_row(h) for h in judgement.horizons], judgement.name)
+    return table(heads, [_horizon_row(h) for h in judgement.horizons], judgement.name)
 
 
 def _horizon_row(h: Horizon) -> list[str]:
@@ -152,33 +123,6 @@ def _horizon_row(h: Horizon) -> list[str]:
 
 def _known(channel: str, value: float) -> str:
     return size(channel, float(value), digits=3)
-
-
-def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
-    """Return a table; a cell that begins with ! is one to look at."""
-    top = "".join(f'<th scope="col">{escape(head)}</th>' for head in heads)
-    lines = [
-        "".join(f'<td class="off">{c[1:]}</td>' if c.startswith("!") else f"<td>{c}</td>" for c in row) for row in rows
-    ]
-    body = "".join(f"<tr>{line}</tr>" for line in lines)
-    title = f"<caption>{escape(caption)}</caption>" if caption else ""
-    return f'<div class="scroll"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
-
-
-def _picture(name: str, picture: Picture, comparison: Comparison) -> str:
-    source = _embedded(picture.draw(comparison))
-    return (
-        f'<h2>{escape(picture.title)}</h2><figure id="{name}"><figcaption>{escape(picture.caption)}</figcaption>'
-        f'<img src="{source}" alt="{escape(picture.title)}: {escape(picture.caption)}"></figure>'
-    )
-
-
-def _embedded(figure: Figure) -> str:
-    kind, data = "svg+xml", rendered(figure, "svg")
-    if len(data) > _HEAVY:
-        pixels = rendered(figure, "png")
-        kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def _legend(version: str) -> str:

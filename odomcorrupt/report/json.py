@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.report.advice import drive_sentence
+from odomcorrupt.report.found import position_error
 from odomcorrupt.study.judge.clock_gain import clock_gain
-from odomcorrupt.study.likelihood.nodes import join
-from odomcorrupt.study.likelihood.windows import distance_windows, rmse
 from odomcorrupt.study.search.confidence import Evidence, confidence, evidence_of
 
 if TYPE_CHECKING:
@@ -120,8 +119,7 @@ def _noise(gain: RandomGain) -> dict[str, Any]:
 
 
 def _position(judgement: Judgement, distance_m: float) -> float | None:
-    windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
-    return _number(rmse(join(windows, [0] * len(windows)))) if windows else None
+    return _number(position_error(judgement, distance_m))
 
 
 def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:

@@ -1,0 +1,85 @@
+"""Findings as cards: name, numbers, how sure, and what the error was before and after."""
+
+from __future__ import annotations
+
+from html import escape
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.report.sentences import size
+from odomcorrupt.report.tables import clock_lines, value_text
+from odomcorrupt.study.search.confidence import confidence, evidence_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.judge.compare import Comparison
+    from odomcorrupt.study.search.learn import Learned, Round
+    from odomcorrupt.study.search.random_gain import RandomGain
+    from odomcorrupt.study.search.unknown import Unknown
+
+__all__ = ["cards"]
+
+
+def cards(learned: Learned, ladder: Comparison) -> list[str]:
+    """Return a card for everything that was found; nothing where nothing was.
+
+    ladder : judgements by the names of the steps, as `study.judge.ladder` has them
+    """
+    errors = iter(learned.fit.standard_errors)
+    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
+    found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
+    found += [_effect(look, learned, *own[look.added], ladder) for look in learned.rounds if look.added in own]
+    found += [_noise(gain) for gain in learned.noise]
+    found += [_unknown(unknown) for unknown in learned.unknown[:3]]
+    return [f'<div class="cards">{"".join(found)}</div>'] if found else []
+
+
+def _card(kind: str, title: str, lines: Sequence[str]) -> str:
+    return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines)}</section>'
+
+
+def _clock(line: str) -> str:
+    name, _, rest = line.partition(": ")
+    return _card(
+        "setup", "clock", [f'<p class="value">{escape(rest.rpartition("off: ")[2])}</p>', f"<p>of {escape(name)}</p>"]
+    )
+
+
+def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
+    sure = confidence(evidence_of(look, learned))
+    values = [
+        f'<p class="value">{escape(p.name)} {escape(value_text(getattr(effect, p.name), error, p.unit))}</p>'
+        for p, error in zip(amplitudes(effect), errors, strict=True)
+    ]
+    lines = [*values, f"<p>{escape(effect.summary)}</p>"]
+    if look.alternatives:
+        lines.append(f"<p>or {escape(', '.join(look.alternatives))}: these data cannot tell</p>")
+    lines.append(f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>')
+    lines.append(f"<p>{100.0 * sure:.1f} % sure, {look.candidates[0].gain:.0f} nats</p>")
+    names = [judgement.name for judgement in ladder.judgements]
+    place = names.index(f"+ {look.added}") if f"+ {look.added}" in names else 0
+    if place:
+        before, after = (ladder.judgements[i].ten_second_error_m for i in (place - 1, place))
+        if isfinite(before) and isfinite(after):
+            lines.append(
+                f"<p>10 s error {size('along', before)} → <strong>{size('along', after)}</strong>, held out</p>"
+            )
+    return _card(effect.kind, effect.name, lines)
+
+
+def _noise(gain: RandomGain) -> str:
+    values = [
+        f'<p class="value">{escape(p.name)} {escape(value_text(getattr(gain.effect, p.name), None, p.unit))}</p>'
+        for p in parameters(gain.effect)
+    ]
+    return _card("noise", gain.effect.name, [*values, f"<p>noise: {escape(gain.effect.summary)}</p>"])
+
+
+def _unknown(unknown: Unknown) -> str:
+    driver = unknown.driver.replace("_", " ")
+    what = f"the {unknown.channel} error depends on {driver} ({unknown.nats:.0f} nats), and no known effect explains it"
+    lines = [f"<p>{escape(what)}; to try:</p>", f"<p><code>{escape(unknown.expression)}</code></p>"]
+    return _card("unknown", "unknown", lines)

@@ -1,0 +1,130 @@
+"""The report of a search: what is missing, how sure that is, what it gains, and what to drive next."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.report.advice import advice_sentences, drive_sentence
+from odomcorrupt.report.candidates_picture import draw_candidates
+from odomcorrupt.report.cards import cards
+from odomcorrupt.report.found import NOTHING
+from odomcorrupt.report.html import ladder_table
+from odomcorrupt.report.ladder import draw_errors
+from odomcorrupt.report.page import page, picture, table
+from odomcorrupt.report.plan_picture import draw_plan
+from odomcorrupt.report.residuals import draw_residuals
+from odomcorrupt.report.tables import value_text
+from odomcorrupt.report.unknown_picture import draw_unknown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.judge.compare import Comparison
+    from odomcorrupt.study.search.learn import Learned
+
+__all__ = ["Story", "found_html"]
+
+
+class Story(NamedTuple):
+    """A search from its beginning to its advice.
+
+    ladder : the models on the way judged on held-out halves, or what a search is judged by instead
+    next_command : what to type next, or ""
+    """
+
+    learned: Learned
+    ladder: Comparison
+    advice: Advice
+    next_command: str
+
+
+def found_html(story: Story, *, version: str) -> str:
+    """Return the page."""
+    learned, ladder, advice, _ = story
+    names = ", ".join(ladder.recordings)
+    title = f"What is missing: {names}"
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(learned))}.</p>',
+        *cards(learned, ladder),
+        "<h2>What to do next</h2>",
+        _next(story),
+        "<h2>The error falls</h2>",
+        ladder_table(ladder),
+        picture("error", "Error against distance", _ERROR, draw_errors(ladder)),
+        picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
+        picture("residuals", "What the error depends on", _RESIDUALS, draw_residuals(ladder)),
+    ]
+    if learned.unknown:
+        body.append(picture("unknown", "What no known effect explains", _UNKNOWN, draw_unknown(learned.unknown)))
+    if advice.best is not None:
+        caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
+        body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
+    body += [*_detectable(advice), f'<p class="quiet">{escape(_legend(version))}</p>']
+    return page(title, body)
+
+
+_ERROR = (
+    "Errors after a length of path, windows not overlapping and each started at the truth, of the model before each "
+    "addition, and the band in which nine of ten such measurements lie if the model is right."
+)
+_CANDIDATES = (
+    "Log likelihood that each effect would gain, look by look, less what its parameters gain by chance. Dark blue was "
+    "added; light blue explains these data as well; grey was refused, and why."
+)
+_RESIDUALS = (
+    "Growth of the error per metre driven, odometry minus truth, before and after. Bars that miss zero all along a "
+    "curve show on what the error depends; of a right model one in twenty misses it."
+)
+_UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
+
+
+def _verdict(learned: Learned) -> str:
+    parts = []
+    if learned.added:
+        steps = [look for look in learned.rounds if look.added in learned.added]
+        names = [" or ".join((str(look.added), *look.alternatives)) for look in steps]
+        parts.append(f"missing: {', then '.join(names)}")
+    if learned.noise:
+        parts.append(f"noise that is there: {', '.join(gain.effect.name for gain in learned.noise)}")
+    if learned.unknown:
+        first = learned.unknown[0]
+        parts.append(
+            f"the {first.channel} error depends on {first.driver.replace('_', ' ')}, and no known effect does that"
+        )
+    text = "; ".join(parts) or NOTHING
+    return text[0].upper() + text[1:]
+
+
+def _next(story: Story) -> str:
+    items = [*advice_sentences(story.advice)]
+    items += [f"to try: {u.expression}" for u in story.learned.unknown[:3]]
+    listed = f"<ul>{_items(items)}</ul>" if items else ""
+    command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
+    nothing = "" if listed or command else "<p>Nothing is open: these data can tell all effects, and miss none.</p>"
+    return f'<div class="next">{command}{listed}{nothing}</div>'
+
+
+def _items(sentences: Iterable[str]) -> str:
+    return "".join(f"<li>{escape(s)}.</li>" for s in sentences)
+
+
+def _detectable(advice: Advice) -> list[str]:
+    """Return the sizes that would have been seen, side by side to save height."""
+    if not advice.limits:
+        return []
+    cells = [[escape(f"{e.effect} {e.parameter}"), escape(value_text(e.size, None, e.unit))] for e in advice.limits]
+    half = -(-len(cells) // 2)
+    rows = [cells[i] + (cells[i + half] if i + half < len(cells) else ["", ""]) for i in range(half)]
+    heads = ("effect", "would have been seen from", "", "")
+    return ["<h2>Sizes that would have been seen</h2>", table(heads, rows)]
+
+
+def _legend(version: str) -> str:
+    return (
+        "Held-out: every model on the way was fitted again on one half of each recording and judged on the other, both "
+        "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Sizes that would have been seen are "
+        f"4.2 standard errors. Made by odomcorrupt {version}."
+    )

@@ -1,0 +1,113 @@
+"""JSON and report of diagnose: the schema of the page, finite numbers, what is open; in a real browser, too."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from test_report import Balanced, browse
+
+from odomcorrupt.cli import run
+from odomcorrupt.study.search.confidence import Evidence, confidence
+
+PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8")
+
+
+@pytest.fixture(scope="module")
+def told(case, tmp_path_factory):
+    """What `diagnose --json` prints of a short office drive with one wheel larger, and what it writes beside it."""
+    folder = tmp_path_factory.mktemp("told")
+    files = {"drive": folder / "next.mcap", "report": folder / "found.html"}
+    words = [w for flag, path in files.items() for w in (f"--{flag}", str(path))]
+    out = folder / "out.json"
+    with pytest.MonkeyPatch.context() as patch, out.open("w") as stream:
+        patch.setattr("sys.stdout", stream)
+        assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--json", *words]) == 0
+    return json.loads(out.read_text(), parse_constant=pytest.fail), files
+
+
+def test_the_schema_is_that_of_the_page(told):
+    found, _ = told
+    section = PAGE.split("## `diagnose --json`", 1)[1].split("\n## ", 1)[0]
+    rows = [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in section.splitlines() if line.startswith("| `")]
+    named = {code for codes in rows for code in codes}
+    assert set(found) - {"schema"} == {code for code in named if "[" not in code and "." not in code}
+    assert found["schema"] == 1
+    entry = found["found"][0]
+    assert {f"found[].{key}" for key in entry} <= named | {"found[].effect", "found[].kind"}
+
+
+def test_the_cause_is_found_with_its_numbers(told, case):
+    found, _ = told
+    assert found["verdict"] == "missing"
+    entry = found["found"][0]
+    assert (entry["effect"], entry["kind"]) == ("unequal_wheels", "effect")
+    curvature = entry["parameters"]["curvature"]
+    assert curvature["unit"] == "rad/m"
+    assert abs(curvature["value"] + 0.0133) < 4.0 * curvature["standard_error"]
+    assert 0.9 < entry["confidence"] < 1.0
+    for key in ("rmse_10m", "rmse_10s"):
+        before, after = entry["held_out"][key]
+        assert after < before
+    # half of this drive is no 50 m
+    assert entry["held_out"]["rmse_50m"] == [None, None]
+    assert entry["held_out"]["nats_per_m"][1] > entry["held_out"]["nats_per_m"][0]
+    assert found["ladder"][0]["rmse_10s"] == entry["held_out"]["rmse_10s"][0]
+    assert found["ladder"][1]["model"] == "+ unequal_wheels"
+    assert found["candidates"][0]["effect"] == "unequal_wheels"
+
+
+def test_what_is_open_is_told_with_a_drive(told):
+    found, files = told
+    for one in found["not_testable"]:
+        assert one["why"]
+        assert one["drive"]
+    assert all(one["size"] > 0.0 for one in found["detectable"])
+    seen = {one["effect"] for one in found["detectable"]}
+    assert not seen & {one["effect"] for one in found["not_testable"]}
+    assert files["drive"].exists() == (found["next_drive"] is not None)
+
+
+def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence():
+    plain = confidence(Evidence(50.0))
+    assert plain > 0.99
+    assert confidence(Evidence(50.0, (49.5,))) == pytest.approx(1.0 / (2.0 - 0.393 + 0.005), abs=0.02)
+    assert confidence(Evidence(50.0, (49.0, 20.0))) > confidence(Evidence(50.0, (49.9, 20.0)))
+    assert confidence(Evidence(50.0, (), 100.0)) < 0.4
+    assert confidence(Evidence(1.0)) < 0.75
+    assert confidence(Evidence(-1.0)) == 0.0
+
+
+def test_the_report_is_whole_small_and_says_what_is_missing(told):
+    found, files = told
+    page = files["report"].read_text(encoding="utf8")
+    parsed = Balanced()
+    parsed.feed(page)
+    assert not parsed.open
+    assert "script" not in parsed.tags
+    assert len(page.encode()) <= 3_000_000
+    assert all(source.startswith("data:") for source in parsed.sources)
+    text = unescape(page)
+    assert "missing: unequal_wheels" in text.lower()
+    assert "--add unequal_wheels" in text
+    for one in found["not_testable"]:
+        assert one["why"] in text
+    assert parsed.tags.count("img") == 3 + bool(found["unknown"]) + bool(found["next_drive"])
+    assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", page)).lower().split()
+
+
+def test_a_real_browser_shows_the_report(told, tmp_path):
+    page = tmp_path / "found.html"
+    page.write_bytes(told[1]["report"].read_bytes())
+    said, asked = browse(page, tmp_path)
+    assert said == []
+    assert asked == []
+    inked = np.mean(imread(page.with_suffix(".png"))[:, :, :3] < 0.95, axis=(1, 2)) > 0.0
+    assert inked.sum() > 1500
+    shutil.rmtree(tmp_path / "profile", ignore_errors=True)
