@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,9 +10,10 @@ from scipy.stats import chi2
 
 from laboratory.cases import CLOCKS, same_class
 from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.study.search.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.search.learn import Learned
+    from odomcorrupt.study.search.learn import Learned, Round
 
 __all__ = ["errors_of", "told"]
 
@@ -31,11 +32,7 @@ def told(learned: Learned) -> dict[str, Any]:
             "values": {p.name: getattr(effect, p.name) for p in parameters(effect)},
             "errors": {p.name: float(error) for p, error in zip(own, errors, strict=True)},
         }
-    looks = [
-        {"added": r.added, "alternatives": list(r.alternatives), "gains": _gains(r.candidates)} for r in learned.rounds
-    ]
-    for look in looks:
-        look["confidence"] = confidence(look["gains"], look["added"])
+    looks = [_look(r, learned) for r in learned.rounds]
     return {
         "clocks": clock_names,
         "added": list(learned.added),
@@ -45,15 +42,6 @@ def told(learned: Learned) -> dict[str, Any]:
         "found": values,
         "nodes": len(learned.fit.problem.nodes),
     }
-
-
-def confidence(gains: dict[str, float], added: str | None) -> float | None:
-    """Return the posterior of the added name among all refitted candidates and none, each as likely beforehand."""
-    if added is None or added not in gains:
-        return None
-    best = max(*gains.values(), 0.0)
-    total = math.exp(-best) + sum(math.exp(gain - best) for gain in gains.values())
-    return math.exp(gains[added] - best) / total
 
 
 def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[str, Any] | None:
@@ -75,6 +63,18 @@ def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[
     relative = float(np.linalg.norm(got - sought) / np.linalg.norm(sought))
     covered = [bool(abs(g - s) <= 1.96 * errors[key]) for key, g, s in zip(keys, got, sought, strict=True)]
     return {"relative": relative, "covered": covered}
+
+
+def _look(look: Round, learned: Learned) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "added": look.added,
+        "alternatives": list(look.alternatives),
+        "gains": _gains(look.candidates),
+    }
+    if look.added is not None:
+        row["evidence"] = asdict(evidence_of(look, learned))
+        row["confidence"] = confidence(evidence_of(look, learned))
+    return row
 
 
 def _gains(candidates: Any) -> dict[str, float]:

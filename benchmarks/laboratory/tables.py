@@ -198,7 +198,7 @@ def reliability(rows: Rows) -> Lines:
 
 def _confidences(row: dict[str, Any]) -> list[tuple[str, float | None]]:
     kept = row["answer"]["added"]
-    return [(look["added"], look["confidence"]) for look in row["answer"]["looks"] if look["added"] in kept]
+    return [(look["added"], look.get("confidence")) for look in row["answer"]["looks"] if look["added"] in kept]
 
 
 def _drive(row: dict[str, Any]) -> str:

@@ -14,9 +14,9 @@ from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.gauss_newton import fit
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search import candidates
-from odomcorrupt.study.search.candidates import library, next_effect
+from odomcorrupt.study.search.candidates import _price, library, next_effect
 from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.search.score import best_member, score_tests
 
 
 @pytest.mark.slow
@@ -109,17 +109,18 @@ def test_7_coarse_ticks_are_seen_in_the_odometry_alone():
     assert [effect.name for effect in encoder_effects(run)] == ["quantization"]
 
 
-def test_8_who_scans_many_shapes_is_charged_for_them(monkeypatch):
+def test_8_who_scans_many_shapes_is_charged_for_them():
     # breaks where a disc is judged as if it had been the only one looked at
     run = as_recording(simulate(54, None, duration_s=300.0))
     fitted = fit([run], approach=choose_approach([run]))
     family = next(f for f in library(fitted) if f[0].name == "region_slip")
+    believed = np.zeros((len(fitted.problem.nodes), 3, 0))
+    alone = score_tests(fitted, [best_member(fitted, family, believed)], believed)[0]
+    charged = next(c for c in next_effect(fitted, [(False, False)]) if c.score.effect.name == "region_slip")
     assert len(family) > 10
-    charged = {c.score.effect.name: c.score.p for c in next_effect(fitted, [(False, False)])}
-    monkeypatch.setattr(candidates, "library", lambda _: [family[:1], *(f for f in library(fitted) if f is not family)])
-    monkeypatch.setattr(candidates, "best_member", lambda fit, family, believed: family[0])
-    assert charged["region_slip"] == 1.0 or charged["region_slip"] > 0.01
-    assert candidates._price(family[0], len(family), 1000) > candidates._price(family[0], 1, 1000) + 2.0
+    assert charged.score.p >= min(1.0, len(family) * alone.p)
+    assert charged.refused
+    assert _price(family[0], len(family), 1000) == pytest.approx(_price(family[0], 1, 1000) + np.log(len(family)))
 
 
 def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes():
