@@ -59,7 +59,7 @@ class Nodes:
     linked : (K,) whether the interval starts at the node where the one before it ended
     first : (K,) index of each interval's first step
     source, share : (n,) which increment of the odometry a step is of, and which part of it
-    turn : (n,) heading of the step's middle against the interval's end, radians
+    axis : (n, 2) forward axis of the step's middle, seen from the interval's end
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     """
 
@@ -73,7 +73,7 @@ class Nodes:
     first: NDArray[np.int64]
     source: NDArray[np.int64]
     share: Array
-    turn: Array
+    axis: Array
     lever: Array
     lever0: Array
     lever1: Array
@@ -88,9 +88,10 @@ class Nodes:
 
     def column(self, error: Array) -> Array:
         """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
-        m = error[self.source] * self.share[:, None]
-        xy = rotate(m[:, :2], self.turn) + m[:, 2:] * _quarter(self.lever)
-        return np.add.reduceat(np.concatenate((xy, m[:, 2:]), axis=1), self.first, axis=0)
+        along, across, yaw = error.T[:, self.source] * self.share
+        (c, s), (ahead, left) = self.axis.T, self.lever.T
+        moved = np.stack((c * along - s * across - yaw * left, s * along + c * across + yaw * ahead, yaw))
+        return np.ascontiguousarray(np.add.reduceat(moved, self.first, axis=1).T)
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
@@ -100,8 +101,10 @@ class Nodes:
         for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
             direction = np.concatenate((_quarter(lever), np.ones((len(lever), 1))), axis=1)
             total += self._sum_outer(weight, direction)
-        turn = self.turn + np.arctan2(steps.dl_m, steps.ds_m)[self.source] if law.along_travel else self.turn
-        c, s, zero = np.cos(turn), np.sin(turn), np.zeros_like(turn)
+        axis = self.axis
+        if law.along_travel:
+            axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
+        c, s, zero = axis[:, 0], axis[:, 1], np.zeros(len(axis))
         total += self._sum_outer(v.trans, np.stack((c, s, zero), axis=1))
         if v.across.any():
             total += self._sum_outer(v.across, np.stack((-s, c, zero), axis=1))
@@ -176,7 +179,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         first=np.searchsorted(k, np.arange(len(kept))),
         source=source,
         share=share,
-        turn=middle[:, 2] - heading,
+        axis=np.stack((np.cos(middle[:, 2] - heading), np.sin(middle[:, 2] - heading)), axis=1),
         lever=lever(middle[:, :2]),
         lever0=lever(all_xyt[used, :2]),
         lever1=lever(all_xyt[used + 1, :2]),
