@@ -72,10 +72,11 @@ _POSES = [(0.1 * i, 0.01 * i, 0.001 * i) for i in _STEPS]
 TUM = b"# stamp x y z qx qy qz qw\n" + b"".join(b"%.2f %.3f 0 0 0 0 %.3f 1\n" % pose for pose in _POSES)
 TEXTS = {"model file": MODEL, "map .yaml": YAML, "map .pgm": PGM, "CSV": CSV, "TUM": TUM}
 WORDS = (
-    b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"1e308", b"1e-320", b"0", b"-1", b"1" * 400, b"9" * 4400, b"0x1p1023",
-    b"true", b'"a"', b"[]", b"{}", b"[[1]]", b"''", b"1e18", b"-1e19", b"18446744073709551616", b"9**9**9", b"1979-05-27",
-    b"__import__('os')", b"/etc/passwd", b"../../etc/passwd", b"/dev/zero", b"\xef\xbb\xbf", b"\0", b"\xff\xfe",
-    b"(" * 300, b"0.004 +- 0.001", b"-0.0", b"1_000", b"\xd9\xa3", b"!!python/object:os.system", b"*a", b"&a",
+    b"nan", b"inf", b"-inf", b"1e999", b"-1e308", b"1e308", b"1e-320", b"0", b"-1", b"1" * 400, b"9" * 4400,
+    b"0x1p1023", b"true", b'"a"', b"[]", b"{}", b"[[1]]", b"''", b"1e18", b"-1e19", b"18446744073709551616",
+    b"9**9**9", b"1979-05-27", b"__import__('os')", b"/etc/passwd", b"../../etc/passwd", b"/dev/zero",
+    b"\xef\xbb\xbf", b"\0", b"\xff\xfe", b"(" * 300, b"0.004 +- 0.001", b"-0.0", b"1_000", b"\xd9\xa3",
+    b"!!python/object:os.system", b"*a", b"&a",
 )  # fmt: skip
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?|\"[^\"]*\"|[a-z_]+")
 _VALUE = re.compile(rb"(?<=[=,: \[])-?\d+(?:\.\d+)?(?=[\s,}\]])")
