@@ -93,6 +93,10 @@ class McapReader:
             self._first_losses = 1
             self.header = string("") + string("")
             next_record(source, len(MAGIC))
+        if recover and not self._first_losses and not stands_here(source):
+            self.losses.append(f"{self.name}: its header is not as long as it says")
+            self._first_losses = 1
+            next_record(source, len(MAGIC))
         self._data_start = source.position
         self._begun = False
         self._count = 0

@@ -69,6 +69,9 @@ class Ros1Reader:
             # The records are looked for where they stand.
             self.losses.append(f"{self.name}: its header is damaged")
             next_record(source, len(MAGIC))
+        if recover and not self.losses and not (source.at_end() or stands_here(source)):
+            self.losses.append(f"{self.name}: its header is not as long as it says")
+            next_record(source, len(MAGIC))
         self._data_start = source.position
         self._header_losses = len(self.losses)
         if recover:
