@@ -9,7 +9,7 @@
 | 7.5 | a truth whose noise is coloured | section_7 test_5, section_12 test_1 |
 | 7.6 | wandering noise and bursts look like bias and scale | section_7 test_6 (slow), ../test_library (slow) |
 | 7.7 | causes that act in few places lose their power | section_7 test_7 (slow) |
-| 7.8 | windows that overlap or turn round, zeros, alphas of other steps | section_7 test_8, ../test_compare_calibration,
+| 7.8 | windows that overlap or turn round, zeros, other steps | section_7 test_8, ../test_compare_calibration,
   ../../sampling/test_convert |
 | 7.9 | noise that a found cause had inflated | section_7 test_9 |
 | 12.1 | noise of satellites' truth that is assumed | section_12 test_1 (two) |

@@ -38,7 +38,7 @@ def scored(fitted, *names):
 
 def test_1_what_drives_is_the_odometry_of_wheels_and_the_truth_of_noise_that_was_made(control):
     # breaks where one side is taken always: smoothed truth undershoots at stops, and noisy odometry attenuates
-    run, fitted = control
+    _, fitted = control
     assert fitted.problem.approach.side == "odometry"
     steps = wander(60, 120.0)
     assert choose_approach([recording(steps, noisy_path(steps, PLANTED, 60), seed=60)]).side == "truth"
