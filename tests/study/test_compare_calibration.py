@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import norm
-from wandering import noisy_path, recording, wander
+from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.laws import Coefficients
@@ -169,3 +169,30 @@ def test_the_right_model_gains_nats_over_a_wrong_one_by_more_than_the_paired_err
         right.whitener.log_likelihood(right.innovations), rel=1e-12
     )
     assert nats_of([right], [right]).gain_error == 0.0
+
+
+def wandering_gain(seed: int):
+    """Return a drive whose turns are reported with a gain that wanders: 8 %, remembered for 5 s."""
+    steps = wander(seed, 240.0)
+    rng = np.random.default_rng((6, seed))
+    keep = np.exp(-1.0 / (RATE_HZ * 5.0))
+    gain = np.zeros(len(steps))
+    gain[0] = 0.08 * rng.standard_normal()
+    for i in range(1, len(steps)):
+        gain[i] = keep * gain[i - 1] + 0.08 * np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    turned = replace(steps, dtheta_rad=steps.dtheta_rad * (1.0 + gain))
+    return recording(steps, noisy_path(turned, PLANTED, seed), seed=seed)
+
+
+def test_a_gain_that_wanders_belongs_to_what_the_model_expects():
+    effect = effect_from_values("gauss_markov", {"sigma": 0.08, "tau": 5.0, "channel": "yaw"})
+    nees, log_likelihood = {}, {}
+    for name, model in {"without": RIGHT, "with": replace(RIGHT, effects=(effect,))}.items():
+        pieces = [judge_stretch(wandering_gain(seed), model, Approach("truth")) for seed in range(12)]
+        nees[name] = [h.nees for h in horizons_of(pieces, (2.0, 10.0))]
+        log_likelihood[name] = sum(float(piece.node_nats.sum()) for piece in pieces)
+        whitened = sum(piece.whitener.log_likelihood(piece.innovations) for piece in pieces)
+        assert log_likelihood[name] == pytest.approx(whitened, rel=1e-9)
+    assert min(nees["without"]) > 1.2
+    np.testing.assert_allclose(nees["with"], 1.0, atol=0.1)
+    assert log_likelihood["with"] > log_likelihood["without"] + 50.0

@@ -19,8 +19,17 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.problem import Problem
     from odomcorrupt.study.likelihood.noise_fit import NoiseFit
+    from odomcorrupt.study.likelihood.whitener import Whitener
 
-__all__ = ["WANDERING", "Process", "processes", "rooted", "unit_column", "with_random"]
+__all__ = [
+    "WANDERING",
+    "Process",
+    "processes",
+    "rooted",
+    "unit_column",
+    "widened",
+    "with_random",
+]
 
 WANDERING = ("gauss_markov", "gyro_bias_walk")
 """Random effects that a fit can believe."""
@@ -45,20 +54,30 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
     """Return a fit of noise with wandering gains in its covariance, everything linear estimated anew."""
     if not random:
         return noise
-    white = noise.whitener
-    designs = []
-    for effect in random:
-        process = next(p for p in processes(effect) if p.kind is type(effect) and _same(p, effect))
-        designs.append(getattr(effect, process.scale) * white.whiten(rooted(problem, process)))
-    directions, size, _ = np.linalg.svd(np.concatenate(designs, axis=1), full_matrices=False)
+    wider = widened(noise.whitener, problem, random)
+    return estimated(noise, wider, np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2))
+
+
+def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
+    """Return a whitener of the problem's residuals that knows of wandering gains, too."""
+    if not random:
+        return white
+    designs = np.concatenate([white.whiten(root_of(effect, problem)) for effect in random], axis=1)
+    directions, size, _ = np.linalg.svd(designs, full_matrices=False)
     growth = 1.0 + size**2
-    wider = replace(
+    return replace(
         white,
         directions=directions,
         shrink=1.0 / np.sqrt(growth),
         log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
     )
-    return estimated(noise, wider, np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2))
+
+
+def root_of(effect: Effect, problem: Problem) -> Array:
+    """Return columns (K, 3, m) whose independent standard normal factors make a wandering gain of its own size."""
+    process = next(p for p in processes(effect) if p.kind is type(effect) and _same(p, effect))
+    root: Array = getattr(effect, process.scale) * rooted(problem, process)
+    return root
 
 
 def processes(like: Effect | None = None) -> list[Process]:

@@ -11,8 +11,10 @@ from scipy.optimize import minimize
 from odomcorrupt.errors import FitError
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.study.fitting.problem import Problem, pose_problem, undo
+from odomcorrupt.study.fitting.random_process import WANDERING, widened
 from odomcorrupt.study.judge.calibration import Horizon, horizon_of
 from odomcorrupt.study.judge.doubt import Doubt, doubt_of
+from odomcorrupt.study.judge.wander import wandering_covariance
 from odomcorrupt.study.likelihood.whitener import Whitener, interval_covariance, whitener
 from odomcorrupt.study.likelihood.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
@@ -20,6 +22,7 @@ from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model import MotionModel
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.approach import Approach
@@ -79,6 +82,9 @@ class Judged:
         if not len(windows):
             return None
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
+        count = errors.error.shape[1]
+        more = wandering_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
+        errors = replace(errors, covariance=errors.covariance + more)
         return errors, doubt_of(self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0)
 
 
@@ -90,9 +96,13 @@ def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, 
     q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.heading_error_rad is None
     truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
-    white = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    random = [effect for effect in model.effects if effect.name in WANDERING]
+    white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
+    # what wanders over all of a run belongs to no single interval
+    own += (white.log_det - band.log_det) / own.size
     as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
     return Judged(
         recording=recording,
@@ -101,7 +111,7 @@ def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, 
         truth=truth if headed else replace(truth, yaw_rad=float(recording.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
-        q=q,
+        q=q + wandering_covariance(_noisy(model), nodes, problem.motions[0]),
         innovations=innovations,
         node_nats=-own.reshape(-1, 3).sum(axis=1),
         node_metres=as_it_came.distance_m,
@@ -118,6 +128,10 @@ def horizons_of(pieces: Sequence[Judged], distances_m: Sequence[float]) -> tuple
         if horizon is not None:
             found.append(horizon)
     return tuple(found)
+
+
+def _noisy(model: MotionModel) -> list[Effect]:
+    return [effect for effect in model.effects if effect.kind == "noise"]
 
 
 def _truth_noise(nodes: Nodes, q: Array, *, headed: bool) -> TruthNoise:

@@ -88,10 +88,13 @@ class Nodes:
 
     def column(self, error: Array) -> Array:
         """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
+        return np.ascontiguousarray(np.add.reduceat(self.carried(error), self.first, axis=1).T)
+
+    def carried(self, error: Array) -> Array:
+        """Return (3, n): what errors (n0, 3) of the odometry's increments do to the residual, step by step."""
         along, across, yaw = error.T[:, self.source] * self.share
         (c, s), (ahead, left) = self.axis.T, self.lever.T
-        moved = np.stack((c * along - s * across - yaw * left, s * along + c * across + yaw * ahead, yaw))
-        return np.ascontiguousarray(np.add.reduceat(moved, self.first, axis=1).T)
+        return np.stack((c * along - s * across - yaw * left, s * along + c * across + yaw * ahead, yaw))
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
