@@ -50,7 +50,9 @@ class Findings:
 def findings(record: OdometryRecord) -> Findings:
     """Return what one odometry topic is like."""
     finite = np.isfinite(record.xyt).all(axis=1)
-    stamps, xyt = record.stamps_ns[finite], record.xyt[finite]
+    leaps = _leaps(record.stamps_ns)
+    sound = finite & ~leaps
+    stamps, xyt = record.stamps_ns[sound], record.xyt[sound]
     back = _steps_back(stamps)
     dt = np.diff(stamps) * 1e-9
     steps = increments(xyt) if len(xyt) else increments(np.zeros((1, 3)))
@@ -65,8 +67,10 @@ def findings(record: OdometryRecord) -> Findings:
         odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times stand in for them")
     if not finite.all():
         odd.append(f"{np.count_nonzero(~finite)} poses are not numbers")
+    if leaps.any():
+        odd.append(f"{np.count_nonzero(leaps)} stamps lie far ahead of their neighbours'")
     if record.twist is not None:
-        odd += _twist_oddities(record.twist[finite], xyt, dt, good, speed)
+        odd += _twist_oddities(record.twist[sound], xyt, dt, good, speed)
     for name, watch in (("pose", record.pose_covariance), ("twist", record.twist_covariance)):
         said = watch.oddity(never_changes=name == "pose")
         odd += [f"{name} covariances of x, y, yaw {said}"] if said else []
@@ -90,6 +94,14 @@ def findings(record: OdometryRecord) -> Findings:
 class _StepsBack:
     restarts: int
     swapped: int
+
+
+def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which stamps (n,) lie far ahead of both neighbours': flaws of one message, no restarts of time."""
+    leaps = np.zeros(len(stamps_ns), dtype=bool)
+    before, here, after = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
+    leaps[1:-1] = (here > before + WINDOW_NS) & (here > after + WINDOW_NS) & (after >= before - WINDOW_NS)
+    return leaps
 
 
 def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
