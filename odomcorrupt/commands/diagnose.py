@@ -77,7 +77,7 @@ def command(
         for line in clock_lines([r.name for r in runs], learned.clocks):
             click.echo(line)
         click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned, advice)}")
-        if ladder is not None:
+        if ladder is not None and learned.added:
             click.echo(f"\n{shares_text(ladder.judgements)}")
         if following:
             click.echo(f"\nnext: {following}")

@@ -75,5 +75,19 @@ def limits_sentence(limits: Sequence[Limit]) -> str:
     """Return the sizes that would have been seen, in units a person thinks in; "" where there are none."""
     if not limits:
         return ""
-    sizes = ", ".join(f"{limit.effect} {value_text(limit.size, None, limit.unit)}".strip() for limit in limits)
+    names = [limit.effect for limit in limits]
+    sizes = ", ".join(
+        f"{limit_name(limit, alone=names.count(limit.effect) == 1)} {limit_size(limit)}" for limit in limits
+    )
     return f"these sizes would have been seen: {sizes}"
+
+
+def limit_name(limit: Limit, *, alone: bool) -> str:
+    """Return the effect's name, with the parameter's where the effect has several."""
+    return limit.effect if alone else f"{limit.effect} {limit.parameter}"
+
+
+def limit_size(limit: Limit) -> str:
+    """Return a size in two figures and a unit a person thinks in."""
+    number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
+    return f"{float(number):.2g} {unit}".strip()

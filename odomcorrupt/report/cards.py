@@ -38,7 +38,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
 
 
 def _card(kind: str, title: str, lines: Sequence[str]) -> str:
-    return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines)}</section>'
+    return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines).replace("+-", "±")}</section>'
 
 
 def _clock(line: str) -> str:
@@ -75,7 +75,8 @@ def _noise(gain: RandomGain) -> str:
         f'<p class="value">{escape(p.name)} {escape(value_text(getattr(gain.effect, p.name), None, p.unit))}</p>'
         for p in parameters(gain.effect)
     ]
-    return _card("noise", gain.effect.name, [*values, f"<p>noise: {escape(gain.effect.summary)}</p>"])
+    channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
+    return _card("noise", gain.effect.name + channel, [*values, f"<p>noise: {escape(gain.effect.summary)}</p>"])
 
 
 def _unknown(unknown: Unknown) -> str:

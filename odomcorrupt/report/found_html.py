@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.report.advice import advice_sentences, drive_sentence
+from odomcorrupt.report.advice import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.candidates_picture import draw_candidates
 from odomcorrupt.report.cards import cards
 from odomcorrupt.report.found import NOTHING
@@ -14,7 +14,6 @@ from odomcorrupt.report.ladder import draw_errors
 from odomcorrupt.report.page import page, picture, table
 from odomcorrupt.report.plan_picture import draw_plan
 from odomcorrupt.report.residuals import draw_residuals
-from odomcorrupt.report.tables import value_text
 from odomcorrupt.report.unknown_picture import draw_unknown
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def found_html(story: Story, *, version: str) -> str:
         *cards(learned, ladder),
         "<h2>What to do next</h2>",
         _next(story),
-        "<h2>The error falls</h2>",
+        f"<h2>{'The error falls' if _falls(ladder) else 'The error'}</h2>",
         ladder_table(ladder),
         picture("error", "Error against distance", _ERROR, draw_errors(ladder)),
         picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
@@ -78,6 +77,10 @@ _RESIDUALS = (
     "Growth of the error per metre driven, odometry minus truth, before and after. Bars that miss zero all along a "
     "curve show on what the error depends; of a right model one in twenty misses it."
 )
+_REJECTED = (
+    "The last model is rejected all the same: what is expected of errors does not count noise that wanders or comes in "
+    "bursts, and there may be a cause that is in no library. What the error depends on is drawn below."
+)
 _UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
 
 
@@ -88,7 +91,7 @@ def _verdict(learned: Learned) -> str:
         names = [" or ".join((str(look.added), *look.alternatives)) for look in steps]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
-        parts.append(f"noise that is there: {', '.join(gain.effect.name for gain in learned.noise)}")
+        parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         first = learned.unknown[0]
         parts.append(
@@ -103,8 +106,14 @@ def _next(story: Story) -> str:
     items += [f"to try: {u.expression}" for u in story.learned.unknown[:3]]
     listed = f"<ul>{_items(items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
-    nothing = "" if listed or command else "<p>Nothing is open: these data can tell all effects, and miss none.</p>"
+    nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
+    if story.ladder.judgements[-1].verdict.rejected and not story.learned.unknown:
+        nothing += f"<p>{_REJECTED}</p>"
     return f'<div class="next">{command}{listed}{nothing}</div>'
+
+
+def _falls(ladder: Comparison) -> bool:
+    return ladder.judgements[-1].ten_second_error_m < ladder.judgements[0].ten_second_error_m
 
 
 def _items(sentences: Iterable[str]) -> str:
@@ -115,7 +124,7 @@ def _detectable(advice: Advice) -> list[str]:
     """Return the sizes that would have been seen, side by side to save height."""
     if not advice.limits:
         return []
-    cells = [[escape(f"{e.effect} {e.parameter}"), escape(value_text(e.size, None, e.unit))] for e in advice.limits]
+    cells = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
     half = -(-len(cells) // 2)
     rows = [cells[i] + (cells[i + half] if i + half < len(cells) else ["", ""]) for i in range(half)]
     heads = ("effect", "would have been seen from", "", "")

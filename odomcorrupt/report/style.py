@@ -27,7 +27,7 @@ th:first-child, td:first-child { text-align: left; padding-left: 0; }
 thead th { border-bottom: 2px solid #999; vertical-align: bottom; }
 td.off { font-weight: 700; color: #A33F00; }
 .bar { display: block; height: .7em; background: #777; }
-.cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(19rem, 1fr)); gap: .9rem; margin: .8rem 0; }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(19rem, 1fr)); gap: .9rem; margin: .8rem 0; }
 .card { border: 1px solid #ddd; border-top: .3rem solid #0072B2; border-radius: .3rem; padding: .7rem .9rem; }
 .card.noise { border-top-color: #777; }
 .card.unknown { border-top-color: #E69F00; }

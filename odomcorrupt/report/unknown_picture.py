@@ -34,7 +34,7 @@ def draw_unknown(unknown: Sequence[Unknown]) -> Figure:
     """Draw the plainest curves beside each other, with two standard errors about them."""
     shown = unknown[:MOST_CURVES]
     with drawing():
-        figure = new_figure(4.6 * len(shown) if len(shown) > 1 else 7.0, 3.6)
+        figure = new_figure(11.0, 3.6)
         for axes, one in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
             _drawn(axes, one)
             axes.set_title(f"{one.channel} error, {one.nats:.0f} nats")

@@ -1,13 +1,13 @@
 """How sure a name is: the posterior share of what was named among its listed rivals, chance, and something else.
 
-With g the nats that a name gains and g_i those of its rivals (all less what their parameters gain by chance), and u
-the nats that curves over speed, time, heading and so on still gain when everything named is believed, the odds
-against the name are
+With g the nats that a name gains and g_i those of its rivals (all less what their parameters gain by chance), u the
+nats that curves over speed, time, heading and so on still gain when everything named is believed, and w those of gains
+that were named as wandering, the odds against the name are
 
-    sum_i exp(T (g_i - g))  +  exp(-T g)  +  ELSE + LEFT u / g
+    sum_i exp(T (g_i - g))  +  exp(-T g)  +  ELSE + (LEFT u + WANDER w) / g
 
 rivals, nothing at all, and something else: a cause that is in no library is explained by a known one in part only,
-and what is left of it shows. `calibrated` alone turns odds into the probability that is told.
+and what is left of it shows, as a curve or as noise that remembers. `calibrated` alone turns odds into the probability that is told.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import exp, inf, isfinite, log
 from typing import TYPE_CHECKING
+
+from odomcorrupt.study.fitting.random_process import WANDERING
 
 if TYPE_CHECKING:
     from odomcorrupt.study.search.learn import Learned, Round
@@ -27,6 +29,8 @@ ELSE = 0.005
 """Odds against any name however plain: names that the library does not have."""
 LEFT = 1.0
 """What is left unexplained, in parts of what the name explains, counts as much as odds against it."""
+WANDER = 0.2
+"""The same of noise that remembers, which may well be there besides."""
 SLOPE, SHIFT = 1.0, 0.0
 """Of the calibration line in log odds; to be fitted to a reliability curve."""
 
@@ -38,11 +42,13 @@ class Evidence:
     own : what it gains, less what its parameters gain by chance
     rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
     left : what the plainest unknown dependence still gains in the end
+    wandering : what gains that were named as wandering do
     """
 
     own: float
     rivals: tuple[float, ...] = ()
     left: float = 0.0
+    wandering: float = 0.0
 
 
 def confidence(evidence: Evidence) -> float:
@@ -56,7 +62,8 @@ def odds_against(evidence: Evidence) -> float:
         return inf
     rivals = sum(exp(min(TEMPER * (g - evidence.own), 700.0)) for g in evidence.rivals if isfinite(g))
     nothing = exp(-min(TEMPER * evidence.own, 700.0))
-    return rivals + nothing + ELSE + LEFT * max(evidence.left, 0.0) / evidence.own
+    rest = LEFT * max(evidence.left, 0.0) + WANDER * max(evidence.wandering, 0.0)
+    return rivals + nothing + ELSE + rest / evidence.own
 
 
 def calibrated(odds: float) -> float:
@@ -71,4 +78,5 @@ def evidence_of(look: Round, learned: Learned) -> Evidence:
     rivals = tuple(c.gain for c in look.candidates[1:] if not c.refused)
     price = 0.5 * log(len(learned.fit.problem.nodes))
     left = max((u.nats - price * len(u.curve) for u in learned.unknown), default=0.0)
-    return Evidence(look.candidates[0].gain, rivals, left)
+    wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
+    return Evidence(look.candidates[0].gain, rivals, left, wandering)
