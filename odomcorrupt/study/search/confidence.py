@@ -1,13 +1,14 @@
 """How sure a name is: the posterior share of what was named among its listed rivals, chance, and something else.
 
 With g the nats that a name gains and g_i those of its rivals (all less what their parameters gain by chance), u the
-nats that curves over speed, time, heading and so on still gain when everything named is believed, and w those of gains
-that were named as wandering, the odds against the name are
+nats that curves over speed, time, heading and so on still gain when everything named is believed, and w those of
+gains that were named as wandering, the odds against the name are
 
     sum_i exp(T (g_i - g))  +  exp(-T g)  +  ELSE + (LEFT u + WANDER w) / g
 
 rivals, nothing at all, and something else: a cause that is in no library is explained by a known one in part only,
-and what is left of it shows, as a curve or as noise that remembers. `calibrated` alone turns odds into the probability that is told.
+and what is left of it shows, as a curve or as noise that remembers. `calibrated` alone turns odds into the
+probability that is told.
 """
 
 from __future__ import annotations
