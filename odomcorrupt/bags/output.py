@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import zlib
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from odomcorrupt.bags.checksum import crc_of_both
 from odomcorrupt.errors import BagError
 
-__all__ = ["Output", "beside", "refuse_target"]
+__all__ = ["Output", "Shared", "beside", "refuse_target"]
+
+_WORTH_BYTES = 1 << 16
+"""Less is written as quickly as copied."""
 
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm")
 
@@ -36,6 +40,19 @@ def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory:
         )
     if directory and not all(one.suffix in _BAG_SUFFIXES and one.is_file() for one in path.iterdir()):
         raise BagError(f"{path}: holds more than a ROS 2 bag, it is not replaced; name another output")
+
+
+@dataclass(slots=True)
+class Shared:
+    """Bytes that several outputs get.
+
+    crc : their CRC-32
+    home : file descriptor and position where the first output has them
+    """
+
+    data: bytes | memoryview
+    crc: int
+    home: tuple[int, int] | None = None
 
 
 class Output:
@@ -83,6 +100,44 @@ class Output:
             self.summing = summing
         if summing:
             self.crc = crc_of_both(self.crc, crc, len(piece))
+
+    def write_shared(self, shared: Shared) -> None:
+        """Write bytes that several outputs share; within files the system copies them from the first to the others."""
+        try:
+            if self._copied(shared):
+                self.crc = crc_of_both(self.crc, shared.crc, len(shared.data)) if self.summing else self.crc
+                return
+            position = self.position
+            self.write_summed(shared.data, shared.crc)
+            if self._partial is not None and self._stream is not None and len(shared.data) >= _WORTH_BYTES:
+                self._stream.flush()
+                shared.home = self._stream.fileno(), position
+        except BagError:
+            raise
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _copied(self, shared: Shared) -> bool:
+        """Whether the system has copied the bytes; where it cannot, nothing is written."""
+        if shared.home is None or self._partial is None or self._stream is None:
+            return False
+        self._stream.flush()
+        (source, at), left, here = shared.home, len(shared.data), self._stream.fileno()
+        try:
+            while left:
+                done = os.copy_file_range(source, here, left, at, self.position + len(shared.data) - left)
+                if not done:
+                    break
+                at, left = at + done, left - done
+        except (OSError, AttributeError):
+            left = len(shared.data)  # another file system, or a system that has no such call
+        if left:
+            shared.home = None
+            self._stream.seek(self.position)
+            return False
+        self.position += len(shared.data)
+        self._stream.seek(self.position)
+        return True
 
     def write(self, *pieces: bytes | memoryview) -> None:
         """Write bytes, all of them."""

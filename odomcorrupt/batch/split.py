@@ -13,6 +13,7 @@ from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
 from odomcorrupt.bags.open import open_writer
+from odomcorrupt.bags.output import Shared
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.writer import Ros1Writer
 from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer
@@ -69,7 +70,7 @@ class Rests:
         chunk = how(codec, data, level)
         if any(np.may_share_memory(block.data, data) for block in self._blocks):
             if isinstance(chunk, Packed):
-                chunk = chunk._replace(packed_crc=zlib.crc32(chunk.data))
+                chunk = chunk._replace(shared=Shared(chunk.data, zlib.crc32(chunk.data)))
             self._packed[key] = chunk
         return chunk
 

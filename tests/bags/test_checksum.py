@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.bags.checksum import crc_of_both
-from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.output import Output, Shared
 
 
 @pytest.mark.parametrize("sizes", [(0, 0), (5, 0), (0, 7), (1, 1), (1000, 3), (3, 100_001), (70_000, 1 << 17)])
@@ -14,14 +14,34 @@ def test_crc_of_both_is_that_of_the_bytes_together(sizes):
     assert crc_of_both(zlib.crc32(one), zlib.crc32(other), len(other)) == zlib.crc32(one + other)
 
 
+@pytest.mark.parametrize("size", [600, 300_000])
+@pytest.mark.parametrize("able", [True, False])
+def test_what_outputs_share_is_in_all_of_them_and_summed_the_same(size, able, tmp_path, monkeypatch):
+    if not able:
+        monkeypatch.delattr("os.copy_file_range")
+    data = np.random.default_rng(1).bytes(size)
+    shared = Shared(data, zlib.crc32(data))
+    outputs = [Output(tmp_path / name) for name in "abc"]
+    for number, output in enumerate(outputs):
+        output.open()
+        output.write(b"head" * number)
+        output.write_shared(shared)
+        output.write(b"tail")
+        output.write_shared(shared)
+    for number, output in enumerate(outputs):
+        output.commit()
+        whole = b"head" * number + data + b"tail" + data
+        assert (tmp_path / "abc"[number]).read_bytes() == whole
+        assert output.crc == zlib.crc32(whole)
+        assert output.position == len(whole)
+    assert (shared.home is not None) is (size > 100_000 and able) or not able
+
+
 def test_what_is_written_with_its_sum_is_summed_the_same(tmp_path):
     output = Output(tmp_path / "file")
     output.open()
     output.write(b"head")
-    output.write_summed(b"shared" * 100, zlib.crc32(b"shared" * 100))
-    output.write(b"tail")
+    output.write_summed(b"known" * 100, zlib.crc32(b"known" * 100))
     output.commit()
-    whole = b"head" + b"shared" * 100 + b"tail"
-    assert (tmp_path / "file").read_bytes() == whole
-    assert output.crc == zlib.crc32(whole)
-    assert output.position == len(whole)
+    assert output.crc == zlib.crc32((tmp_path / "file").read_bytes())
+    assert output.position == 504

@@ -37,17 +37,22 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.definition import Definition
-    from odomcorrupt.bags.output import Output
+    from odomcorrupt.bags.output import Output, Shared
 
 __all__ = ["McapWriter", "Packed", "packed"]
 
 
 class Packed(NamedTuple):
-    """A chunk's compressed data, with the CRC-32 of what was compressed, and of itself where somebody knows it."""
+    """A chunk's compressed data.
+
+    crc, packed_crc : CRC-32 of what was compressed, and of the data itself where somebody knows it
+    shared : the same data, where other bags get it, too
+    """
 
     data: bytes | memoryview
     crc: int
     packed_crc: int | None = None
+    shared: Shared | None = None
 
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
@@ -159,10 +164,12 @@ class McapWriter:
                 packed=size,
             )
             self._output.write(head)
-            if chunk_data.packed_crc is None:
-                self._output.write(chunk_data.data)
-            else:
+            if chunk_data.shared is not None:
+                self._output.write_shared(chunk_data.shared)
+            elif chunk_data.packed_crc is not None:
                 self._output.write_summed(chunk_data.data, chunk_data.packed_crc)
+            else:
+                self._output.write(chunk_data.data)
             self._output.write(self._index.add_chunk(span, indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
