@@ -1,7 +1,7 @@
 """Look for what is missing, one effect at a time, each believed exactly before the next is named.
 
 An effect is admitted only if both gates of the score test pass, it gains on blocks held out of its estimate, its size
-is physically possible and well enough known, and the drift over 10 s of the data it was fitted on does not grow
+is physically possible and well enough known, and the drift over 10 s of the data it was fitted on hardly grows
 (a likelihood alone may want a cause that improves single steps and spoils the path). Two causes may make up for each
 other on the path, though: one that spoils it is admitted after all where, beside the next one, the drift falls.
 """
@@ -33,6 +33,8 @@ _SHORTLIST = 4
 _WORTH_A_REFIT = 0.25
 """Part of the leader's evidence below which a refit would not turn the tables."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_HARM = 1.02
+"""An effect that the drift hardly depends on moves it up or down by about a hundredth, by chance."""
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 
@@ -165,6 +167,6 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
     refused = ""
     if gain <= 0.0:
         refused = "gains nothing when everything is fitted together"
-    elif after > before:
+    elif after > _HARM * before:
         refused = _SPOILS
     return Candidate(score, again, gain, (before, after), refused)
