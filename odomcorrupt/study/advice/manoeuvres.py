@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import cycle
 from math import pi
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-__all__ = ["MANOEUVRES", "Hold", "Limits", "Manoeuvre"]
+__all__ = ["HOME", "MANOEUVRES", "Hold", "Limits", "Manoeuvre", "Step", "straight", "turn"]
 
 _GENTLE = (0.5, 1.2)
 _HARD = (2.0, 4.0)
@@ -35,6 +35,11 @@ class Hold(NamedTuple):
     accelerations: tuple[float, float] = _GENTLE
 
 
+HOME: Literal["home"] = "home"
+"""In a round: stop, turn to where the drive began, and go there. Bends without stops do not end where they began."""
+Step: TypeAlias = "Hold | Literal['home']"
+
+
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
     """One round of a drive, to be repeated as long as it takes.
@@ -46,11 +51,11 @@ class Manoeuvre:
 
     name: str
     sentence: str
-    round: Callable[[Limits], Iterator[Hold]]
+    round: Callable[[Limits], Iterator[Step]]
     least_s: float = 120.0
 
 
-def _go(way_m: float, v_mps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
+def straight(way_m: float, v_mps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
     """Drive so far (negative: backwards), from rest to rest."""
     ramp_s = v_mps / accelerations[0]
     sign = 1.0 if way_m > 0.0 else -1.0
@@ -58,7 +63,7 @@ def _go(way_m: float, v_mps: float, accelerations: tuple[float, float] = _GENTLE
     yield Hold(0.0, 0.0, 0.5, accelerations)
 
 
-def _turn(angle_rad: float, omega_radps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
+def turn(angle_rad: float, omega_radps: float, accelerations: tuple[float, float] = _GENTLE) -> Iterator[Hold]:
     """Turn on the spot by so much, from rest to rest."""
     ramp_s = omega_radps / accelerations[1]
     sign = 1.0 if angle_rad > 0.0 else -1.0
@@ -85,45 +90,45 @@ def _stand(seconds: float) -> Iterator[Hold]:
 def _stands(limits: Limits) -> Iterator[Hold]:
     for side in cycle((1.0, -1.0)):
         yield from _stand(30.0)
-        yield from _go(LINE_M, limits.v_mps)
+        yield from straight(LINE_M, limits.v_mps)
         yield from _stand(30.0)
-        yield from _turn(side * pi, limits.omega_radps)
-        yield from _go(LINE_M, limits.v_mps)
-        yield from _turn(side * pi, limits.omega_radps)
+        yield from turn(side * pi, limits.omega_radps)
+        yield from straight(LINE_M, limits.v_mps)
+        yield from turn(side * pi, limits.omega_radps)
 
 
 def _there_and_back(limits: Limits) -> Iterator[Hold]:
     while True:
-        yield from _go(LINE_M, limits.v_mps)
-        yield from _go(-LINE_M, 0.6 * limits.v_mps)
+        yield from straight(LINE_M, limits.v_mps)
+        yield from straight(-LINE_M, 0.6 * limits.v_mps)
 
 
 def _two_speeds(limits: Limits) -> Iterator[Hold]:
     for part, side in cycle(((_SLOW, 1.0), (1.0, -1.0), (1.0, 1.0), (1.0, -1.0))):
-        yield from _go(LINE_M, part * limits.v_mps)
-        yield from _turn(side * pi, limits.omega_radps)
+        yield from straight(LINE_M, part * limits.v_mps)
+        yield from turn(side * pi, limits.omega_radps)
 
 
 def _there_and_back_at_two_speeds(limits: Limits) -> Iterator[Hold]:
     for part in cycle((_SLOW, 1.0, 1.0, 1.0)):
-        yield from _go(LINE_M, part * limits.v_mps)
+        yield from straight(LINE_M, part * limits.v_mps)
         yield from _stand(2.0)
-        yield from _go(-LINE_M, part * limits.v_mps)
+        yield from straight(-LINE_M, part * limits.v_mps)
         yield from _stand(2.0)
 
 
 def _spins(limits: Limits) -> Iterator[Hold]:
     for part in cycle((1.0, 0.4)):
-        yield from _turn(2.0 * pi, part * limits.omega_radps)
-        yield from _turn(-2.0 * pi, part * limits.omega_radps)
+        yield from turn(2.0 * pi, part * limits.omega_radps)
+        yield from turn(-2.0 * pi, part * limits.omega_radps)
         yield from _stand(1.0)
 
 
 def _squares(limits: Limits) -> Iterator[Hold]:
     for side in cycle((1.0, -1.0)):
         for _ in range(4):
-            yield from _go(0.75 * LINE_M, limits.v_mps)
-            yield from _turn(side * 0.5 * pi, limits.omega_radps)
+            yield from straight(0.75 * LINE_M, limits.v_mps)
+            yield from turn(side * 0.5 * pi, limits.omega_radps)
 
 
 def _pair(v_mps: float, omega_radps: float) -> Iterator[Hold]:
@@ -139,60 +144,65 @@ def _eight(v_mps: float, omega_radps: float, side: float) -> Iterator[Hold]:
         yield from _arc(-side * 3.0 * pi, v_mps, omega_radps)
 
 
-def _eights(limits: Limits) -> Iterator[Hold]:
+def _eights(limits: Limits) -> Iterator[Step]:
     for side in cycle((1.0, -1.0)):
         yield from _eight(limits.v_mps, _bend_rate(limits, limits.v_mps), side)
+        yield HOME
 
 
-def _eights_at_two_speeds(limits: Limits) -> Iterator[Hold]:
+def _eights_at_two_speeds(limits: Limits) -> Iterator[Step]:
     v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
     for side in cycle((1.0, -1.0)):
         yield from _eight(v, omega, side)
         yield from _pair(_SLOW * v, _SLOW * omega)
+        yield HOME
 
 
-def _turns_apart(limits: Limits) -> Iterator[Hold]:
+def _turns_apart(limits: Limits) -> Iterator[Step]:
     """Turn at one rate at three speeds, none, low and high: what goes with v omega and what goes with omega part."""
     v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
     for side in cycle((1.0, -1.0)):
         yield from _pair(0.0, omega)
         yield from _pair(_SLOW * v, omega)
         yield from _eight(v, omega, side)
+        yield HOME
 
 
 def _hard(limits: Limits) -> Iterator[Hold]:
     for part, side in cycle(((1.0, 1.0), (0.5, -1.0))):
         for _ in range(3):
-            yield from _go(0.4 * LINE_M, part * limits.v_mps, _HARD)
-        yield from _turn(side * pi, limits.omega_radps, _HARD)
+            yield from straight(0.4 * LINE_M, part * limits.v_mps, _HARD)
+        yield from turn(side * pi, limits.omega_radps, _HARD)
 
 
 def _star(limits: Limits) -> Iterator[Hold]:
     while True:
-        yield from _go(LINE_M, limits.v_mps)
-        yield from _turn(0.75 * pi, limits.omega_radps)
+        yield from straight(LINE_M, limits.v_mps)
+        yield from turn(0.75 * pi, limits.omega_radps)
 
 
-def _everything(limits: Limits) -> Iterator[Hold]:
+def _everything(limits: Limits) -> Iterator[Step]:
     v, omega = limits
     for side in cycle((1.0, -1.0)):
-        yield from _go(LINE_M, _SLOW * v)
-        yield from _turn(side * pi, omega)
-        yield from _go(LINE_M, v)
-        yield from _go(-0.5 * LINE_M, 0.5 * v)
+        yield from straight(LINE_M, _SLOW * v)
+        yield from turn(side * pi, omega)
+        yield from straight(LINE_M, v)
+        yield from straight(-0.5 * LINE_M, 0.5 * v)
         yield from _stand(10.0)
         yield from _arc(side * 2.0 * pi, _SLOW * v, _SLOW * _bend_rate(limits, v))
         yield from _arc(side * 2.0 * pi, v, _bend_rate(limits, v))
         yield from _stand(0.5)
-        yield from _go(0.4 * LINE_M, v, _HARD)
-        yield from _turn(side * 1.5 * pi, omega)
+        yield from straight(0.4 * LINE_M, v, _HARD)
+        yield from turn(side * 1.5 * pi, omega)
+        yield HOME
 
 
-def _loop(limits: Limits) -> Iterator[Hold]:
+def _loop(limits: Limits) -> Iterator[Step]:
     while True:
         for _ in range(4):
-            yield from _go(0.75 * LINE_M, limits.v_mps)
+            yield from straight(0.75 * LINE_M, limits.v_mps)
             yield from _arc(0.5 * pi, limits.v_mps, _bend_rate(limits, limits.v_mps))
+        yield HOME
 
 
 MANOEUVRES: tuple[Manoeuvre, ...] = (

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.study.advice.manoeuvres import Limits
+from odomcorrupt.pose import wrap
+from odomcorrupt.study.advice.manoeuvres import Hold, Limits, straight, turn
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 if TYPE_CHECKING:
@@ -25,6 +26,10 @@ STEP_S = 0.05
 _FAST = (0.3, 1.2)
 _TURNING = (0.5, 1.2)
 _REST_S = 2.0
+_STOP = Hold(0.0, 0.0, 0.5)
+_NEAR_M = 0.3
+_STRAIGHT_RAD = 0.5
+"""Smaller turns than this are left out: they are too short for the ramps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,22 +80,45 @@ def safe_limits(motions: Sequence[Motion]) -> Limits:
 
 
 def plan_of(manoeuvre: Manoeuvre, limits: Limits, duration_s: float) -> Plan:
-    """Return the commands of whole rounds until `duration_s` is over, and at least the manoeuvre's own time."""
-    speeds = [np.zeros((round(_REST_S / STEP_S), 2))]
-    now, left = np.zeros(2), round(max(duration_s, manoeuvre.least_s) / STEP_S)
-    for hold in manoeuvre.round(limits):
-        wanted = np.array(hold[:2])
-        ramp = max(1, int(np.ceil(np.max(np.abs(wanted - now) / hold.accelerations) / STEP_S)))
-        part = np.concatenate((np.arange(1, ramp + 1) / ramp, np.ones(round(hold.hold_s / STEP_S))))
-        speeds.append(now + part[:, None] * (wanted - now))
-        now, left = wanted, left - len(part)
+    """Return the commands of whole moves until `duration_s` is over, and at least for the manoeuvre's own time."""
+    rest = np.zeros((round(_REST_S / STEP_S), 2))
+    speeds, now = [rest], np.zeros(2)
+    left = round(max(duration_s, manoeuvre.least_s) / STEP_S)
+    for step in manoeuvre.round(limits):
+        holds = [step] if isinstance(step, Hold) else _homewards(np.concatenate([*speeds, _ramp(now, _STOP)]), limits)
+        for hold in holds if isinstance(step, Hold) else [_STOP, *holds]:
+            speeds.append(_ramp(now, hold))
+            now = np.array(hold[:2])
+            left -= len(speeds[-1])
         if left <= 0:
             break
-    down = max(1, int(np.ceil(np.max(np.abs(now) / (0.5, 1.2)) / STEP_S)))
-    speeds.append(now * (1.0 - np.arange(1, down + 1) / down)[:, None])
-    speeds.append(np.zeros((round(_REST_S / STEP_S), 2)))
-    v, omega = np.concatenate(speeds).T
+    v, omega = np.concatenate([*speeds, _ramp(now, _STOP), rest]).T
     return Plan(manoeuvre, np.ascontiguousarray(v), np.ascontiguousarray(omega))
+
+
+def _ramp(now: Array, hold: Hold) -> Array:
+    """Return the commands (n, 2) from one pair of speeds to the next, and while these are kept."""
+    wanted = np.array(hold[:2])
+    count = max(1, int(np.ceil(np.max(np.abs(wanted - now) / hold.accelerations) / STEP_S)))
+    part = np.concatenate((np.arange(1, count + 1) / count, np.ones(round(hold.hold_s / STEP_S))))
+    return now + part[:, None] * (wanted - now)
+
+
+def _homewards(speeds: Array, limits: Limits) -> list[Hold]:
+    """Return the moves from where commands (n, 2) have led, at rest, to where they began, facing as then."""
+    steps = Increments(speeds[:, 0] * STEP_S, np.zeros(len(speeds)), speeds[:, 1] * STEP_S)
+    x, y, theta = accumulate(np.zeros(3), steps)[-1]
+    away = float(np.hypot(x, y))
+    if away < _NEAR_M:
+        return []
+    back = float(np.arctan2(-y, -x))
+    moves = [*_turned(back - theta, limits), *straight(away, min(limits.v_mps, max(0.25 * away, 0.1)))]
+    return [*moves, *_turned(-back, limits)]
+
+
+def _turned(angle_rad: float, limits: Limits) -> list[Hold]:
+    wrapped = float(wrap(np.array([angle_rad]))[0])
+    return list(turn(wrapped, limits.omega_radps)) if abs(wrapped) > _STRAIGHT_RAD else []
 
 
 def ideal_recording(plan: Plan, like: Recording) -> Recording:

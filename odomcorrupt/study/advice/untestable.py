@@ -28,6 +28,8 @@ SEEN = 4.2
 """An effect this many standard errors large is found nearly always."""
 _HIDDEN = 4.0
 """What makes the standard error of an effect this many times larger hides it."""
+_MONSTROUS = 5.0
+"""Where only so many times the usual size of an effect would have been seen, it was not put to the test."""
 _REFUSALS = ("not testable", "cannot be told")
 """How refusals begin that say something of the drive, and nothing of the effect."""
 
@@ -58,8 +60,11 @@ class Limit:
 
 
 def is_untestable(candidate: Candidate) -> bool:
-    """Whether an effect was passed over because of the drive."""
-    return candidate.refused.startswith(_REFUSALS)
+    """Whether an effect was passed over because of the drive, or only a monstrous size of it would have been seen."""
+    if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
+        return True
+    sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
+    return bool(candidate.refused) and any(SEEN * error > _MONSTROUS * p.typical for p, error in sizes_of)
 
 
 def untestable(drives: Drives, candidate: Candidate) -> Untestable:
@@ -139,7 +144,7 @@ def limits(look: Round) -> list[Limit]:
     found = []
     for candidate in look.candidates:
         score = candidate.score
-        if score.separable and not is_untestable(candidate):
+        if not is_untestable(candidate):
             sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
             found += [Limit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
     return found
