@@ -90,4 +90,4 @@ def limit_name(limit: Limit, *, alone: bool) -> str:
 def limit_size(limit: Limit) -> str:
     """Return a size in two figures and a unit a person thinks in."""
     number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
-    return f"{float(number):.2g} {unit}".strip()
+    return f"{float(f'{float(number):.2g}'):g} {unit}".strip()

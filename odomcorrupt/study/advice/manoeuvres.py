@@ -78,9 +78,9 @@ def _arc(angle_rad: float, v_mps: float, omega_radps: float) -> Iterator[Hold]:
     yield Hold(v_mps, omega_radps if angle_rad > 0.0 else -omega_radps, hold_s)
 
 
-def _bend_rate(limits: Limits, v_mps: float) -> float:
-    """Return a turn rate that fits a bend of about a metre at this speed."""
-    return min(limits.omega_radps, v_mps / 0.8)
+def _bend(limits: Limits) -> Limits:
+    """Return the speeds of the fastest bend of about a metre."""
+    return Limits(min(limits.v_mps, 1.2 * limits.omega_radps), min(limits.omega_radps, limits.v_mps / 0.8))
 
 
 def _stand(seconds: float) -> Iterator[Hold]:
@@ -146,12 +146,12 @@ def _eight(v_mps: float, omega_radps: float, side: float) -> Iterator[Hold]:
 
 def _eights(limits: Limits) -> Iterator[Step]:
     for side in cycle((1.0, -1.0)):
-        yield from _eight(limits.v_mps, _bend_rate(limits, limits.v_mps), side)
+        yield from _eight(*_bend(limits), side)
         yield HOME
 
 
 def _eights_at_two_speeds(limits: Limits) -> Iterator[Step]:
-    v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
+    v, omega = _bend(limits)
     for side in cycle((1.0, -1.0)):
         yield from _eight(v, omega, side)
         yield from _pair(_SLOW * v, _SLOW * omega)
@@ -160,7 +160,7 @@ def _eights_at_two_speeds(limits: Limits) -> Iterator[Step]:
 
 def _turns_apart(limits: Limits) -> Iterator[Step]:
     """Turn at one rate at three speeds, none, low and high: what goes with v omega and what goes with omega part."""
-    v, omega = limits.v_mps, _bend_rate(limits, limits.v_mps)
+    v, omega = _bend(limits)
     for side in cycle((1.0, -1.0)):
         yield from _pair(0.0, omega)
         yield from _pair(_SLOW * v, omega)
@@ -182,15 +182,15 @@ def _star(limits: Limits) -> Iterator[Hold]:
 
 
 def _everything(limits: Limits) -> Iterator[Step]:
-    v, omega = limits
+    (v, omega), bend = limits, _bend(limits)
     for side in cycle((1.0, -1.0)):
         yield from straight(LINE_M, _SLOW * v)
         yield from turn(side * pi, omega)
         yield from straight(LINE_M, v)
         yield from straight(-0.5 * LINE_M, 0.5 * v)
         yield from _stand(10.0)
-        yield from _arc(side * 2.0 * pi, _SLOW * v, _SLOW * _bend_rate(limits, v))
-        yield from _arc(side * 2.0 * pi, v, _bend_rate(limits, v))
+        yield from _arc(side * 2.0 * pi, _SLOW * bend.v_mps, _SLOW * bend.omega_radps)
+        yield from _arc(side * 2.0 * pi, *bend)
         yield from _stand(0.5)
         yield from straight(0.4 * LINE_M, v, _HARD)
         yield from turn(side * 1.5 * pi, omega)
@@ -201,7 +201,7 @@ def _loop(limits: Limits) -> Iterator[Step]:
     while True:
         for _ in range(4):
             yield from straight(0.75 * LINE_M, limits.v_mps)
-            yield from _arc(0.5 * pi, limits.v_mps, _bend_rate(limits, limits.v_mps))
+            yield from _arc(0.5 * pi, *_bend(limits))
         yield HOME
 
 
