@@ -1,0 +1,36 @@
+"""Intervals mean what they say: over many drives the planted values lie inside 95 % of them, about."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.fitting.intervals import coefficient_intervals
+
+PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
+SEEDS = range(300, 320)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("truth_mm", [1.0, 5.0])
+def test_planted_coefficients_lie_in_their_intervals(truth_mm):
+    inside: dict[str, list[bool]] = {}
+    for seed in SEEDS:
+        steps = wander(seed, 600.0)
+        run = recording(steps, noisy_path(steps, PLANTED, seed), truth_mm=truth_mm, seed=seed)
+        fitted = fit([run], approach=choose_approach([run]))
+        for interval in coefficient_intervals(fitted, np.zeros((len(fitted.problem.nodes), 3, 0))):
+            planted = getattr(PLANTED, interval.name)
+            if planted > 0.0:
+                inside.setdefault(interval.name, []).append(interval.low <= planted <= interval.high)
+    assert inside.keys() == {"rot_rot", "rot_trans", "trans_trans", "trans_rot"}
+    for name, hits in inside.items():
+        # as few as this happen to a right interval once in a thousand
+        assert sum(hits) >= binom.ppf(0.001, len(hits), 0.95), f"{name}: {sum(hits)} of {len(hits)}"
+    every = np.concatenate(list(inside.values()))
+    assert 0.9 <= every.mean() <= 1.0
