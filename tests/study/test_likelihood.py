@@ -15,7 +15,7 @@ from odomcorrupt.study.fitting.approach import Approach, choose_approach
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
 from odomcorrupt.study.fitting.intervals import coefficient_intervals
 from odomcorrupt.study.fitting.problem import pose_problem
-from odomcorrupt.study.likelihood.noise_fit import LawPieces
+from odomcorrupt.study.likelihood.law_pieces import LawPieces
 from odomcorrupt.study.likelihood.whitener import dense_covariance, whitener
 from odomcorrupt.study.recordings.trajectory import Trajectory
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from odomcorrupt.correlation import Correlation
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.likelihood.noise_fit import LOWEST, NAMES, NoiseTask
+from odomcorrupt.study.likelihood.law_pieces import NAMES
+from odomcorrupt.study.likelihood.noise_task import LOWEST, NoiseTask
 
 if TYPE_CHECKING:
     from collections.abc import Container

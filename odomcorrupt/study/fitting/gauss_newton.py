@@ -15,7 +15,8 @@ import numpy as np
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.fitting.problem import pose_problem
 from odomcorrupt.study.fitting.random_process import WANDERING, with_random
-from odomcorrupt.study.likelihood.noise_fit import LawPieces, NoiseFit, fit_noise
+from odomcorrupt.study.likelihood.law_pieces import LawPieces
+from odomcorrupt.study.likelihood.noise_fit import fit_noise
 from odomcorrupt.study.recordings.clock import Clock
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.approach import Approach
     from odomcorrupt.study.fitting.problem import Problem
+    from odomcorrupt.study.likelihood.noise_task import NoiseFit
     from odomcorrupt.study.recordings.trajectory import Recording
 
 __all__ = ["Fit", "believed_columns", "fit"]

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.study.likelihood.noise_fit import HIGHEST, LOWEST, NAMES, NoiseTask
+from odomcorrupt.study.likelihood.law_pieces import NAMES
+from odomcorrupt.study.likelihood.noise_task import HIGHEST, LOWEST, NoiseTask
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array

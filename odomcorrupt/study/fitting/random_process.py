@@ -10,7 +10,7 @@ from scipy.linalg import cholesky
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.likelihood.noise_fit import estimated
+from odomcorrupt.study.likelihood.noise_task import estimated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.problem import Problem
-    from odomcorrupt.study.likelihood.noise_fit import NoiseFit
+    from odomcorrupt.study.likelihood.noise_task import NoiseFit
     from odomcorrupt.study.likelihood.whitener import Whitener
 
 __all__ = [

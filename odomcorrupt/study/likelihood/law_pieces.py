@@ -1,0 +1,60 @@
+"""A noise law on the residuals, taken apart into matrices that its coefficients only weigh."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.laws import Coefficients, variances
+
+if TYPE_CHECKING:
+    from odomcorrupt.increments import Increments
+    from odomcorrupt.laws import Law
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.likelihood.nodes import Nodes
+
+__all__ = ["NAMES", "LawPieces"]
+
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
+"""Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
+
+
+class LawPieces:
+    """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
+
+    A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
+    pair. The law itself is the one that corruption uses.
+    """
+
+    def __init__(self, law: Law, nodes: Nodes, steps: Increments) -> None:
+        def of(*ones: int) -> Coefficients:
+            return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
+
+        def rows(*ones: int) -> Array:
+            v = variances(law, of(*ones), steps)
+            return np.stack((v.rot1, v.trans, v.across, v.rot2))
+
+        self._degree = law.degree
+        single = [rows(i) for i in range(len(NAMES))]
+        self.active = [i for i, own in enumerate(single) if own.any()]
+        """Which coefficients do anything under this law and on this drive."""
+        self._single = {i: nodes.covariance(law, of(i), steps) for i in self.active}
+        self._pairs: list[tuple[int, int, Array]] = []
+        for i, j in combinations(self.active, 2) if law.degree == 2 else ():
+            both = rows(i, j)
+            # most pairs add up, and carrying their noise to the nodes is the dear part
+            if np.abs(both - single[i] - single[j]).max() > 1e-12 * np.abs(both).max():
+                cross = nodes.covariance(law, of(i, j), steps) - self._single[i] - self._single[j]
+                self._pairs.append((i, j, cross))
+
+    def parts(self) -> list[Array]:
+        """Return the matrices (K, 3, 3) that `shares` weighs."""
+        return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
+
+    def shares(self, coefficients: Array) -> Array:
+        """Return the weights of `parts` for the coefficients (7,) in the order of `NAMES`."""
+        single = coefficients[self.active] ** self._degree
+        pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
+        return np.concatenate((single, pairs))

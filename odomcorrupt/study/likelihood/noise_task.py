@@ -1,0 +1,207 @@
+"""The likelihood as a function of the noise: evaluated, climbed, with everything linear estimated on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import blas, lapack
+from scipy.optimize import minimize
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.likelihood.law_pieces import NAMES
+from odomcorrupt.study.likelihood.whitener import (
+    BAND,
+    Whitener,
+    band_of,
+    factored,
+    floor_band,
+    truth_pieces,
+    truth_weights,
+)
+from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.likelihood.law_pieces import LawPieces
+    from odomcorrupt.study.likelihood.nodes import Nodes
+
+__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseTask", "estimated"]
+
+LOWEST = 1e-5
+"""A coefficient this small is none."""
+HIGHEST = 10.0
+_LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
+_TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
+_TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+_NO_WANDER = 2e-6
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """Fitted noise, and the likelihood it leaves.
+
+    theta, theta_covariance : estimates of the columns that were free, and their covariance
+    weights : (K,) factor on each node's covariance; above 1 where a robust fit saw an outlier
+    innovations : (3 K,) standardised, columns taken out
+    free : (m,) logarithms of the fitted quantities, to start the next fit from
+    """
+
+    coefficients: Coefficients
+    truth: TruthNoise
+    log_likelihood: float
+    theta: Array
+    theta_covariance: Array
+    weights: Array
+    innovations: Array
+    whitener: Whitener
+    free: Array
+
+
+class NoiseTask:
+    """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
+
+    def __init__(
+        self, nodes: Nodes, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True
+    ) -> None:
+        if not pieces.active:
+            raise FitError("the odometry never moves; a noise law has nothing to act on")
+        self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
+        self._stacked = np.concatenate((nodes.residual[:, :, None], columns), axis=2)
+        bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
+        bands += [band_of(*piece) for piece in truth_pieces(nodes)]
+        self._bands = np.stack(bands).reshape(len(bands), -1)
+        self._floor = floor_band(len(nodes))
+
+    def first_guess(self) -> Array:
+        """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
+        scale = np.median(np.abs(self._nodes.residual), axis=0)
+        truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
+        if not self._headings:
+            truth[1] = UNKNOWN_RAD
+        return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
+
+    def evaluate(self, free: Array) -> NoiseFit:
+        """Return the fit at given noise, columns estimated by generalised least squares."""
+        coefficients, truth = self._unpack(free)
+        white = factored(self._band(self._shares(free)))
+        k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
+        nothing = np.zeros(0)
+        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        return estimated(blank, white, self._stacked)
+
+    def climb(self, free: Array, *, fixed: int | None = None) -> Array:
+        """Return the noise of largest likelihood; with one of its numbers held, nearly so (a profile is shallow)."""
+        active = len(self._pieces.active)
+        low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
+        high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        if not self._headings:
+            low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
+        if fixed is not None:
+            low[fixed] = high[fixed] = free[fixed]
+        movable = np.flatnonzero(low < high)
+        begin = np.clip(free, low, high)
+        # in units of its own standard error every number is as easy to climb along as the others
+        unit = self._units(self.evaluate(begin), movable)
+
+        def cost(x: Array) -> tuple[float, Array]:
+            done = self.evaluate(np.clip(x * unit, low, high))
+            return -done.log_likelihood, -self._slope(done, movable) * unit
+
+        found = minimize(
+            cost,
+            begin / unit,
+            method="L-BFGS-B",
+            jac=True,
+            bounds=list(zip(low / unit, high / unit, strict=True)),
+            options={"ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
+        )
+        climbed: Array = np.clip(found.x * unit, low, high)
+        return climbed
+
+    def _slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are."""
+        left = np.ascontiguousarray(self._stacked[:, :, 0] - self._stacked[:, :, 1:] @ done.theta)
+        shares = self._shares(done.free)
+        band = self._band(shares)
+        slope = np.zeros(len(done.free))
+        for i in movable:
+            moved = done.free.copy()
+            moved[i] += _STEP
+            white = factored(band + self._sum(self._shares(moved) - shares))
+            slope[i] = (white.log_likelihood(white.whiten(left)) - done.log_likelihood) / _STEP
+        return slope
+
+    def _units(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return about the standard error (m,) of each number by itself, from the average information.
+
+        Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
+        """
+        white = done.whitener
+        pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
+        shares = self._shares(done.free)
+        units = np.ones(len(done.free))
+        for i in movable:
+            moved = done.free.copy()
+            moved[i] += _STEP
+            change = self._sum((self._shares(moved) - shares) / _STEP)
+            push = white.whiten(blas.dsbmv(BAND, 1.0, change, pull.ravel(), lower=1).reshape(-1, 3))
+            units[i] = 1.0 / np.sqrt(np.clip(0.5 * float(push @ push), 1.0, 1e8))
+        return units
+
+    def _shares(self, free: Array) -> Array:
+        """Return the weight of every band."""
+        coefficients, truth = self._unpack(free)
+        return np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+
+    def _sum(self, shares: Array) -> Array:
+        """Return the bands that have a weight, weighed and summed."""
+        used = np.flatnonzero(shares)
+        summed: Array = (shares[used] @ self._bands[used]).reshape(self._floor.shape)
+        return summed
+
+    def _band(self, shares: Array) -> Array:
+        """Return the covariance as a band."""
+        return self._sum(shares) + self._floor
+
+    def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
+        """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
+        active = self._pieces.active
+        coefficients = np.zeros(len(NAMES))
+        log_k = free[: len(active)]
+        coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
+        xy, yaw, wander = np.exp(free[len(active) :])
+        return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
+    """Return a fit with its linear part estimated anew; stacked (K, 3, 1 + m) is the residual and the columns."""
+    whitened = white.whiten(stacked)
+    r, b = whitened[:, 0], whitened[:, 1:]
+    theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
+    if b.shape[1]:
+        covariance = _inverse(b.T @ b)
+        theta = covariance @ (b.T @ r)
+        r = r - b @ theta
+    return replace(
+        noise,
+        log_likelihood=white.log_likelihood(r),
+        theta=theta,
+        theta_covariance=covariance,
+        innovations=r,
+        whitener=white,
+    )
+
+
+def _inverse(normal: Array) -> Array:
+    """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    both = np.outer(scale, scale)
+    inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
+    return inverse
