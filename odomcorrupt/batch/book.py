@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import socket
 from contextlib import suppress
@@ -20,7 +21,7 @@ from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
     from odomcorrupt.batch.job import Job
@@ -40,6 +41,10 @@ __all__ = [
 BEGINNING = "batch.json"
 MANIFEST = "manifest.jsonl"
 PARTS = ".parts"
+ROBOTS = "robots"
+
+_LEFT = re.compile(r"\.(?:(?:run_)?(?P<run>\d{6,})\b)?.*\.(?P<pid>\d{1,9})\.[0-9a-f]{8}\.partial(?:-.*)?")
+"""A file half written, or what sqlite3 has beside it, see `bags.output.beside`."""
 
 _WORDS = {
     "input": "another input",
@@ -110,11 +115,16 @@ def begin(job: Job, fingerprint: str) -> None:
                 f"{job.shown_directory}: was begun with {' and '.join(changed)}; give what it was begun with (see "
                 f"{BEGINNING}), or name another directory"
             )
-    elif job.directory.exists() and any(job.directory.iterdir()):
+    elif job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
         raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
     (job.directory / PARTS).mkdir(parents=True, exist_ok=True)
     write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode())
     write_whole(job.directory / "model.toml", job.model_text.encode())
+
+
+def _left_of_a_beginning(path: Path) -> bool:
+    """Whether a file is what a batch leaves that is killed before it has begun."""
+    return path.name == PARTS or _LEFT.fullmatch(path.name) is not None
 
 
 def _compared(table: Mapping[str, Any], key: str) -> Any:
@@ -173,16 +183,21 @@ def _parts(directory: Path) -> list[tuple[str, int]]:
     return sorted((part.name, part.stat().st_size) for part in (directory / PARTS).glob("*.jsonl"))
 
 
-def sweep_leftovers(job: Job, runs: Iterable[int]) -> None:
-    """Remove what killed processes of this machine had half written of these runs."""
-    names = {job.name_of(run) for run in runs}
-    for left in job.directory.glob(".*.partial"):
-        name, pid, _, _ = left.name[1:].rsplit(".", 3)
-        if name in names and not _alive(int(pid)):
-            if left.is_dir():
-                shutil.rmtree(left)
-            else:
-                left.unlink(missing_ok=True)
+def sweep_leftovers(job: Job, ours: Callable[[int | None], bool]) -> None:
+    """Remove what killed processes of this machine had half written, of runs that are made by now, too.
+
+    ours : whether a run is one of ours; None asks for what belongs to no run
+    """
+    for room in (job.directory, job.directory / ROBOTS):
+        for left in room.glob(".*.partial*"):
+            found = _LEFT.fullmatch(left.name)
+            if found is None or _alive(int(found["pid"])):
+                continue
+            if ours(None if found["run"] is None else int(found["run"])):
+                if left.is_dir():
+                    shutil.rmtree(left)
+                else:
+                    left.unlink(missing_ok=True)
 
 
 def _alive(pid: int) -> bool:

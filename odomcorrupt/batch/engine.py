@@ -59,7 +59,8 @@ def missing_runs(job: Job, runs: range, shard: Shard) -> list[int]:
     own = [run for run in runs if shard.has(run)]
     made = read_records(job.directory)
     missing = [run for run in own if run not in made]
-    sweep_leftovers(job, missing)
+    # another machine may be writing what belongs to no run
+    sweep_leftovers(job, lambda run: shard.count == 1 if run is None else shard.has(run))
     return missing
 
 

@@ -66,6 +66,52 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatc
     assert not list(here.glob("runs/.*.partial"))
 
 
+@pytest.fixture
+def dead():
+    """Return the number of a process that is no more."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+LEFT = ("run_000001.mcap", "run_000007.mcap", "clean.tum", "manifest.jsonl", "batch.json", "robots/000002.toml")
+
+
+def test_leftovers_of_made_runs_and_of_the_batch_itself_are_swept(here, dead):
+    noise = {"rot_rot": "0.03", "rot_trans": '"0.02 +- 0.008"', "trans_trans": "0.02", "trans_rot": "0.0"}
+    lines = ["schema = 1", "[noise]", *(f"{name} = {value}" for name, value in noise.items())]
+    (here / "robot.toml").write_text("\n".join(lines))
+    words = ["batch", "in.mcap", "runs", "--runs", "3", "--model", "robot.toml", "--seed", "7"]
+    assert run(words) == 0
+    whole = files_of(here / "runs")
+    for name in LEFT:
+        (here / "runs" / name).with_name(f".{Path(name).name}.{dead}.0123abcd.partial").write_bytes(b"half")
+    (here / "runs" / f".run_000000.db3.{dead}.0123abcd.partial-journal").write_bytes(b"half")
+    (here / "runs" / f".run_000000.{dead}.0123abcd.partial").mkdir()
+    others = [here / "runs" / f".run_000001.mcap.{os.getpid()}.0123abcd.partial", here / "runs" / ".mine.partial"]
+    for other in others:
+        other.write_bytes(b"somebody is at it")
+    assert run(words) == 0
+    assert sorted((here / "runs").rglob(".*.partial*")) == sorted(others)
+    assert {name: data for name, data in files_of(here / "runs").items() if "partial" not in name} == whole
+
+
+def test_a_shard_leaves_alone_what_may_be_of_another_machine(here, dead):
+    assert batch(4) == 0
+    names = [f".{name}.{dead}.0123abcd.partial" for name in ("run_000001.mcap", "run_000002.mcap", "manifest.jsonl")]
+    for name in names:
+        (here / "runs" / name).write_bytes(b"half")
+    assert batch(4, "--shard", "2/2") == 0
+    assert sorted(left.name for left in (here / "runs").glob(".*.partial")) == sorted(names[1:])
+
+
+def test_a_batch_that_was_killed_before_it_began_is_begun(here, dead):
+    (here / "runs" / ".parts").mkdir(parents=True)
+    (here / "runs" / f".batch.json.{dead}.0123abcd.partial").write_bytes(b"{")
+    assert batch(1) == 0
+    assert not list((here / "runs").glob(".*.partial"))
+
+
 def records(directory):
     return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
 
