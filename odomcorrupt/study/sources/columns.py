@@ -35,6 +35,8 @@ _ROTATIONS = frozenset({"q", "quat", "quaternion", "orientation", "rotation", "r
 _STEP_NS = 5e7
 _DATES = (9.5e17, 4.1e18)
 """Nanoseconds from 1970 to 2000 and to 2100."""
+_FARTHEST = 9.2e18
+"""Nanoseconds that 64 bits hold."""
 _NANOSECONDS = frozenset({"nsec", "nsecs", "nanosec", "nanosecs"})
 
 
@@ -130,6 +132,8 @@ def find_columns(header: Sequence[str], delimiter: str, place: str) -> Columns:
 def guess_tick(times: Sequence[float]) -> int:
     """Return the unit of stamps in nanoseconds: steps are to be a robot's, and a date since 2000 speaks for itself."""
     stamps = np.asarray(times)
+    # what no unit makes a stamp of is refused with its line, when it is read as one
+    stamps = stamps[np.abs(stamps) < _FARTHEST]
     steps = np.abs(np.diff(stamps))
     steps = steps[steps > 0.0]
     if not len(steps):
