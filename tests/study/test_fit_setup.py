@@ -59,3 +59,18 @@ def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
     nats = [result.information_nats for result in results.values()]
     assert nats == sorted(nats, reverse=True)
     assert nats[0] > nats[1]
+
+
+def test_stretches_of_one_run_share_their_clock(clean):
+    late = Trajectory(clean.odometry.stamps_ns + 40_000_000, clean.odometry.xyt)
+    middle = len(clean.odometry) // 2
+    parts = [
+        replace(clean, name=f"part {i}", odometry=Trajectory(late.stamps_ns[s], late.xyt[s]), clock="one")
+        for i, s in enumerate((slice(0, middle), slice(middle, None)))
+    ]
+    shared = fit_robot(parts, (), law_name="diffusion").clocks
+    assert shared.clocks[0] == shared.clocks[1]
+    assert abs(shared.clocks[0].offset_s - 0.04) < 4.0 * shared.errors[0][0] < 0.01
+    own = fit_robot([replace(part, clock="") for part in parts], (), law_name="diffusion").clocks
+    assert own.clocks[0] != own.clocks[1]
+    assert shared.errors[0][0] < 0.9 * own.errors[0][0]

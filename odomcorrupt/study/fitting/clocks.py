@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from odomcorrupt.effects import registry
 from odomcorrupt.study.fitting.gauss_newton import fit
 from odomcorrupt.study.likelihood.windows import phased_rmse
-from odomcorrupt.study.recordings.clock import Clock, aligned, coarse_clock
+from odomcorrupt.study.recordings.clock import Clock, aligned, clock_leaders, coarse_clock
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -45,25 +45,27 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
 
     A number that is not significant is left at zero: aligning what was aligned only adds noise.
     """
-    found = [_find_clock(recording, approach) for recording in recordings]
-    return Clocks(*(tuple(part) for part in zip(*found, strict=True)))
+    leaders = clock_leaders(recordings)
+    together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
+    found = {i: _find_clock(runs, approach) for i, runs in together.items()}
+    return Clocks(*(tuple(part) for part in zip(*(found[leader] for leader in leaders), strict=True)))
 
 
-def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
-    """Return the clock, which of its numbers are real, and their errors: both, the offset alone, or nothing."""
+def _find_clock(runs: Sequence[Recording], approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
+    """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
-    rivals = [kinds[name]() for name in RIVALS if recording.track_m is not None or not kinds[name].needs_track]
+    rivals = [kinds[name]() for name in RIVALS if runs[0].track_m is not None or not kinds[name].needs_track]
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
-    clock = coarse_clock(recording)
+    clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise = None
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
             best = fit(
-                [recording],
+                runs,
                 (*nuisance, *beside),
-                clocks=[clock],
-                free_clocks=[free],
+                clocks=[clock] * len(runs),
+                free_clocks=[free] * len(runs),
                 approach=approach,
                 start=noise,
             )
@@ -75,6 +77,7 @@ def _find_clock(recording: Recording, approach: Approach) -> tuple[Clock, tuple[
                 break
             nuisance = best.effects[: len(nuisance)]
         else:
-            if phased_rmse([aligned(recording, clock)]) < _CLOCK_HARM * phased_rmse([aligned(recording, Clock())]):
+            before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
+            if after < _CLOCK_HARM * before:
                 return clock, free, errors
     return Clock(), (False, False), (0.0, 0.0)

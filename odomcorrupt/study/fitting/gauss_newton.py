@@ -17,7 +17,7 @@ from odomcorrupt.study.fitting.problem import pose_problem
 from odomcorrupt.study.fitting.random_process import WANDERING, with_random
 from odomcorrupt.study.likelihood.law_pieces import LawPieces
 from odomcorrupt.study.likelihood.noise_fit import fit_noise
-from odomcorrupt.study.recordings.clock import Clock
+from odomcorrupt.study.recordings.clock import Clock, clock_leaders
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -100,6 +100,7 @@ def fit(
     random = [*random, *(e for e in effects if e.name in WANDERING)]
     effects = [e for e in effects if e.kind != "noise"]
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    leaders = clock_leaders(recordings)
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
     for _ in range(_ROUNDS):
@@ -110,22 +111,30 @@ def fit(
         start = noise.free
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
-        effects, clocks = _moved(effects, clocks, free, noise.theta)
+        effects, clocks = _moved(effects, clocks, _led(free, leaders), noise.theta)
+        clocks = tuple(clocks[leader] for leader in leaders)
         if not np.any(np.abs(noise.theta) > _SMALL * errors):
             break
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
-    clock_errors[free] = errors[own:]
+    clock_errors[_led(free, leaders)] = errors[own:]
+    clock_errors = clock_errors[leaders]
     return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors)
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
     """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
-    free = np.asarray(free_clocks)
+    free = _led(np.asarray(free_clocks), clock_leaders(problem.recordings))
     parts = [problem.columns(effect) for effect in problem.effects]
     if free.any():
         parts.append(problem.clock_columns()[:, :, free.ravel()])
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+
+
+def _led(free: Array, leaders: Sequence[int]) -> Array:
+    """Return which numbers (R, 2) are free where a clock that several runs share is free in the first of them only."""
+    led: Array = free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
+    return led
 
 
 def _moved(

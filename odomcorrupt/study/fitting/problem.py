@@ -17,7 +17,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.motion import corrected_increments, error_of, motion_of
 from odomcorrupt.study.likelihood.nodes import Nodes, join, lay_nodes
-from odomcorrupt.study.recordings.clock import Clock, aligned
+from odomcorrupt.study.recordings.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.recordings.drivers import driving_motion
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
@@ -100,10 +100,11 @@ class Problem:
         return np.stack(blocks, axis=2)
 
     def clock_columns(self) -> Array:
-        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks."""
+        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks; a shared one is its first run's."""
         kinds = registry()
         both = np.concatenate([self.columns(kinds[name]()) for name in ("time_offset", "clock_skew")], axis=2)
-        runs = [both * (self.run == r)[:, None, None] for r in range(len(self.recordings))]
+        clock = np.array(clock_leaders(self.recordings))[self.run]
+        runs = [both * (clock == r)[:, None, None] for r in range(len(self.recordings))]
         return np.concatenate(runs, axis=2)
 
 

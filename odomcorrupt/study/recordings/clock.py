@@ -16,10 +16,12 @@ from odomcorrupt.study.recordings.headings import with_headings
 from odomcorrupt.study.recordings.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["Clock", "aligned", "coarse_clock"]
+__all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock"]
 
 _GRID_S = 0.05
 _SMOOTHING_S = 0.4
@@ -45,6 +47,12 @@ def aligned(recording: Recording, clock: Clock) -> Recording:
     shift = (clock.offset_s * 1e9 + clock.rate * t_ns) / (1.0 + clock.rate)
     stamps = recording.odometry.stamps_ns - np.round(shift).astype(np.int64)
     return with_headings(replace(recording, odometry=Trajectory(stamps, recording.odometry.xyt)))
+
+
+def clock_leaders(recordings: Sequence[Recording]) -> list[int]:
+    """Return for each recording the first one that has the same clock."""
+    first: dict[str, int] = {}
+    return [first.setdefault(recording.clock, i) if recording.clock else i for i, recording in enumerate(recordings)]
 
 
 def coarse_clock(recording: Recording) -> Clock:

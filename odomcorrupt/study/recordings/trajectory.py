@@ -57,6 +57,7 @@ class Recording:
     origin_ns : what float times count from: the odometry's first stamp as it was recorded
     track_m : the robot's nominal track where it is known
     notes : what reading it left out or noticed, in words
+    clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     """
 
@@ -67,6 +68,7 @@ class Recording:
     track_m: float | None = None
     notes: tuple[str, ...] = ()
     heading_error_rad: float | None = None
+    clock: str = ""
 
     @property
     def odometry_s(self) -> Array:

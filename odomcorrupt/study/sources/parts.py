@@ -93,7 +93,10 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         part = f"{name} part {i + 1}" if len(moved) > 1 else name
         own = one.trajectory()
         said = tuple(notes) if i == 0 else ()
-        recordings.append(Recording(part, own, other.trajectory(), int(own.stamps_ns[0]), track_m, said))
+        # what resets cut apart was still recorded by one clock
+        origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
+        clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
+        recordings.append(Recording(part, own, other.trajectory(), origin_ns, track_m, said, clock=clock))
     return recordings
 
 

@@ -103,7 +103,9 @@ def test_a_reset_of_the_odometry_makes_two_independent_runs(read):
     np.testing.assert_allclose(recordings[1].odometry.xyt, again, atol=1e-12)
     assert [len(r.odometry) for r in recordings] == [half, len(moved) - half]
     assert [r.name for r in recordings] == ["run.mcap part 1", "run.mcap part 2"]
-    assert recordings[1].origin_ns == moved.stamps_ns[half]
+    # one clock recorded both
+    assert recordings[1].origin_ns == recordings[0].origin_ns == moved.stamps_ns[0]
+    assert recordings[1].clock == recordings[0].clock != ""
     assert "1 reset (" in noted(recordings, "/odom: 1 reset")
     assert " at 30.0 s)" in noted(recordings, "/odom: 1 reset")
     noted(recordings, "2 independent stretches used, 60 s of 60 s")
