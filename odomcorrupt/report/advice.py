@@ -41,8 +41,9 @@ def choice_sentence(choice: Choice) -> str:
     """Return "A or B: these data cannot tell; drive X"."""
     names = " or ".join(choice.names)
     if choice.plan is None:
-        way_out = f": {choice.hint}" if choice.hint else ""
-        return f"{names}: no drive of these can tell{way_out}"
+        if choice.hint:
+            return f"{names}: the same to every drive: {choice.hint}"
+        return f"{names}: these data cannot tell, and no drive of ten minutes would: what they differ in is too small"
     why = f" ({choice.why})" if choice.why else ""
     return (
         f"{names}: these data cannot tell{why}; drive {drive_sentence(choice.plan)}: "

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Choice", "open_choices"]
 
-_IDENTICAL_NATS = 0.5
-"""Less than this from ten minutes of the best drive: no drive can tell."""
+_TOO_FEW_NATS = 3.0
+"""Less than this from ten minutes of the best drive: no drive is worth it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,7 @@ class Choice:
     why : what the drive lacked, in words; "" where it lacked nothing
     plan : the drive that would tell, or None where no drive can
     nats : by how much it is expected to favour the right one
-    hint : where no drive can tell: what can
+    hint : where the two are the very same to every drive: what else can tell; "" where they are only too small
     """
 
     names: tuple[str, ...]
@@ -48,15 +48,14 @@ def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Callab
         return [], []
     kinds = registry()
     twins = [n for n in look.alternatives if kinds[n].twin_of in (look.added, *look.alternatives)]
-    names = [n for n in look.alternatives if n not in twins]
     rivals = {c.score.effect.name: c for c in look.candidates}
+    names = [n for n in look.alternatives if n in rivals]
     found, told = [], []
     for name in names:
         gain = _telling(drives, rivals[look.added], rivals[name])
         plan, nats = best_plan(drives, gain)
-        if nats < _IDENTICAL_NATS:
-            about = kinds[look.added].about
-            found.append(Choice((look.added, name), "", None, nats, about.drive if about else ""))
+        if nats < _TOO_FEW_NATS:
+            found.append(Choice((look.added, name), "", None, nats))
             continue
         found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
         told.append(gain)

@@ -53,7 +53,7 @@ def best_plan(drives: Drives, gain: Callable[[Field | None], float]) -> tuple[Pl
     """Return the manoeuvre that tells most in a few minutes, made longer where that is not enough."""
     tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES]
     # a long drive must be worth its time
-    worth = [gain(f) * min(1.0, 2.0 * _SHORT_S / plan.duration_s) for plan, f in tried]
+    worth = [gain(f) * min(1.0, _SHORT_S / plan.duration_s) for plan, f in tried]
     plan, drive = tried[int(np.argmax(worth))]
     nats = gain(drive)
     if nats < ENOUGH_NATS and plan.duration_s < _LONG_S:

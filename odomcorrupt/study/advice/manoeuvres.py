@@ -222,5 +222,5 @@ MANOEUVRES: tuple[Manoeuvre, ...] = (
     Manoeuvre("hard", "short straights with hard starts and hard braking, and turns on the spot between them", _hard),
     Manoeuvre("star", "straights in eight headings, with turns on the spot between them", _star),
     Manoeuvre("everything", "a bit of everything: straights, bends and turns, slow, fast and in reverse", _everything),
-    Manoeuvre("loop", "one loop again and again for ten minutes", _loop, least_s=600.0),
+    Manoeuvre("loop", "one loop again and again", _loop, least_s=600.0),
 )
