@@ -17,6 +17,9 @@ __all__ = ["Output", "Shared", "beside", "refuse_target"]
 _WORTH_BYTES = 1 << 16
 """Less is written as quickly as copied."""
 
+_PIECE_BYTES = 1 << 16
+"""What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
+
 _BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
@@ -87,7 +90,7 @@ class Output:
         self._partial = beside(self._path)
         try:
             # Not tempfile: its files are readable by their owner only, and keep that when renamed.
-            self._stream = self._partial.open("xb", buffering=1 << 18)
+            self._stream = self._partial.open("xb", buffering=_PIECE_BYTES)
         except OSError as error:
             raise BagError(f"{self.name}: cannot be written: {error.strerror}") from error
 
@@ -151,8 +154,8 @@ class Output:
                     self.crc = zlib.crc32(view, self.crc)
                 self.position += len(view)
                 # An unbuffered stdout may take a part only.
-                while (taken := stream.write(view)) < len(view):
-                    view = view[taken:]
+                while view:
+                    view = view[stream.write(view[:_PIECE_BYTES]) :]
         except OSError as error:
             raise self._failed(error) from error
 
