@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "believed_columns", "fit"]
 
 _ROUNDS = 6
+_NEAR = 2.0
 _SMALL = 0.1
 """Steps below this part of their standard error end the search."""
 
@@ -115,6 +116,9 @@ def fit(
         clocks = tuple(clocks[leader] for leader in leaders)
         if not np.any(np.abs(noise.theta) > _SMALL * errors):
             break
+        if not np.any(np.abs(noise.theta) > _NEAR * errors):
+            # so near the end nobody becomes an outlier or ceases to be one
+            weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[_led(free, leaders)] = errors[own:]
