@@ -8,12 +8,12 @@ Wants 25 GB of disk for a bag of 10 GB and its output (`--gigabytes` for less); 
 from __future__ import annotations
 
 import argparse
-import os
-import struct
+import shlex
 import subprocess
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,21 +22,16 @@ from mcap.writer import Writer as McapWriter
 
 sys.path.insert(0, str(Path(__file__).parent))
 
+from longbags import LONG, ODOMETRY, START_NS, STEP_NS, Template
 from smallbags import Office, definition
 
 from odomcorrupt.bags.open import open_reader
 
-ODOMETRY = "nav_msgs/msg/Odometry"
-START_NS = 1_700_000_000 * 10**9
 
-
-def bag(path: Path, odometry: int, *, payload: int = 0, topics: int = 0) -> int:
-    """Write an MCAP: odometry at 50 Hz on a circle, each followed by so many bytes of an image; return the messages."""
+def bag(path: Path, odometry: int, *, payload: int = 0, topics: int = 0) -> None:
+    """Write an MCAP: odometry at 50 Hz on a circle, each followed by so many bytes of an image; and other topics."""
     office = Office(2)
-    template = bytearray(office.odometry(START_NS, np.zeros(3), np.array([0.5, 0.125])))
-    # stamp, then position and orientation behind the strings "odom" and "base_link"
-    begin = template.index(b"base_link") + 10
-    begin += (4 - begin) % 8
+    template = Template(2, b"", {})
     image = np.random.default_rng(1).bytes(payload)
     with path.open("wb") as stream:
         codec = CompressionType.NONE if payload else CompressionType.ZSTD
@@ -47,41 +42,42 @@ def bag(path: Path, odometry: int, *, payload: int = 0, topics: int = 0) -> int:
         odom = writer.register_channel("/odom", "cdr", schema)
         blobs = [writer.register_channel(f"/blob_{i}", "cdr", other) for i in range(max(topics, bool(payload)))]
         for i in range(odometry):
-            t = i * 0.02
-            stamp = START_NS + i * 20_000_000
-            struct.pack_into("<iI", template, 4, *divmod(stamp, 10**9))
-            angle = 0.125 * t
-            struct.pack_into("<7d", template, begin, 4 * np.sin(angle), 4 - 4 * np.cos(angle), 0, 0, 0,
-                             np.sin(angle / 2), np.cos(angle / 2))  # fmt: skip
-            writer.add_message(odom, stamp + 10**6, bytes(template), stamp)
+            stamp = START_NS + i * STEP_NS
+            writer.add_message(odom, stamp + 10**6, template.rows(i, 1)[1], stamp)
             if payload:
                 writer.add_message(blobs[0], stamp + 2 * 10**6, image, stamp)
         for i in range(topics):
             writer.add_message(blobs[i], START_NS + i * 10_000, b"\0\1\0\0" + bytes(60), START_NS)
         writer.finish()
-    return odometry + (odometry if payload else 0) + topics
 
 
-def measured(source: Path, target: Path) -> tuple[int, float, float, float]:
-    """Corrupt a bag; return exit code, wall and CPU seconds, and largest resident memory in MB."""
+_WATCH = """
+import os, sys
+child = os.posix_spawn(sys.argv[2], sys.argv[2:], os.environ)
+_, status, usage = os.wait4(child, 0)
+with open(sys.argv[1], "w") as out:
+    print(os.waitstatus_to_exitcode(status), usage.ru_utime + usage.ru_stime, usage.ru_maxrss, file=out)
+"""
+"""A small process that begins the one to measure: a process counts what its parent had resident, too."""
+
+
+def measured(source: Path, target: Path, *, pipe: bool = False) -> tuple[int, float, float, float]:
+    """Corrupt a bag; return exit code, wall and CPU seconds, and largest resident memory in MB.
+
+    pipe : whether the bag comes and goes through pipes, pumped by `cat`
+    """
     begun = time.monotonic()
-    words = [
-        sys.executable,
-        "-m",
-        "odomcorrupt",
-        str(source),
-        str(target),
-        "--alpha",
-        *["0.05", "0.02", "0.05", "0.01"],
-    ]
-    process = subprocess.Popen([*words, "--seed", "7"], stderr=subprocess.PIPE)
-    said = process.stderr.read().decode() if process.stderr else ""
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
+    names = ["-", "-", "--odom-topic", "/odom"] if pipe else [str(source), str(target)]
+    words = [sys.executable, "-m", "odomcorrupt", *names, "--alpha", *["0.05", "0.02", "0.05", "0.01"], "--seed", "7"]
+    noted = target.with_suffix(".noted")
+    words = [sys.executable, "-I", "-S", "-c", _WATCH, str(noted), *words]
+    if pipe:
+        words = ["sh", "-c", f"cat {shlex.quote(str(source))} | {shlex.join(words)} | cat > {shlex.quote(str(target))}"]
+    said = subprocess.run(words, stderr=subprocess.PIPE, check=False).stderr.decode()
+    code, cpu, memory = noted.read_text().split()
+    if int(code):
         print(f"  {said.strip()}")
-    cpu = usage.ru_utime + usage.ru_stime
-    return process.returncode, time.monotonic() - begun, cpu, usage.ru_maxrss / 1000 * 1.024
+    return int(code), time.monotonic() - begun, float(cpu), int(memory) * 1.024e-3
 
 
 def right(source: Path, target: Path) -> str:
@@ -105,24 +101,37 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--gigabytes", type=float, default=10.0)
     parser.add_argument("--messages", type=int, default=10_000_000)
+    parser.add_argument("--only", default="", help="cases whose name has this")
     parser.add_argument("--room", type=Path)
     given = parser.parse_args()
+    n, tenth = given.messages, given.messages // 10
+    images = int(given.gigabytes * 1e9 / 900_800)
     cases = {
-        "no message": (0, 0, 0),
-        "one message": (1, 0, 0),
-        "10 000 topics": (1000, 0, 10_000),
-        f"{given.messages:.0e} odometry messages": (given.messages, 0, 0),
-        f"{given.gigabytes:g} GB": (int(given.gigabytes * 1e9 / 900_800), 900_000, 0),
+        "no message": (".mcap", partial(bag, odometry=0)),
+        "one message": (".mcap", partial(bag, odometry=1)),
+        "10 000 topics": (".mcap", partial(bag, odometry=1000, topics=10_000)),
+        **{
+            f"{count:.0e} odometry messages, {kind}": (suffix, partial(LONG[suffix], count=count))
+            for count in (tenth, n)
+            for kind, suffix in (("MCAP", ".mcap"), ("ROS 1", ".bag"), ("sqlite3", ".db3"))
+        },
+        f"{given.gigabytes:g} GB": (".mcap", partial(bag, odometry=images, payload=900_000)),
     }
     print("| bag | MB | exit code | wall s | CPU s | memory MB | out |\n|---|---|---|---|---|---|---|")
-    for name, (odometry, payload, topics) in cases.items():
+    for name, (suffix, write) in cases.items():
+        if given.only not in name:
+            continue
         with tempfile.TemporaryDirectory(dir=given.room) as room:
-            source, target = Path(room) / "in.mcap", Path(room) / "out.mcap"
-            bag(source, odometry, payload=payload, topics=topics)
-            code, wall, cpu, memory = measured(source, target)
-            out = right(source, target) if target.exists() else "none"
-            size = source.stat().st_size / 1e6
-            print(f"| {name} | {size:.3g} | {code} | {wall:.1f} | {cpu:.1f} | {memory:.0f} | {out} |", flush=True)
+            source, target = Path(room) / f"in{suffix}", Path(room) / f"out{suffix}"
+            write(source)
+            ways = (False, True) if name.endswith("MCAP") else (False,)
+            for pipe in ways:
+                code, wall, cpu, memory = measured(source, target, pipe=pipe)
+                out = right(source, target) if target.exists() else "none"
+                size = source.stat().st_size / 1e6
+                said = f"{name}{', pipe' if pipe else ''}"
+                print(f"| {said} | {size:.3g} | {code} | {wall:.1f} | {cpu:.1f} | {memory:.0f} | {out} |", flush=True)
+                target.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":
