@@ -41,7 +41,7 @@ def fit_noise(
     """
     ones = np.ones(len(nodes))
     task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights, headings=headings)
-    free = task.climb(task.first_guess() if start is None else start)
+    free = task.second_look(task.climb(task.first_guess())) if start is None else task.climb(start)
     plain = done = task.evaluate(free)
     if weights is not None:
         return plain

@@ -41,6 +41,8 @@ _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6
 _STEP = 1e-4
+_DEAD, _FAINT = 1e-4, 1e-3
+"""A coefficient this small has no slope left to climb back on; and where it is tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,21 @@ class NoiseTask:
         )
         climbed: Array = np.clip(found.x * unit, low, high)
         return climbed
+
+    def second_look(self, free: Array) -> Array:
+        """Return the better of a top and the one beside it, where the wheels make the noise that a wander took over.
+
+        A wander of the truth and noise of the travel look alike at one speed, and the first steps of a climb may put
+        a coefficient where nothing pulls it back.
+        """
+        active = len(self._pieces.active)
+        dead = np.flatnonzero(free[:active] < np.log(_DEAD))
+        if not len(dead) or np.exp(free[-1]) <= _NO_WANDER:
+            return free
+        other = free.copy()
+        other[dead], other[-1] = np.log(_FAINT), _TRUTH_LOW[-1]
+        other = self.climb(other)
+        return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
 
     def _slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
         """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are."""

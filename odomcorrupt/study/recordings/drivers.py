@@ -15,8 +15,11 @@ from odomcorrupt.effects.effect import Motion
 from odomcorrupt.increments import increments
 from odomcorrupt.motion import SMOOTHING_S, slopes
 from odomcorrupt.pose import rotate
+from odomcorrupt.study.recordings.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
@@ -31,6 +34,8 @@ _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 _JITTER_S = 0.2
 _BIAS = 0.002
 _FEW = 50
+_SHARED, _PLAINLY = 0.7, 3.0
+"""What part of the odometry's roughness the truth must show for it to be motion, and in how many standard errors."""
 
 
 def driving_motion(recording: Recording, side: Side) -> Motion:
@@ -83,17 +88,47 @@ def choose_side(recording: Recording, node_s: float) -> Side:
 
     Noise of variance q per second inside a regressor of speed v biases a gain by q / (v^2 node_s). Below `_BIAS` nobody
     sees it; above, the truth drives. Second differences of increments over 0.2 s show the odometry's own noise with its
-    full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops.
+    full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops. What the truth
+    shows, too, is no noise: motors hunt, and on a drive that hardly turns that is all the turning there is.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
-    steps = increments(recording.odometry.at(grid, recording.origin_ns))
-    step = np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
+    step = _steps(recording.odometry, grid, recording.origin_ns)
     moving = np.hypot(step[:, 0], step[:, 1])[1:-1] > 1e-3
     if moving.sum() < _FEW:
         return "odometry"
-    square = (np.diff(step, n=2, axis=0)[moving]) ** 2
-    square = np.minimum(square, 9.0 * np.median(square, axis=0) + 1e-15)
+    rough = np.diff(step, n=2, axis=0)[moving]
+    square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
     own_noise = square.mean(axis=0) / 6.0
     bias = own_noise / (step**2).mean(axis=0) * (grid[1] - grid[0]) / node_s
-    return "truth" if bias.max() > _BIAS else "odometry"
+    noisy = bias > _BIAS
+    if noisy.any():
+        noisy &= ~_shared(recording, rough, moving, grid)
+    return "truth" if noisy.any() else "odometry"
+
+
+def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
+    """Return travel and turn (n, 2) from one time of a grid to the next."""
+    steps = increments(path.at(grid, origin_ns))
+    return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
+
+
+def _shared(recording: Recording, rough: Array, moving: NDArray[np.bool_], grid: Array) -> NDArray[np.bool_]:
+    """Return for travel and turn (2,) whether the truth does plainly the same as what looks rough in the odometry.
+
+    Noise of either side is in one of the factors alone, so their mean product is what they have in common.
+    """
+    seen = aligned(recording, coarse_clock(recording))
+    truth_s = seen.truth.seconds_since(recording.origin_ns)
+    inside = ((grid[:-2] >= truth_s[0]) & (grid[2:] <= truth_s[-1]))[: len(moving)][moving]
+    own = np.diff(_steps(seen.odometry, grid, recording.origin_ns), n=2, axis=0)[moving][inside]
+    other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[moving][inside]
+    if len(own) < _FEW or not np.isfinite(other).all():
+        return np.zeros(rough.shape[1], dtype=bool)
+    bound = 5.0 * np.median(np.abs(own), axis=0)
+    own, other = np.clip(own, -bound, bound), other - np.median(other, axis=0)
+    common = own * other
+    share = common.mean(axis=0) / (own**2).mean(axis=0)
+    error = common.std(axis=0) / np.sqrt(len(common)) / (own**2).mean(axis=0)
+    shared: NDArray[np.bool_] = (share > _SHARED) & (share > _PLAINLY * error)
+    return shared
