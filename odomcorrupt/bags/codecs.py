@@ -9,6 +9,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 
+from odomcorrupt.bags.lz4_frames import pack_summed, unpack
 from odomcorrupt.bags.shelf import SHELF_BYTES
 from odomcorrupt.errors import BagError
 
@@ -104,16 +105,10 @@ def _unbz2(data: memoryview, size: int) -> bytes:
     return out
 
 
-def _unlz4(data: memoryview, size: int) -> bytes:
+def _unlz4(data: memoryview, size: int) -> bytearray:
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
-    context = lz4.frame.create_decompression_context()
-    # One byte more than claimed: a longer chunk shows, and the frame's checksum is reached.
-    out: bytes
-    out, _, whole = lz4.frame.decompress_chunk(context, data, max_length=size + 1, return_bytearray=True)
-    if not whole and len(out) <= size:
-        raise EOFError("the frame is cut short")
-    return out
+    return unpack(data, size)
 
 
 def require_level(codec: str, level: int | None) -> None:
@@ -144,7 +139,4 @@ def compress_for_ros1(codec: str, data: NDArray[np.uint8], level: int | None) ->
     if codec != "lz4":
         return compress(codec, data, level)
     require_level(codec, level)
-    packed: bytes = lz4.frame.compress(
-        data.data, compression_level=level or 0, block_linked=False, store_size=False, content_checksum=True
-    )
-    return packed
+    return pack_summed(data, level or 0)

@@ -69,6 +69,24 @@ def test_a_frame_cut_or_damaged_is_an_error_or_the_same_size(codec, pack):
             assert decompress(codec, memoryview(damaged), DATA.size, "chunk", Shelf()).size == DATA.size
 
 
+def test_ros1_frames_are_those_the_codec_would_make():
+    plain = {"block_linked": False, "store_size": False, "content_checksum": True}
+    for level in (0, 3):
+        made = bytes(compress_for_ros1("lz4", DATA, level))
+        assert made == lz4.frame.compress(DATA.tobytes(), compression_level=level, **plain)
+        assert lz4.frame.decompress(made) == DATA.tobytes()
+
+
+@pytest.mark.parametrize("sized", [False, True])
+@pytest.mark.parametrize("place", [4, 5, 6, 300, -6, -1])
+def test_an_lz4_frame_with_a_checksum_tells_of_every_damage(place, sized):
+    # 6 is the head's own checksum where no size is stated
+    frame = bytearray(lz4.frame.compress(DATA.tobytes(), content_checksum=True, store_size=sized))
+    frame[place] ^= 0x10
+    with pytest.raises(BagError, match="chunk"):
+        decompress("lz4", memoryview(frame), DATA.size, "chunk", Shelf())
+
+
 @pytest.mark.parametrize(("codec", "level"), [("zstd", 0), ("zstd", 23), ("lz4", 17), ("bz2", 0), ("bz2", 10)])
 def test_a_level_that_a_codec_does_not_have_is_refused(codec, level):
     with pytest.raises(BagError, match=f"level {level}"):
