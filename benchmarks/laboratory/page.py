@@ -34,8 +34,8 @@ frozen before the run, is [benchmarks/laboratory/protocol.md](../benchmarks/labo
 """
 
 
-def page(rows: list[dict[str, Any]]) -> str:
-    """Return the whole page."""
+def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
+    """Return the whole page; `before` are the results of the run before."""
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
@@ -75,7 +75,22 @@ def page(rows: list[dict[str, Any]]) -> str:
     if broken:
         lines += ["## What broke", ""]
         lines += [f"- {row['key']}: {row['failed'].strip().splitlines()[-1]}" for row in broken]
+    if before:
+        lines += ["", *_first_run(before)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _first_run(rows: list[dict[str, Any]]) -> list[str]:
+    arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
+    ran = ", ".join(f"{name} {len(own)}" for name, own in arm.items())
+    lines = ["## The first run", "", f"Of the program before it was mended, see the protocol. It ran: {ran}.", ""]
+    lines += ["Nothing wrong, motion capture:", "", *controls(arm["controls"], "at most 2 in 200")]
+    lines += ["Nothing wrong, RTK:", "", *controls(arm["rtk"], "at most 1 in 30")]
+    lines += ["One systematic cause:", "", *single(arm["single"]), "Not right:", "", *misses(arm["single"])]
+    lines += ["Two causes:", "", *mixtures(arm["mixtures"]), "Outside the library:", "", *outside(arm["outside"])]
+    good = [row for row in arm["single"] if is_excited(row) and "failed" not in row]
+    lines += table(("drives", "number", "before, median / p90", "after, median", "p90"), [falls(good, "one, excited")])
+    return lines
 
 
 def _shams(rows: list[dict[str, Any]]) -> list[str]:
