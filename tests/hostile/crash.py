@@ -18,6 +18,7 @@ import signal
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -96,14 +97,16 @@ def rewrites(room: Path, kills: int, dice: random.Random) -> str:
     return f"{kills} rewrites, {alive} killed at work: {whole} outputs whole, the others absent"
 
 
-def batches(room: Path, kills: int, dice: random.Random) -> str:
-    """Kill batches again and again until they are through; return what came of it."""
+def batches(room: Path, kills: int, dice: random.Random, minutes: float = 1e9) -> str:
+    """Kill batches again and again until they are through, or the time is; return what came of it."""
+    until = time.monotonic() + 60 * minutes
     source = make_small_bags(room / "more")["mcap zstd"].path if (room / "more").mkdir() is None else room
     words = ["batch", str(source), str(room / "runs"), "--runs", str(RUNS), *TYPED]
     seconds = _timed([*words[:2], str(room / "whole"), *words[3:]])
     expected = {name: data for name, data in _content(room / "whole").items() if name.startswith("run_")}
-    alive = done = 0
-    for _ in range(kills):
+    alive = done = tried = 0
+    while tried < kills and time.monotonic() < until:
+        tried += 1
         alive += _killed(words, dice.uniform(0.0, 0.8 * seconds))
         made = {name: data for name, data in _content(room / "runs").items() if name.startswith("run_")}
         if any(data != expected[name] for name, data in made.items()):
@@ -113,13 +116,13 @@ def batches(room: Path, kills: int, dice: random.Random) -> str:
             done += 1
             if _content(room / "runs").get("manifest.jsonl", b"").count(b"\n") != RUNS:
                 sys.exit("batch: a manifest that does not tell of all runs")
-            if list((room / "runs").glob(".*.partial")):
-                sys.exit("batch: debris")
+            if left := list((room / "runs").rglob(".*.partial*")):
+                sys.exit(f"batch: left {left}")
             shutil.rmtree(room / "runs")
     if (room / "runs").exists():
         _timed(words)
         done += 1
-    return f"{kills} kills of batches of {RUNS}, {alive} at work: {done} batches came to their end, all files the same"
+    return f"{tried} kills of batches of {RUNS}, {alive} at work: {done} batches came to their end, all files the same"
 
 
 def main() -> None:
@@ -127,11 +130,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--part", choices=("rewrites", "batches"), help="only one of them")
+    parser.add_argument("--minutes", type=float, default=1e9, help="for batches")
     given = parser.parse_args()
     begun = time.monotonic()
-    for part in (rewrites, batches):
+    parts = {"rewrites": rewrites, "batches": partial(batches, minutes=given.minutes)}
+    for part in [given.part] if given.part else parts:
         with tempfile.TemporaryDirectory() as room:
-            print(part(Path(room), given.kills, random.Random(given.seed)), flush=True)  # noqa: S311 - moments
+            print(parts[part](Path(room), given.kills, random.Random(given.seed)), flush=True)  # noqa: S311 - moments
     print(f"{time.monotonic() - begun:.0f} s")
 
 
