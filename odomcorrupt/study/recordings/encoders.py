@@ -31,6 +31,7 @@ _CAUGHT_UP = 1.35
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth can tell."""
 _LATTICE = 0.9
+_RESTLESS = 0.05
 
 
 def encoder_effects(recording: Recording) -> list[Effect]:
@@ -76,13 +77,14 @@ def _tick(recording: Recording, track_m: float) -> float | None:
     """Return the wheel travel of a tick, where the increments of both wheels lie on a lattice."""
     steps = increments(recording.odometry.xyt)
     turn = steps.dtheta_rad * track_m / 2.0
-    lattices = []
+    lattices, wheels = [], []
     for travel in (steps.ds_m + turn, steps.ds_m - turn):
         moved = travel[np.abs(travel) > 1e-6][:1500]
         if len(moved) < 200:
             return None
         # a wheel that has moved at all has moved by a tick: coarser lattices than that only seem to fit small numbers
         possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
+        wheels.append(moved)
         lattices.append(np.where(possible, _regularity(moved), 0.0))
     common = np.minimum(*lattices)
     on = np.flatnonzero(common > _LATTICE)
@@ -91,7 +93,10 @@ def _tick(recording: Recording, track_m: float) -> float | None:
     # a lattice of s is one of s/2, too: the coarsest is meant, at its own peak
     last = on[-1]
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
-    return float(_STEPS_M[near[np.argmax(common[near])]])
+    step = float(_STEPS_M[near[np.argmax(common[near])]])
+    # a robot that keeps one speed goes the same way every time, without ticks: with them, counts come and go
+    restless = min(float(np.mean(np.abs(np.diff(moved)) > 0.5 * step)) for moved in wheels)
+    return step if restless > _RESTLESS else None
 
 
 def _regularity(travel: Array) -> Array:

@@ -137,3 +137,15 @@ def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes()
     kind = next(f[0] for f in library(fit([run], approach=approach)) if f[0].name == "wheelbase")
     values = [fit([r], [kind], approach=approach).effects[0].e for r in (run, holed)]
     assert values == pytest.approx([0.04, 0.04], rel=0.1)
+
+
+def test_a_robot_that_keeps_one_speed_has_no_ticks():
+    # breaks where increments that are all alike count as a lattice
+    n = 3000
+    steps = Increments(np.full(n, 0.01), np.zeros(n), np.full(n, 0.002))
+    rng = np.random.default_rng(0)
+    jitter = rng.normal(0.0, 2e-5, n)
+    xyt = accumulate(np.zeros(3), Increments(steps.ds_m + jitter, steps.dl_m, steps.dtheta_rad))
+    stamps = 1_700_000_000_000_000_000 + 20_000_000 * np.arange(n + 1)
+    path = Trajectory(stamps, xyt)
+    assert encoder_effects(Recording("constant", path, path, int(stamps[0]), 0.4)) == []
