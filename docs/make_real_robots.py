@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from independent_look import INTRODUCTION, VERDICT, table
 from scipy.stats import binom
 
 from odomcorrupt.effects.effect import amplitudes
@@ -72,6 +73,7 @@ ROBOTS = (
     Robot("create1", "iRobot Create 1, commanded velocities (MRCLAM)", ("mrclam6_robot1",), "mrclam6_robot1"),
     Robot("create2", "iRobot Create 2, commanded velocities (MRCLAM)", ("mrclam6_robot2",), "mrclam6_robot2"),
     Robot("create3", "iRobot Create 3, commanded velocities (MRCLAM)", ("mrclam6_robot3",), "mrclam6_robot3"),
+    Robot("mower", "Lawn mower, RTK GPS without headings (CMU plaza)", ("plaza1",), "plaza1"),
 )
 
 
@@ -266,6 +268,12 @@ def main(folder: Path) -> None:
         part = section(folder, robot)
         print("\n".join(part), flush=True)
         lines += part
+    runs = [
+        read_runs(Source(path, track_m=0.2 if "_diff_" in path.name else None))[0]
+        for path in sorted(folder.glob("*.mcap"))
+        if not path.name.startswith("rob521")
+    ]
+    lines += [*INTRODUCTION.strip().splitlines(), "", *table(runs), *VERDICT.rstrip().splitlines()]
     (HERE / "real_robots.md").write_text("\n".join(lines).rstrip() + "\n")
 
 
