@@ -97,7 +97,8 @@ class Problem:
         for p in amplitudes(effect):
             error = [-_slope(effect, p.name, p.step, m) * m.dt_s[:, None] for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error)))
-        return np.stack(blocks, axis=2)
+        # an expression of numbers alone has none
+        return np.stack(blocks, axis=2) if blocks else np.zeros((len(self.nodes), 3, 0))
 
     def clock_columns(self) -> Array:
         """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks; a shared one is its first run's."""

@@ -6,12 +6,13 @@ the curve's joint score says whether it is there, its estimate is what the user 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.study.search.score import score_columns
+from odomcorrupt.study.search.shapes import plainest_law
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +28,8 @@ CHANNELS = ("along", "across", "yaw")
 _HATS = {"speed": 6, "yaw_rate": 6, "acceleration": 6, "yaw_acceleration": 6, "time": 8, "distance": 8}
 _GRID = 4
 _LEVEL = 0.01
+_WRITTEN = 2
+"""How many dependences get a law that is fitted itself; the others a line through their curve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,10 @@ def unknown_dependences(fit: Fit, believed: Array) -> list[Unknown]:
         for (name, channel), where, score in zip(names, centres, scores, strict=True)
         if score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error
     ]
-    return sorted(found, key=lambda u: u.nats - 0.5 * len(u.curve) * np.log(len(problem.nodes)), reverse=True)
+    found.sort(key=lambda u: u.nats - 0.5 * len(u.curve) * np.log(len(problem.nodes)), reverse=True)
+    laws = [plainest_law(fit, believed, u.driver, u.channel) for u in found[:_WRITTEN]]
+    written = [replace(u, expression=law or u.expression) for u, law in zip(found, laws, strict=False)]
+    return [*written, *found[_WRITTEN:]]
 
 
 def _unknown(name: str, channel: str, where: Array, score: ColumnScore) -> Unknown:
