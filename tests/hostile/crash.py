@@ -107,7 +107,7 @@ def batches(room: Path, kills: int, dice: random.Random, minutes: float = 1e9) -
     alive = done = tried = 0
     while tried < kills and time.monotonic() < until:
         tried += 1
-        alive += _killed(words, dice.uniform(0.0, 0.8 * seconds))
+        alive += _killed(words, dice.uniform(0.0, 1.3 * seconds))
         made = {name: data for name, data in _content(room / "runs").items() if name.startswith("run_")}
         if any(data != expected[name] for name, data in made.items()):
             sys.exit("batch: a run that is not whole")
