@@ -128,14 +128,14 @@ class NoiseTask:
         return climbed
 
     def second_look(self, free: Array) -> Array:
-        """Return the better of a top and the one beside it, where the wheels make the noise that a wander took over.
+        """Return the better of a top and the one that is reached from where no coefficient is nearly zero.
 
-        A wander of the truth and noise of the travel look alike at one speed, and the first steps of a climb may put
-        a coefficient where nothing pulls it back.
+        Noise of travel, of turns and of a wander of the truth look alike at one speed, and the first steps of a climb
+        may put a coefficient where nothing pulls it back.
         """
         active = len(self._pieces.active)
         dead = np.flatnonzero(free[:active] < np.log(_DEAD))
-        if not len(dead) or np.exp(free[-1]) <= _NO_WANDER:
+        if not len(dead):
             return free
         other = free.copy()
         other[dead], other[-1] = np.log(_FAINT), _TRUTH_LOW[-1]

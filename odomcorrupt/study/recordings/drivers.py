@@ -35,7 +35,7 @@ _JITTER_S = 0.2
 _BIAS = 0.002
 _FEW = 50
 _SHARED, _PLAINLY = 0.7, 3.0
-"""What part of the odometry's roughness the truth must show for it to be motion, and in how many standard errors."""
+"""Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
 
 
 def driving_motion(recording: Recording, side: Side) -> Motion:
@@ -103,7 +103,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     bias = own_noise / (step**2).mean(axis=0) * (grid[1] - grid[0]) / node_s
     noisy = bias > _BIAS
     if noisy.any():
-        noisy &= ~_shared(recording, rough, moving, grid)
+        noisy &= _plainly_own(recording, moving, grid)
     return "truth" if noisy.any() else "odometry"
 
 
@@ -113,22 +113,22 @@ def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
     return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
 
 
-def _shared(recording: Recording, rough: Array, moving: NDArray[np.bool_], grid: Array) -> NDArray[np.bool_]:
-    """Return for travel and turn (2,) whether the truth does plainly the same as what looks rough in the odometry.
+def _plainly_own(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> NDArray[np.bool_]:
+    """Return for travel and turn (2,) whether what looks rough in the odometry is plainly not what the truth does, too.
 
-    Noise of either side is in one of the factors alone, so their mean product is what they have in common.
+    Noise of either side is in one of the factors alone, so their mean product is what they have in common. A truth
+    that cannot tell is too noisy to drive; one without headings is not asked.
     """
     seen = aligned(recording, coarse_clock(recording))
     truth_s = seen.truth.seconds_since(recording.origin_ns)
-    inside = ((grid[:-2] >= truth_s[0]) & (grid[2:] <= truth_s[-1]))[: len(moving)][moving]
-    own = np.diff(_steps(seen.odometry, grid, recording.origin_ns), n=2, axis=0)[moving][inside]
-    other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[moving][inside]
+    chosen = moving & (grid[:-3] >= truth_s[0]) & (grid[3:] <= truth_s[-1])
+    own = np.diff(_steps(seen.odometry, grid, recording.origin_ns), n=2, axis=0)[chosen]
+    other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[chosen]
     if len(own) < _FEW or not np.isfinite(other).all():
-        return np.zeros(rough.shape[1], dtype=bool)
+        return np.ones(2, dtype=bool)
     bound = 5.0 * np.median(np.abs(own), axis=0)
-    own, other = np.clip(own, -bound, bound), other - np.median(other, axis=0)
-    common = own * other
-    share = common.mean(axis=0) / (own**2).mean(axis=0)
-    error = common.std(axis=0) / np.sqrt(len(common)) / (own**2).mean(axis=0)
-    shared: NDArray[np.bool_] = (share > _SHARED) & (share > _PLAINLY * error)
-    return shared
+    own = np.clip(own, -bound, bound)
+    common, whole = own * other, np.maximum((own**2).mean(axis=0), 1e-30)
+    share, error = common.mean(axis=0) / whole, common.std(axis=0) / np.sqrt(len(common)) / whole
+    plainly: NDArray[np.bool_] = share + _PLAINLY * error < _SHARED
+    return plainly
