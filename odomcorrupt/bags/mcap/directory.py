@@ -89,7 +89,7 @@ class Directory:
         """Return all schema records and all channel records, for the summary."""
         schemas, channels = dict(self._schemas), dict(self._channels)
         if self._native:
-            schemas = self._native.schemas | schemas
+            schemas = {**self._native.schemas, **schemas}
             channels = {one.id: one.raw for one in self._native.channels.values()} | channels
         return [one.pack() for one in schemas.values()], [one.pack() for one in channels.values()]
 
@@ -118,7 +118,7 @@ class Directory:
         if not definition.name:
             return 0
         wanted = (definition.name, definition.encoding, definition.text)
-        known = (self._native.schemas if self._native else {}) | self._schemas
+        known = {**(self._native.schemas if self._native else {}), **self._schemas}
         for schema in known.values():
             if schema[1:] == wanted:
                 return schema.id

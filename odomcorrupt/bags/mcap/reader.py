@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 import struct
-from contextlib import suppress
 from typing import TYPE_CHECKING, Self
 
-import numpy as np
-
-from odomcorrupt.bags.block import Block, Channel
-from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.losses import loss_of
-from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming, read_chunk, read_pieces
-from odomcorrupt.bags.mcap.contents import read_contents
+from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunk, read_pieces
+from odomcorrupt.bags.mcap.known import Known
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -26,17 +21,9 @@ from odomcorrupt.bags.mcap.records import (
     METADATA,
     RECORD_HEADER_BYTES,
     SCHEMA,
-    ChannelRecord,
-    SchemaRecord,
     string,
 )
-from odomcorrupt.bags.mcap.resync import (
-    next_record,
-    only_known,
-    read_chunk_or_beginning,
-    stands_here,
-    whole_records,
-)
+from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_here
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -46,9 +33,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from numpy.typing import NDArray
-
-    from odomcorrupt.bags.block import Kind
+    from odomcorrupt.bags.block import Block, Channel, Kind
+    from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.mcap.records import SchemaRecord
 
 __all__ = ["McapReader"]
 
@@ -76,9 +63,9 @@ class McapReader:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
-        self._channels: dict[int, Channel] = {}
-        self.channels: Mapping[int, Channel] = self._channels
-        self.schemas: dict[int, SchemaRecord] = {}
+        self._known = Known(self.name)
+        self.channels: Mapping[int, Channel] = self._known.channels
+        self.schemas: Mapping[int, SchemaRecord] = self._known.schemas
         self.summary = Summary()
         self.losses: list[str] = []
         self._recover = recover
@@ -115,9 +102,7 @@ class McapReader:
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the file says of a channel's type."""
-        raw: ChannelRecord = channel.raw
-        schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
-        return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
+        return self._known.definition(channel)
 
     @property
     def part_read(self) -> float | None:
@@ -231,25 +216,12 @@ class McapReader:
 
     def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
         try:
-            block = self._chunk_block(part) if isinstance(part, Chunk) else self._loose_block(part)
+            block = self._known.block(part)
         except BagError as error:
             self._lose(error)
-            block = self._salvaged(part)
+            block = self._known.salvaged(part)
         self._count += len(block.table)
         yield block
-
-    def _salvaged(self, part: Chunk | Loose) -> Block:
-        """Return what is whole of a chunk or of messages outside chunks."""
-        data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
-        data = whole_records(data)
-        contents = read_contents(data, [], "")
-        for other in contents.others:
-            if other.opcode in (SCHEMA, CHANNEL):
-                # One that cannot be understood is missed where messages are its.
-                with suppress(BagError):
-                    self._learn(other.opcode, data[other.start : other.end].tobytes())
-        framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
-        return only_known(Block(data, contents.table, framing), self.channels)
 
     def _lose(self, error: BagError) -> None:
         """Note what cannot be read, or give up where that was not asked for."""
@@ -257,49 +229,11 @@ class McapReader:
             raise error
         self.losses.append(loss_of(error))
 
-    def _chunk_block(self, chunk: Chunk) -> Block:
-        contents = read_contents(chunk.data, chunk.indexes, chunk.what)
-        for other in contents.others:
-            if other.opcode in (SCHEMA, CHANNEL):
-                self._learn(other.opcode, chunk.data[other.start : other.end].tobytes())
-        self._require_channels(contents.table, chunk.what)
-        return Block(chunk.data, contents.table, McapFraming("chunk", chunk.codec))
-
-    def _loose_block(self, loose: Loose) -> Block:
-        for opcode, content in loose.others:
-            self._learn(opcode, content)
-        block = loose.block()
-        self._require_channels(block.table, f"{self.name}: messages outside chunks")
-        return block
-
-    def _require_channels(self, table: NDArray[np.void], what: str) -> None:
-        unknown = set(table["channel"].tolist()) - self.channels.keys()
-        if unknown:
-            raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
-
-    def _learn(self, opcode: int, content: bytes) -> None:
-        """Take note of a schema or channel; the first one of an id counts, later ones must be equal anyway."""
-        if opcode == SCHEMA:
-            schema = SchemaRecord.parse(content, self.name)
-            self.schemas.setdefault(schema.id, schema)
-            return
-        channel = ChannelRecord.parse(content, self.name)
-        if channel.schema and channel.schema not in self.schemas:
-            raise BagError(
-                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
-            )
-        name = self.schemas[channel.schema].name if channel.schema else ""
-        package, _, leaf = name.partition("/")
-        msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
-        self._channels.setdefault(
-            channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel)
-        )
-
     def _learn_summary(self) -> None:
         for schema in self.summary.schemas:
-            self._learn(SCHEMA, schema)
+            self._known.learn(SCHEMA, schema)
         for channel in self.summary.channels:
-            self._learn(CHANNEL, channel)
+            self._known.learn(CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Learn the channels of a file that its summary does not tell."""
