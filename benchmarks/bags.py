@@ -6,7 +6,9 @@
 
 It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where it is installed, a loop over
 ROS 1's own rosbag, one after the other in every round, and counts the CPU seconds (user + system) of whole processes.
-Medians are printed, and ratios beside the goals. Bags without a camera are 8 times as long: 120 000 messages at 150 s.
+Medians are printed, and ratios beside the goals. Bags without a camera are 8 times as long, 120 000 messages at 150 s;
+the long one 133 times, 2 million: there the loops take minutes, and `cp` alone is run beside. The goal for that bag is
+the C++ MCAP library's time, which no package registry has: its case tells whether time grows with the messages only.
 A round that is not counted comes first: it compiles modules, ours as well as theirs, as installing them does. Linear
 algebra has one thread, for all. Needs the test extra; writes into a folder of its own, and takes it away.
 """
@@ -26,7 +28,8 @@ from pathlib import Path
 from bag_files import WRITERS
 
 HERE = Path(__file__).parent
-ODOM_TIMES = 8
+TIMES = {"camera": 1, "odom": 8, "long": 400 / 3}
+"""How many times as long as the one with a camera a bag is."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,12 @@ class Case:
 
     @property
     def kind(self) -> str:
-        """Either camera or odom."""
+        """What is in it: of a robot with a camera, or odometry and TF alone."""
+        return "camera" if self.length == "camera" else "odom"
+
+    @property
+    def length(self) -> str:
+        """One of TIMES."""
         return self.name.split()[0]
 
     @property
@@ -62,6 +70,7 @@ CASES = (
     Case("camera mcap none", {"rosbags": (0.27, 0.40), "cp": (2.5, 3.5)}),
     Case("camera mcap lz4", {"mcap": None}),
     Case("odom mcap zstd", {"rosbags": (0.10, 0.15), "mcap": (0.03, 0.05)}),
+    Case("long mcap zstd", {}),
     Case("camera ros1 lz4", {"rosbags": (0.5, 0.6), "ros1": (0.22, 0.3)}),
     Case("odom ros1 lz4", {"rosbags": (0.09, 0.15), "ros1": (0.066, 0.10)}),
     Case("camera sqlite3 none", {"rosbags": (0.26, 0.4), "cp": (2.3, 3.0)}),
@@ -124,7 +133,7 @@ def discard(path: Path) -> None:
 def measure(case: Case, folder: Path, seconds: float, rounds: int) -> tuple[float, dict[str, float]]:
     """Return the bag's size in MB and the median CPU seconds of each command."""
     source, target = case.file(folder, "in"), case.file(folder, "out")
-    WRITERS[case.format](source, case.kind, case.codec, seconds * (ODOM_TIMES if case.kind == "odom" else 1))
+    WRITERS[case.format](source, case.kind, case.codec, seconds * TIMES[case.length])
     files = source.iterdir() if source.is_dir() else [source]
     size = sum(file.stat().st_size for file in files) / 1e6
     taken: dict[str, list[float]] = {name: [] for name in commands(case, source, target)}
