@@ -8,7 +8,7 @@ It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop a
 ROS 1's own rosbag, one after the other in every round, and counts the CPU seconds (user + system) of whole processes.
 Medians are printed, and ratios beside the goals. Bags without a camera are 8 times as long, 120 000 messages at 150 s;
 the long one 133 times, 2 million: there the loops take minutes, and `cp` alone is run beside. The goal for that bag is
-the C++ MCAP library's time, which no package registry has: its case tells whether time grows with the messages only.
+the C++ MCAP library's time, which is not measured here: the case tells whether time grows with the messages only.
 A round that is not counted comes first: it compiles modules, ours as well as theirs, as installing them does. Linear
 algebra has one thread, for all. Needs the test extra; writes into a folder of its own, and takes it away.
 """
