@@ -123,7 +123,8 @@ def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_]
     if np.count_nonzero(moving) < 10:
         return []
     steps = increments(xyt)
-    stated = twist[1:][moving]
+    # a damaged number must not overflow when it is squared
+    stated = np.clip(twist[1:][moving], -1e9, 1e9)
     body = np.column_stack((steps.ds_m, steps.dl_m))[moving] / dt[moving, None]
     world = np.diff(xyt[:, :2], axis=0)[moving] / dt[moving, None]
     if not stated.any():
