@@ -74,7 +74,7 @@ def test_3_noise_of_the_heading_is_no_wandering_gain_where_a_drive_stops_and_goe
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [49, 50])
+@pytest.mark.parametrize("seed", [1, 49])
 def test_4_a_deterministic_cause_is_not_called_noise_and_noise_no_cause(seed):
     # breaks where a stochastic name is given before the best cause was tried, or the other way round
     wet = learn([as_recording(simulate(seed, "region_slip"))])
