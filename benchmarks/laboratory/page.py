@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from laboratory.verdicts import is_excited
 
 __all__ = ["page"]
 
+FINDINGS = Path(__file__).with_name("findings.md")
+"""What a person has to say about the figures."""
 HEAD = """\
 # The hidden-effect laboratory
 
@@ -39,7 +42,7 @@ def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
-    lines = [HEAD, "## How much of it ran", ""]
+    lines = [HEAD, FINDINGS.read_text(), "## How much of it ran", ""]
     lines += table(("arm", "planned", "ran", "broke"), [
         [name, LENGTHS[name], len(arm[name]), len(arm[name]) - len(good[name])] for name in ARMS
     ])  # fmt: skip
