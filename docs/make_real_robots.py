@@ -19,6 +19,7 @@ from independent_look import INTRODUCTION, VERDICT, table
 from scipy.stats import binom
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import EffectError
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.pose import between, wrap
 from odomcorrupt.report.figure import BLACK, RED, SKY, drawing, new_figure
@@ -149,11 +150,20 @@ def section(folder: Path, robot: Robot) -> list[str]:
         f"{comparison.clock_error_m * 1e3:.0f} mm with the clock right."
     )
     lines += ["", "| | " + " | ".join(fits) + " |", "|---|" + "---|" * len(fits)]
-    clouds = {j.name: replay(j.pieces[0], runs=RUNS) for j in comparison.judgements}
+    clouds, remarks = {}, []
+    for j in comparison.judgements:
+        piece = j.pieces[0]
+        try:
+            clouds[j.name] = replay(piece, runs=RUNS)
+        except EffectError:
+            # what was learned wanders so much that a robot could not have driven so
+            calm = tuple(e for e in piece.model.effects if e.kind != "noise")
+            clouds[j.name] = replay(replace(piece, model=replace(piece.model, effects=calm)), runs=RUNS)
+            remarks = ["", "Its random effects are too strong to be put into this drive; the cloud is without them."]
     for label, values in rows(fits, comparison.judgements, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
     last = comparison.judgements[-1]
-    lines += ["", *verdict(last, clouds[last.name], judging)]
+    lines += ["", *verdict(last, clouds[last.name], judging), *remarks]
     picture = HERE / "images" / f"real_{robot.key}.png"
     draw(clouds, picture)
     return [*lines, "", f"![{robot.title}](images/{picture.name})", ""]

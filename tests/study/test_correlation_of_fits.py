@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
@@ -26,6 +27,7 @@ def left_arcs(duration_s=90.0):
     return Increments(v / RATE_HZ, np.zeros(n), omega / RATE_HZ)
 
 
+@pytest.mark.slow
 def test_told_correlations_are_those_of_many_fits():
     steps = left_arcs()
     effects = [effect_from_values(name, {}) for name in ("wheelbase", "unequal_wheels")]

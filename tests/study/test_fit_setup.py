@@ -50,6 +50,7 @@ def test_what_cannot_be_told_from_an_effect_that_is_asked_for_is_not_looked_for(
     assert "lever_arm" not in {effect.name for effect in result.model.setup.effects}
 
 
+@pytest.mark.slow
 def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
     steps = wander(5, 300.0)
     run = recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), 5), seed=5)
@@ -61,6 +62,7 @@ def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
     assert nats[0] > nats[1]
 
 
+@pytest.mark.slow
 def test_stretches_of_one_run_share_their_clock(clean):
     late = Trajectory(clean.odometry.stamps_ns + 40_000_000, clean.odometry.xyt)
     middle = len(clean.odometry) // 2
