@@ -9,12 +9,8 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.bags.block import BagReader
 
-__all__ = ["Definition", "RosType", "md5sum_of", "retyped", "ros_type", "with_common_text"]
-
-_TYPED = ("md5sum", "topic_type_hash", "type")
-"""Metadata that belong to the type, not to the topic."""
+__all__ = ["Definition", "RosType", "md5sum_of", "ros_type", "with_common_text"]
 
 
 class Definition(NamedTuple):
@@ -61,19 +57,6 @@ def ros_type(msgtype: str, encoding: str) -> RosType:
     return RosType(msgtype, text, store.hash_rihs01(msgtype))
 
 
-def retyped(reader: BagReader, msgtype: str, encoding: str, like: Definition) -> Definition:
-    """Define a type for a topic that is otherwise like another one: as the bag itself does, or as commonly known."""
-    for other in reader.channels.values():
-        if (other.msgtype, other.encoding) == (msgtype, encoding):
-            found = reader.definition(other)
-            typed = {key: found.metadata[key] for key in _TYPED if key in found.metadata}
-            return found._replace(metadata={**_without(like.metadata, _TYPED), **typed})
-    kind = ros_type(msgtype, encoding)
-    values = {"md5sum": kind.digest, "topic_type_hash": kind.digest, "type": kind.name}
-    metadata = {**like.metadata, **{key: value for key, value in values.items() if key in like.metadata}}
-    return Definition(kind.name, "ros1msg" if encoding == "ros1" else "ros2msg", kind.text.encode(), metadata)
-
-
 def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Definition:
     """Fill in the definition of a common type that the bag does not bring along; leave it empty for others."""
     try:
@@ -81,10 +64,6 @@ def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Def
     except BagError:
         return definition
     return definition._replace(encoding="ros1msg" if encoding == "ros1" else "ros2msg", text=kind.text.encode())
-
-
-def _without(metadata: Mapping[str, str], keys: tuple[str, ...]) -> dict[str, str]:
-    return {key: value for key, value in metadata.items() if key not in keys}
 
 
 def md5sum_of(msgtype: str, definition: Definition) -> str:

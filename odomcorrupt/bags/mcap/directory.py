@@ -8,9 +8,10 @@ import numpy as np
 
 from odomcorrupt import __version__
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import retyped, with_common_text
+from odomcorrupt.bags.definition import with_common_text
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord, string
+from odomcorrupt.bags.retype import retyped
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

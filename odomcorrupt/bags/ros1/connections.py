@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import Definition, md5sum_of, retyped
+from odomcorrupt.bags.definition import Definition, md5sum_of
+from odomcorrupt.bags.retype import retyped
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.ros1.records import Connection
 from odomcorrupt.errors import BagError

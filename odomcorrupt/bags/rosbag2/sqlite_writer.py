@@ -9,8 +9,8 @@ from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Channel, PartContents
-from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.output import beside
+from odomcorrupt.bags.retype import retyped
 from odomcorrupt.bags.rosbag2.database import columns, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.bags.rosbag2.salvage import copy_tables

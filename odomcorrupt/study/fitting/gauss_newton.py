@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["Fit", "believed_columns", "fit"]
 
 _ROUNDS = 6
-_NEAR = 2.0
-_SMALL = 0.1
-"""Steps below this part of their standard error end the search."""
+_NEAR, _SMALL = 2.0, 0.1
+"""Steps within so many standard errors leave robust weights as they are, and end the search."""
 
 
 @dataclass(frozen=True, slots=True)

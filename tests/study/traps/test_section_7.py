@@ -80,7 +80,7 @@ def test_5_nodes_of_a_truth_that_wanders_lie_farther_apart():
     assert choose_approach([sharp, seen]) == choose_approach([seen])
 
 
-ONE_SIDED = pytest.mark.xfail(reason="of three drives with bursts, one is still told of a scale", strict=False)
+ONE_SIDED = pytest.mark.xfail(reason="of three drives with bursts, one is still told of a scale")
 
 
 @pytest.mark.slow
