@@ -23,7 +23,7 @@ from odomcorrupt.bags.mcap.records import (
     SCHEMA,
     string,
 )
-from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_here
+from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -152,8 +152,7 @@ class McapReader:
                     yield from _alone(source, opcode, length, what)
             except BagError as error:
                 self._lose(error)
-                if not (source.skip_to(begin + RECORD_HEADER_BYTES + length) and stands_here(source)):
-                    next_record(source, begin)
+                source.skip_to(begin + RECORD_HEADER_BYTES + length)
         if pending:
             yield from self._finished(pending)
 
@@ -171,7 +170,7 @@ class McapReader:
         try:
             while opcode not in _ENDS:
                 what = f"record at byte {source.position}"
-                if self._recover and not stands_here(source):
+                if self._recover and not stands_behind(source, last):
                     self.losses.append(f"{self.name}: {what} is none: the bag is truncated or damaged")
                     if not next_record(source, last):
                         return

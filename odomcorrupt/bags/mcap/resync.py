@@ -24,22 +24,37 @@ from odomcorrupt.bags.mcap.records import (
     RECORD_HEADER_BYTES,
     SCHEMA,
 )
+from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container
+    from collections.abc import Container, Iterator
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_here", "whole_records"]
+__all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records"]
 
 _WINDOW_BYTES = 1 << 20
-_LOOK_BYTES = 64
-_SHORTEST = {MESSAGE: 22, SCHEMA: 14, CHANNEL: 16, MESSAGE_INDEX: 6, ATTACHMENT: 36, METADATA: 8}
+_LOOK_BYTES = 256
+_LONGEST_CHUNK_HEAD = 64
+_ADDED_BYTES = 32
+"""Fields that later versions may append to a record; no other record has room in them."""
+_SHORTEST_MESSAGE = 22
+_FIELDS = {
+    SCHEMA: (2, (4, 4, 4), 0),
+    CHANNEL: (4, (4, 4, 4), 0),
+    MESSAGE_INDEX: (2, (4,), 0),
+    ATTACHMENT: (16, (4, 4, 8), 4),
+    METADATA: (0, (4, 4), 0),
+}
+"""Of a record's content: the bytes before fields with a length of their own, the widths of these, the bytes behind."""
 _EXACT = {DATA_END: 4, FOOTER: 20}
 _STRONG = (CHUNK, DATA_END)
 """Records whose first bytes alone tell that they are no accident."""
+_BETWEEN_CHUNKS = (CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+"""Records that never stand in a chunk, and whose length their fields repeat."""
+_EVERYTHING = range(2, 0x100)
 _PRIVATE = 0x80
 
 
@@ -48,24 +63,35 @@ def stands_here(source: Source) -> bool:
     return _believable(source.sniff(_LOOK_BYTES), 0, _left(source))
 
 
+def stands_behind(source: Source, begin: int) -> bool:
+    """Tell whether the next bytes can be the record behind the one that begins at byte `begin`.
+
+    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too.
+    """
+    if not stands_here(source):
+        return False
+    here = source.position
+    if source.sniff(1)[0] in _BETWEEN_CHUNKS:
+        return True
+    source.seek(begin)
+    claimed = source.sniff(1)[0] == CHUNK
+    another = claimed and any(end > here for _, end in _found(source, begin + 1, here, (CHUNK,)))
+    source.seek(here)
+    return not another
+
+
 def next_record(source: Source, begin: int) -> bool:
     """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one.
 
-    In the bytes of a chunk only other chunks are looked for: its messages have no checksum of their own.
+    In the bytes of a chunk messages are not looked for: they have no checksum of their own.
     """
     source.seek(begin)
     inside_chunk = source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source)
-    at = begin + 1
-    while True:
+    found = _found(source, begin + 1, source.size or 0, _BETWEEN_CHUNKS if inside_chunk else _EVERYTHING)
+    at, _ = next(found, (0, 0))
+    if at:
         source.seek(at)
-        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
-        found = _search(window, _left(source), lambda opcode: opcode in _STRONG or not inside_chunk)
-        if found is not None:
-            source.seek(at + found)
-            return True
-        if len(window) < _WINDOW_BYTES + _LOOK_BYTES:
-            return False
-        at += _WINDOW_BYTES
+    return bool(at)
 
 
 def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chunk, str]:
@@ -74,17 +100,21 @@ def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chu
     Raises
     ------
     BagError
-        Where the chunk is damaged in another way.
+        Where the chunk is damaged in another way: it claims what records behind it stand in.
 
     """
     left = _left(source)
     if length <= left:
         return read_chunk(source, length, what), ""
+    here = source.position
+    lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"
+    if any(_found(source, here, here + left, (CHUNK,))):
+        raise BagError(lost)
+    source.seek(here)
     content = source.read(left, what)
     name_length = int.from_bytes(content[28:32], "little")
     name = content[32 : 32 + name_length].decode(errors="replace")
     data = np.frombuffer(bytearray(beginning(name or "none", content[40 + name_length :])), dtype=np.uint8)
-    lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"
     return Chunk(whole_records(data), name or "none", f"{source.name}: {what}"), lost
 
 
@@ -93,7 +123,9 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     view, at = data.data, 0
     while at + RECORD_HEADER_BYTES <= data.size:
         opcode, length = struct.unpack_from("<BQ", view, at)
-        if length > data.size - at - RECORD_HEADER_BYTES or (opcode == MESSAGE and length < _SHORTEST[MESSAGE]):
+        if length > data.size - at - RECORD_HEADER_BYTES or (opcode == MESSAGE and length < _SHORTEST_MESSAGE):
+            break
+        if opcode in _BETWEEN_CHUNKS:
             break
         at += RECORD_HEADER_BYTES + length
     return data[:at]
@@ -115,35 +147,59 @@ def _left(source: Source) -> int:
     return (source.size or 0) - source.position
 
 
-def _search(window: bytes, left: int, wanted: Callable[[int], bool]) -> int | None:
-    data = np.frombuffer(window, dtype=np.uint8)
-    count = max(0, data.size - _LOOK_BYTES) or max(0, data.size - RECORD_HEADER_BYTES + 1)
-    # lengths are less than 2^40, so three of their bytes are zero
-    quiet = (data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
-    for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= DATA_END)).tolist():
-        if wanted(window[at]) and _believable(window, at, left - at) and _chained(window, at, left - at):
-            return int(at)
-    return None
+def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Iterator[tuple[int, int]]:
+    """Yield where records of some kinds begin from byte `begin` to byte `end`, and where they say that they end."""
+    while begin < end:
+        source.seek(begin)
+        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        data, left = np.frombuffer(window, dtype=np.uint8), _left(source)
+        count = min(_WINDOW_BYTES, end - begin, data.size - RECORD_HEADER_BYTES + 1)
+        if count <= 0:
+            return
+        # lengths are less than 2^40, so three of their bytes are zero
+        quiet = (data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
+        for at in np.flatnonzero(quiet & (data[:count] > 1)).tolist():
+            if window[at] in kinds and _believable(window, at, left - at) and _chained(window, at, left - at):
+                yield begin + at, begin + at + RECORD_HEADER_BYTES + int.from_bytes(window[at + 1 : at + 9], "little")
+        begin += _WINDOW_BYTES
 
 
 def _believable(window: bytes, at: int, left: int) -> bool:
     if left < RECORD_HEADER_BYTES or len(window) < at + RECORD_HEADER_BYTES:
         return False
     opcode, length = struct.unpack_from("<BQ", window, at)
+    head = window[at + RECORD_HEADER_BYTES : at + _LOOK_BYTES]
     if opcode == CHUNK:
-        return _is_chunk(window[at : at + _LOOK_BYTES], length)
+        return _is_chunk(head, length)
     if opcode in _EXACT:
         return bool(length == _EXACT[opcode])
-    fits = bool(length <= left - RECORD_HEADER_BYTES)
-    return fits and (opcode >= _PRIVATE or length >= _SHORTEST.get(opcode, 1 << 64))
+    if length > left - RECORD_HEADER_BYTES:
+        return False
+    if opcode in _FIELDS:
+        return _adds_up(head, length, *_FIELDS[opcode])
+    return bool(opcode >= _PRIVATE or (opcode == MESSAGE and length >= _SHORTEST_MESSAGE))
+
+
+def _adds_up(head: bytes, length: int, before: int, widths: tuple[int, ...], behind: int) -> bool:
+    """Tell whether the lengths of a record's fields, as far as they can be seen, add up to its own.
+
+    before, behind : bytes of the fields before and behind those with a length of their own
+    widths : of these lengths
+    """
+    at = before
+    for width in widths:
+        if at + width > len(head) < length:
+            return True
+        at += width + int.from_bytes(head[at : at + width], "little")
+    return 0 <= length - at - behind < _ADDED_BYTES
 
 
 def _is_chunk(head: bytes, length: int) -> bool:
-    name_length = int.from_bytes(head[37:41], "little")
-    if len(head) < 49 + name_length or name_length > 4:
+    name_length = int.from_bytes(head[28:32], "little")
+    if len(head) < 40 + name_length or name_length > 4:
         return False
-    (packed,) = struct.unpack_from("<Q", head, 41 + name_length)
-    name = head[41 : 41 + name_length].decode(errors="replace")
+    (packed,) = struct.unpack_from("<Q", head, 32 + name_length)
+    name = head[32 : 32 + name_length].decode(errors="replace")
     return bool(length == 40 + name_length + packed) and (name or "none") in CODECS
 
 
@@ -152,7 +208,7 @@ def _chained(window: bytes, at: int, left: int) -> bool:
     for _ in range(2):
         opcode, length = struct.unpack_from("<BQ", window, at)
         step = RECORD_HEADER_BYTES + length
-        if opcode in _STRONG or step == left or at + step + _LOOK_BYTES > len(window):
+        if opcode in _STRONG or step == left or at + step + _LONGEST_CHUNK_HEAD > len(window):
             return True
         at, left = at + step, left - step
         if not _believable(window, at, left):

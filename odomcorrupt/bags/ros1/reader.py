@@ -24,7 +24,13 @@ from odomcorrupt.bags.ros1.records import (
     number,
     pack_record,
 )
-from odomcorrupt.bags.ros1.resync import next_record, read_chunk_or_beginning, stands_here, whole_records
+from odomcorrupt.bags.ros1.resync import (
+    next_record,
+    read_chunk_or_beginning,
+    stands_behind,
+    stands_here,
+    whole_records,
+)
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -147,7 +153,7 @@ class Ros1Reader:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
                 self._lose(error)
-                if not (source.skip_to(end) and (source.at_end() or stands_here(source))):
+                if not (source.skip_to(end) and stands_behind(source, begin)):
                     next_record(source, begin)
         if chunk:
             yield from self._finished(chunk)
@@ -156,7 +162,7 @@ class Ros1Reader:
         """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
         last = source.position
         while self._recover and not source.at_end():
-            if not stands_here(source):
+            if not stands_behind(source, last):
                 self.losses.append(
                     f"{self.name}: record at byte {source.position} is none: the bag is truncated or damaged"
                 )

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.codecs import beginning
-from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, read_chunk
+from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, read_chunk, read_head
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Container, Iterator
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "read_chunk_or_beginning", "stands_here", "whole_records"]
+__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records"]
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 1 << 13
@@ -25,6 +27,7 @@ _BACK_BYTES = 256
 _OP = b"\x04\0\0\0op="
 _STRONG = (CHUNK, INDEX)
 """What is looked for in the bytes of a chunk: its messages may be damaged, too."""
+_IN_CHUNKS = (MESSAGE, CONNECTION)
 _KINDS = (MESSAGE, INDEX, CHUNK, CHUNK_INFO, CONNECTION)
 
 
@@ -33,25 +36,33 @@ def stands_here(source: Source) -> bool:
     return _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - source.position) is not None
 
 
+def stands_behind(source: Source, begin: int) -> bool:
+    """Tell whether the next bytes can be the record behind the one that begins at byte `begin`, or the file's end.
+
+    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too.
+    """
+    here = source.position
+    if source.at_end():
+        return True
+    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - here)
+    if kind not in _IN_CHUNKS:
+        return kind is not None
+    source.seek(begin)
+    claimed = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - begin) == CHUNK
+    another = claimed and any(_end_at(source, at) > here for at in _found(source, begin + 1, here, (CHUNK,)))
+    source.seek(here)
+    return not another
+
+
 def next_record(source: Source, begin: int) -> bool:
     """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one."""
+    size = source.size or 0
     source.seek(begin)
-    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - begin)
-    wanted = _STRONG if kind == CHUNK else _KINDS
-    at = begin + 1
-    while True:
+    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, size - begin)
+    at = next(_found(source, begin + 1, size, _STRONG if kind == CHUNK else _KINDS), None)
+    if at is not None:
         source.seek(at)
-        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
-        hit = window.find(_OP)
-        while 0 <= hit < _WINDOW_BYTES:
-            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1):
-                if _kind_at(window, start, (source.size or 0) - at - start) in wanted:
-                    source.seek(at + start)
-                    return True
-            hit = window.find(_OP, hit + 1)
-        if len(window) < _WINDOW_BYTES + _LOOK_BYTES:
-            return False
-        at += _WINDOW_BYTES - _BACK_BYTES
+    return at is not None
 
 
 def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
@@ -96,6 +107,30 @@ def _is_message(header: bytes) -> bool:
     except BagError:
         return False
     return True
+
+
+def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Iterator[int]:
+    """Yield where records of some kinds begin from byte `begin` to byte `end`."""
+    while begin < end:
+        source.seek(begin)
+        window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
+        hit = window.find(_OP)
+        while 0 <= hit < _WINDOW_BYTES:
+            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1):
+                if begin + start < end and _kind_at(window, start, (source.size or 0) - begin - start) in kinds:
+                    yield begin + start
+                    break
+            hit = window.find(_OP, hit + 1)
+        if len(window) < _WINDOW_BYTES + _LOOK_BYTES:
+            return
+        begin += _WINDOW_BYTES - _BACK_BYTES
+
+
+def _end_at(source: Source, at: int) -> int:
+    """Return where the record at a byte says that it ends."""
+    source.seek(at)
+    head = read_head(source, whole=False)
+    return source.position + head.size
 
 
 def _kind_at(window: bytes, at: int, left: int) -> int | None:
