@@ -15,7 +15,10 @@ from odomcorrupt.study.fitting.approach import Approach, choose_approach
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
 from odomcorrupt.study.fitting.intervals import coefficient_intervals
 from odomcorrupt.study.fitting.problem import pose_problem
+from odomcorrupt.study.likelihood.cut import cut_at
 from odomcorrupt.study.likelihood.law_pieces import LawPieces
+from odomcorrupt.study.likelihood.noise_task import NoiseTask
+from odomcorrupt.study.likelihood.selected_inverse import inverse_band
 from odomcorrupt.study.likelihood.whitener import dense_covariance, whitener
 from odomcorrupt.study.recordings.trajectory import Trajectory
 
@@ -94,3 +97,45 @@ def test_whitened_innovations_are_standard_normal_at_the_planted_model():
         squares.append(white.whiten(problem.nodes.residual) ** 2)
     all_squares = np.concatenate(squares)
     assert all_squares.mean() == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / len(all_squares)))
+
+
+@pytest.mark.parametrize("law", ["diffusion", "quadratic"])
+def test_the_slope_of_the_likelihood_is_its_difference(law):
+    problem = short_problem(3)
+    pieces = LawPieces(LAWS[law], problem.nodes, problem.steps)
+    task = NoiseTask(problem.nodes, pieces, np.ones((len(problem.nodes), 3, 1)), np.ones(len(problem.nodes)))
+    at = task.first_guess()
+    every = np.arange(len(at))
+    step = 1e-4 * np.eye(len(at))
+    measured = [
+        (task.evaluate(at + move).log_likelihood - task.evaluate(at - move).log_likelihood) / 2e-4 for move in step
+    ]
+    np.testing.assert_allclose(task.slope(task.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
+
+
+def test_the_band_of_the_inverse_is_that_of_the_whole_inverse():
+    problem = short_problem(4)
+    nodes = problem.nodes
+    q = nodes.covariance(LAWS["diffusion"], PLANTED, problem.steps)
+    truth = TruthNoise(0.004, 0.006, 0.002)
+    band = inverse_band(whitener(nodes, q, truth).factor)
+    whole = np.linalg.inv(dense_covariance(nodes, q, truth))
+    for node in range(len(nodes)):
+        # the rest of the band lies in no block of neighbours
+        for row, column in np.ndindex(6, 3):
+            i, j = 3 * node + row, 3 * node + column
+            if j <= i < len(whole):
+                assert band[i - j, j] == pytest.approx(whole[i, j], rel=1e-8, abs=1e-8 * np.abs(whole).max())
+
+
+def test_odometry_cut_at_nodes_keeps_every_sample_once_and_in_order():
+    steps = wander(5, 10.0)
+    run = recording(steps, noisy_path(steps, PLANTED, 5))
+    odo_s = run.odometry_s
+    for node_s in (odo_s[[3, 60, 61, 200]], np.array([0.005, 0.02, 0.031, 1.0, 7.7]), odo_s[[0, -1]]):
+        cut = cut_at(run.odometry, odo_s, node_s, run.origin_ns)
+        wanted = np.union1d(odo_s[(odo_s > node_s[0]) & (odo_s < node_s[-1])], node_s)
+        np.testing.assert_array_equal(cut.t_s, wanted)
+        np.testing.assert_array_equal(cut.t_s[cut.at_node], node_s)
+        np.testing.assert_array_equal(cut.source, np.searchsorted(odo_s, wanted, side="right") - 1)
+        np.testing.assert_allclose(cut.xyt, run.odometry.at(wanted, run.origin_ns), atol=1e-15)

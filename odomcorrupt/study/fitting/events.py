@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import binomtest
 
-from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.effect import parameters
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -75,5 +76,8 @@ def slip_bursts(fit: Fit) -> Effect | None:
     spacing = fit.problem.approach.spacing_s
     # a burst is shorter than the stretch it was found in: its slip there is spread over all of it
     duration = 0.5 * spacing
-    slip = float(np.clip(np.median(slips[slips > 0.0]) * spacing / duration, 0.01, 0.95))
-    return effect_from_values("slip_burst", {"rate": len(slips) / seconds, "slip": slip, "duration": duration})
+    slip = float(np.median(slips[slips > 0.0])) * spacing / duration
+    seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
+    # a stretch in which the truth stood still or went back asks for more than a burst can lose
+    bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
+    return effect_from_values("slip_burst", {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()})

@@ -103,8 +103,12 @@ def fit(
     leaders = clock_leaders(recordings)
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
+    before: Problem | None = None
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, approach=approach)
+        if before is not None and weights is not None:
+            weights = _carried(weights, before, problem)
+        before = problem
         columns = believed_columns(problem, free)
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
         noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights, headings=problem.headings)
@@ -132,6 +136,21 @@ def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] 
     if free.any():
         parts.append(problem.clock_columns()[:, :, free.ravel()])
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+
+
+def _carried(weights: Array, before: Problem, now: Problem) -> Array:
+    """Return the weights (K,) that nodes had on those of now: a clock that moves may win or lose one, or shift them."""
+    if np.array_equal(before.nodes.start_s, now.nodes.start_s):
+        return weights
+    carried = np.ones(len(now.nodes))
+    for r in range(len(now.recordings)):
+        old, new = np.flatnonzero(before.run == r), np.flatnonzero(now.run == r)
+        middle = (before.nodes.start_s[old] + before.nodes.end_s[old]) / 2.0
+        wanted = (now.nodes.start_s[new] + now.nodes.end_s[new]) / 2.0
+        right = np.clip(np.searchsorted(middle, wanted), 1, len(middle) - 1)
+        nearest = right - (wanted - middle[right - 1] < middle[right] - wanted)
+        carried[new] = weights[old[nearest]]
+    return carried
 
 
 def _led(free: Array, leaders: Sequence[int]) -> Array:

@@ -10,7 +10,7 @@ from scipy.linalg import cholesky
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.study.likelihood.noise_task import estimated
+from odomcorrupt.study.likelihood.noise_task import by_column, estimated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -55,7 +55,7 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
     if not random:
         return noise
     wider = widened(noise.whitener, problem, random)
-    return estimated(noise, wider, np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2))
+    return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:

@@ -16,6 +16,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.laws import variances
 from odomcorrupt.pose import between, rotate, wrap
+from odomcorrupt.study.likelihood.cut import cut_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,24 +100,32 @@ class Nodes:
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
         v = variances(law, k, steps)
-        total = np.zeros((len(self), 3, 3))
+        total = np.zeros((3, 3, len(self)))
         # a turn spread over the step swings its end as one made half-way
         for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
-            direction = np.concatenate((_quarter(lever), np.ones((len(lever), 1))), axis=1)
-            total += self._sum_outer(weight, direction)
+            if weight.any():
+                self._add_outer(total, weight, -lever[:, 1], lever[:, 0], turns=True)
         axis = self.axis
         if law.along_travel:
             axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
-        c, s, zero = axis[:, 0], axis[:, 1], np.zeros(len(axis))
-        total += self._sum_outer(v.trans, np.stack((c, s, zero), axis=1))
+        if v.trans.any():
+            self._add_outer(total, v.trans, axis[:, 0], axis[:, 1])
         if v.across.any():
-            total += self._sum_outer(v.across, np.stack((-s, c, zero), axis=1))
-        return total
+            self._add_outer(total, v.across, -axis[:, 1], axis[:, 0])
+        return np.ascontiguousarray(np.moveaxis(total, 2, 0))
 
-    def _sum_outer(self, weight: Array, direction: Array) -> Array:
+    def _add_outer(self, total: Array, weight: Array, x: Array, y: Array, *, turns: bool = False) -> None:
+        """Add to (3, 3, K) what noise of a variance (n0,) on each increment does along (x, y, 1 if it turns)."""
         w = weight[self.source] * self.share
-        outer = w[:, None, None] * direction[:, :, None] * direction[:, None, :]
-        return np.add.reduceat(outer, self.first, axis=0)
+        wx, wy = w * x, w * y
+        products = {(0, 0): wx * x, (0, 1): wx * y, (1, 1): wy * y}
+        if turns:
+            products |= {(0, 2): wx, (1, 2): wy, (2, 2): w}
+        for (i, j), product in products.items():
+            summed = np.add.reduceat(product, self.first)
+            total[i, j] += summed
+            if i != j:
+                total[j, i] += summed
 
 
 def lay_nodes(recording: Recording, spacing_s: float) -> Nodes:
@@ -147,28 +156,27 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     node_s, node_xyt = truth.seconds_since(origin_ns)[picked], truth.xyt[picked]
     if kept is None:
         kept = np.arange(len(picked) - 1)
-    # the odometry, cut at the nodes too
-    inner = odo_s[(odo_s > node_s[0]) & (odo_s < node_s[-1])]
-    all_s = np.union1d(inner, node_s)
-    all_xyt = odometry.at(all_s, origin_ns)
-    interval = np.searchsorted(node_s, all_s[:-1], side="right") - 1  # of the step that starts there
+    cut = cut_at(odometry, odo_s, node_s, origin_ns)
+    all_s, all_xyt, at_node = cut.t_s, cut.xyt, cut.at_node
+    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(at_node))  # of the step that starts there
     position = np.full(len(node_s), -1)
     position[kept] = np.arange(len(kept))
     used = np.flatnonzero(position[interval] >= 0)
     k = position[interval[used]]
-    at_node = np.searchsorted(all_s, node_s)
     end_xyt = all_xyt[at_node[kept + 1]]
-    source = np.clip(np.searchsorted(odo_s, all_s[used], side="right") - 1, 0, len(odo_s) - 2)
+    source = np.clip(cut.source[used], 0, len(odo_s) - 2)
     share = (all_s[used + 1] - all_s[used]) / (odo_s[source + 1] - odo_s[source])
-    middle = all_xyt[used]
-    middle = (
-        np.concatenate((middle[:, :2] + all_xyt[used + 1, :2], middle[:, 2:] + all_xyt[used + 1, 2:]), axis=1) / 2.0
-    )
+    start, end = all_xyt[used], all_xyt[used + 1]
     heading = end_xyt[k, 2]
+    c, s = np.cos(end_xyt[:, 2])[k], np.sin(end_xyt[:, 2])[k]
+    end_x, end_y = end_xyt[k, 0], end_xyt[k, 1]
 
-    def lever(p_xy: Array) -> Array:
-        return rotate(end_xyt[k, :2] - p_xy, -heading)
+    def lever(p_xyt: Array) -> Array:
+        x, y = end_x - p_xyt[:, 0], end_y - p_xyt[:, 1]
+        return np.stack((c * x + s * y, c * y - s * x), axis=1)
 
+    lever0, lever1 = lever(start), lever(end)
+    middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     return Nodes(
@@ -182,10 +190,10 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         first=np.searchsorted(k, np.arange(len(kept))),
         source=source,
         share=share,
-        axis=np.stack((np.cos(middle[:, 2] - heading), np.sin(middle[:, 2] - heading)), axis=1),
-        lever=lever(middle[:, :2]),
-        lever0=lever(all_xyt[used, :2]),
-        lever1=lever(all_xyt[used + 1, :2]),
+        axis=np.stack((np.cos(middle), np.sin(middle)), axis=1),
+        lever=(lever0 + lever1) / 2.0,
+        lever0=lever0,
+        lever1=lever1,
     )
 
 

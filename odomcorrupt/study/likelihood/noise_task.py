@@ -13,6 +13,7 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.study.likelihood.law_pieces import NAMES
+from odomcorrupt.study.likelihood.selected_inverse import inverse_band
 from odomcorrupt.study.likelihood.whitener import (
     BAND,
     Whitener,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.likelihood.law_pieces import LawPieces
     from odomcorrupt.study.likelihood.nodes import Nodes
 
-__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseTask", "estimated"]
+__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseTask", "by_column", "estimated"]
 
 LOWEST = 1e-5
 """A coefficient this small is none."""
@@ -75,11 +76,12 @@ class NoiseTask:
         if not pieces.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
         self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
-        self._stacked = np.concatenate((nodes.residual[:, :, None], columns), axis=2)
+        # whatever LAPACK is given lies in memory as it wants it: column by column, a band's column at a time
+        self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
         bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
-        self._bands = np.stack(bands).reshape(len(bands), -1)
-        self._floor = floor_band(len(nodes))
+        self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
+        self._floor = np.asfortranarray(floor_band(len(nodes)))
 
     def first_guess(self) -> Array:
         """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
@@ -114,7 +116,7 @@ class NoiseTask:
 
         def cost(x: Array) -> tuple[float, Array]:
             done = self.evaluate(np.clip(x * unit, low, high))
-            return -done.log_likelihood, -self._slope(done, movable) * unit
+            return -done.log_likelihood, -self.slope(done, movable) * unit
 
         found = minimize(
             cost,
@@ -142,17 +144,23 @@ class NoiseTask:
         other = self.climb(other)
         return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
 
-    def _slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are."""
-        left = np.ascontiguousarray(self._stacked[:, :, 0] - self._stacked[:, :, 1:] @ done.theta)
-        shares = self._shares(done.free)
-        band = self._band(shares)
+    def slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are.
+
+        With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), and dV lies in the band.
+        """
+        factor = done.whitener.factor
+        pull, _ = lapack.dtbtrs(factor, done.innovations, uplo="L", trans="T")
+        lever = -inverse_band(factor)
+        for below in range(BAND + 1):
+            count = len(pull) - below
+            lever[below, :count] += pull[below:] * pull[:count]
+        # what lies below the diagonal stands for what lies above it, too
+        lever[0] *= 0.5
+        by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
         slope = np.zeros(len(done.free))
         for i in movable:
-            moved = done.free.copy()
-            moved[i] += _STEP
-            white = factored(band + self._sum(self._shares(moved) - shares))
-            slope[i] = (white.log_likelihood(white.whiten(left)) - done.log_likelihood) / _STEP
+            slope[i] = by_band @ self._share_slope(done.free, i)
         return slope
 
     def _units(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
@@ -162,12 +170,9 @@ class NoiseTask:
         """
         white = done.whitener
         pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
-        shares = self._shares(done.free)
         units = np.ones(len(done.free))
         for i in movable:
-            moved = done.free.copy()
-            moved[i] += _STEP
-            change = self._sum((self._shares(moved) - shares) / _STEP)
+            change = self._sum(self._share_slope(done.free, i))
             push = white.whiten(blas.dsbmv(BAND, 1.0, change, pull.ravel(), lower=1).reshape(-1, 3))
             units[i] = 1.0 / np.sqrt(np.clip(0.5 * float(push @ push), 1.0, 1e8))
         return units
@@ -177,10 +182,18 @@ class NoiseTask:
         coefficients, truth = self._unpack(free)
         return np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
 
+    def _share_slope(self, free: Array, i: int) -> Array:
+        """Return by how much every band's weight changes with one number."""
+        more, less = free.copy(), free.copy()
+        more[i] += _STEP
+        less[i] -= _STEP
+        slope: Array = (self._shares(more) - self._shares(less)) / (2.0 * _STEP)
+        return slope
+
     def _sum(self, shares: Array) -> Array:
         """Return the bands that have a weight, weighed and summed."""
         used = np.flatnonzero(shares)
-        summed: Array = (shares[used] @ self._bands[used]).reshape(self._floor.shape)
+        summed: Array = (shares[used] @ self._bands[used]).reshape(self._floor.shape[::-1]).T
         return summed
 
     def _band(self, shares: Array) -> Array:
@@ -197,9 +210,14 @@ class NoiseTask:
         return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
 
 
+def by_column(columns: Array) -> Array:
+    """Return columns (K, 3, c) as (3 K, c), each of them dense in memory."""
+    return np.asfortranarray(columns.reshape(-1, columns.shape[2]))
+
+
 def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
-    """Return a fit with its linear part estimated anew; stacked (K, 3, 1 + m) is the residual and the columns."""
-    whitened = white.whiten(stacked)
+    """Return a fit with its linear part estimated anew; stacked (3 K, 1 + m) is the residual and the columns."""
+    whitened = white.whitened(stacked)
     r, b = whitened[:, 0], whitened[:, 1:]
     theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
     if b.shape[1]:

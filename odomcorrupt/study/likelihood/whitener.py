@@ -55,13 +55,17 @@ class Whitener:
 
     def whiten(self, columns: Array) -> Array:
         """Return L^-1 x for x of shape (K, 3) or (K, 3, c), as (3 K,) or (3 K, c): standardised innovations."""
-        flat = columns.reshape(self.factor.shape[1], -1)
+        solved = self.whitened(columns.reshape(self.factor.shape[1], -1))
+        return solved[:, 0] if columns.ndim == 2 else solved
+
+    def whitened(self, flat: Array) -> Array:
+        """Return L^-1 x for x of shape (3 K, c)."""
         solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
         if self.directions is not None and self.shrink is not None:
             solved = solved - self.directions @ ((1.0 - self.shrink)[:, None] * (self.directions.T @ solved))
-        white: Array = solved[:, 0] if columns.ndim == 2 else solved
+        white: Array = solved
         return white
 
     def log_likelihood(self, innovations: Array) -> float:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.stats import norm
 
+from odomcorrupt.pose import between
 from odomcorrupt.study.likelihood.nodes import intervals, pick_nodes
 from odomcorrupt.study.likelihood.whitener import interval_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from numpy.typing import NDArray
 
     from odomcorrupt.increments import Increments
     from odomcorrupt.model import Noise, TruthNoise
@@ -30,10 +33,22 @@ def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float 
 
     phase : which part of a window to leave out at the start
     """
+    ends = _time_ends(recording, length_s, phase)
+    return intervals(recording, ends.picked, ends.kept)
+
+
+class _Ends(NamedTuple):
+    """Truth samples where windows begin and end, and which of the intervals between them are wanted."""
+
+    picked: NDArray[np.int64]
+    kept: NDArray[np.int64]
+
+
+def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
     length = np.diff(truth_s[picked])
-    return intervals(recording, picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
+    return _Ends(picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
 
 
 def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Nodes:
@@ -59,9 +74,21 @@ def rmse(windows: Nodes) -> float:
 
 def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
     """Return the root mean square position error (m) over windows at five phases: steadier than one cut of the run."""
-    parts = [time_windows(recording, length_s, phase) for recording in recordings for phase in np.arange(5) / 5.0]
-    square = np.array([rmse(part) ** 2 * len(part) for part in parts if len(part)])
-    return float(np.sqrt(square.sum() / sum(len(part) for part in parts))) if len(square) else float("nan")
+    misses = [_misses(recording, length_s, phase) for recording in recordings for phase in np.arange(5) / 5.0]
+    miss = np.concatenate([np.zeros((0, 2)), *misses])
+    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+
+
+def _misses(recording: Recording, length_s: float, phase: float) -> Array:
+    """Return how far odometry ends from the truth (n, 2) in `time_windows`, m; what happens on the way is not asked."""
+    ends = _time_ends(recording, length_s, phase)
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    picked = ends.picked
+    odometry_xyt, truth_xyt = recording.odometry.at(truth_s[picked], recording.origin_ns), recording.truth.xyt[picked]
+    first, last = ends.kept, ends.kept + 1
+    went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
+    miss: Array = went[:, :2]
+    return miss
 
 
 @dataclass(frozen=True, slots=True)
