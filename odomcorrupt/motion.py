@@ -55,17 +55,20 @@ def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     first, last = np.minimum(first, here - 1), np.maximum(last, here + 1)
     count = (last - first).astype(np.float64)
     centred = t_s - t_s.mean()
-    origin = values.mean(axis=0)
+    running = np.zeros(len(t_s) + 1)
 
     def window_sum(x: Array) -> Array:
-        total = np.concatenate((np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)))
-        summed: Array = total[last] - total[first]
+        np.cumsum(x, out=running[1:])
+        summed: Array = running[last] - running[first]
         return summed
 
     st, stt = window_sum(centred), window_sum(centred**2)
-    sv, stv = window_sum(values - origin), window_sum((values - origin) * centred[:, None])
-    spread = np.maximum(stt - st**2 / count, 1e-12)
-    slope: Array = (stv - sv * (st / count)[:, None]) / spread[:, None]
+    spread, middle = np.maximum(stt - st**2 / count, 1e-12), st / count
+    slope = np.empty((len(at_s), values.shape[1]))
+    # one channel after the other: sums run through dense memory
+    for i, origin in enumerate(values.mean(axis=0)):
+        x = values[:, i] - origin
+        slope[:, i] = (window_sum(x * centred) - window_sum(x) * middle) / spread
     return slope
 
 

@@ -35,20 +35,23 @@ _TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
 """What effects read of the true motion; speeds they read of the odometry's."""
 
 
-def undo(recording: Recording, effects: Sequence[Effect]) -> Recording:
+def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None = None) -> Recording:
     """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
 
     Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
-    from the smooth motion and from the recorded truth, which is at hand here.
+    from the smooth motion of the odometry (`seen`, where it is known already) and from the recorded truth, which is at
+    hand here.
     """
     if not effects:
         return recording
-    raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     left = recording
+    reading = any(effect.reads_truth for effect in effects)
     # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
-    for _ in range(2 if any(effect.reads_truth for effect in effects) else 1):
-        smooth = driving_motion(left, "odometry")
-        motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
+    for again in range(2 if reading else 1):
+        if reading:
+            smooth = seen = driving_motion(left, "odometry", place=seen) if again or seen is None else seen
+            motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
         steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
         more = np.zeros((len(motion), 3))
         for effect in effects:
@@ -119,7 +122,9 @@ def pose_problem(
     """Take effects and clocks out of recordings and lay nodes over what is left."""
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
-    left = [undo(recording, effects) for recording in on_time]
+    seen = [driving_motion(recording, approach.side) for recording in on_time]
+    own = seen if approach.side == "odometry" else [None] * len(seen)
+    left = [undo(recording, effects, seen=motion) for recording, motion in zip(on_time, own, strict=True)]
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     return Problem(
         recordings=tuple(recordings),
@@ -128,16 +133,17 @@ def pose_problem(
         approach=approach,
         nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
         run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
-        motions=tuple(_seen(was, now, approach.side) for was, now in zip(on_time, left, strict=True)),
+        motions=tuple(
+            _seen(motion, now, approach.side) if effects else motion for motion, now in zip(seen, left, strict=True)
+        ),
     )
 
 
-def _seen(was: Recording, now: Recording, side: Side) -> Motion:
+def _seen(was: Motion, now: Recording, side: Side) -> Motion:
     """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
-    motion = driving_motion(was, side)
-    if now is was or side == "truth":
-        return motion
-    return replace(motion, acceleration=driving_motion(now, side).acceleration)
+    if side == "truth":
+        return was
+    return replace(was, acceleration=driving_motion(now, side, place=was).acceleration)
 
 
 def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:

@@ -38,21 +38,25 @@ _SHARED, _PLAINLY = 0.7, 3.0
 """Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
 
 
-def driving_motion(recording: Recording, side: Side) -> Motion:
+def driving_motion(recording: Recording, side: Side, *, place: Motion | None = None) -> Motion:
     """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side.
 
-    It is for regressors and noise laws alone: it cannot be composed exactly.
+    It is for regressors and noise laws alone: it cannot be composed exactly. Where a motion over the same stamps is
+    known already, its poses, which are the truth's, are taken over as `place`.
     """
     driver = recording.odometry if side == "odometry" else recording.truth
     t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
     width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
     middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
     world = slopes(own, driver.xyt, middle, width_s)
-    heading = driver.at(np.clip(middle, own[0], own[-1]), recording.origin_ns)[:, 2]
+    heading = driver.heading_at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
     twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
-    # slopes and regions lie in the world: where the robot is, is the truth's to say
-    truth_s = recording.truth.seconds_since(recording.origin_ns)
-    pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns)
+    if place is None:
+        # slopes and regions lie in the world: where the robot is, is the truth's to say
+        truth_s = recording.truth.seconds_since(recording.origin_ns)
+        pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns).T
+    else:
+        pose = np.stack((place.x, place.y, place.theta))
     return Motion(
         t_s=t_s[1:],
         dt_s=dt,
@@ -60,9 +64,9 @@ def driving_motion(recording: Recording, side: Side) -> Motion:
         vy=twist[:, 1],
         omega=twist[:, 2],
         acceleration=slopes(middle, twist, middle, width_s),
-        x=pose[:, 0],
-        y=pose[:, 1],
-        theta=pose[:, 2],
+        x=pose[0],
+        y=pose[1],
+        theta=pose[2],
         distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * dt),
         track_m=recording.track_m,
     )

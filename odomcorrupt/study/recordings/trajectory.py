@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.pose import interpolate
+from odomcorrupt.pose import interpolate, wrap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,10 +44,20 @@ class Trajectory:
 
     def at(self, t_s: Array, origin_ns: int) -> Array:
         """Return poses (m, 3) at times within the trajectory, on arcs between neighbours."""
+        left, fraction = self._place(t_s, origin_ns)
+        return interpolate(self.xyt[left], self.xyt[left + 1], fraction)
+
+    def heading_at(self, t_s: Array, origin_ns: int) -> Array:
+        """Return the headings (m,) of `at`, alone: they cost a tenth."""
+        left, fraction = self._place(t_s, origin_ns)
+        heading = self.xyt[:, 2]
+        return heading[left] + fraction * wrap(heading[left + 1] - heading[left])
+
+    def _place(self, t_s: Array, origin_ns: int) -> tuple[NDArray[np.int64], Array]:
+        """Return the poses (m,) that times come after, and the parts of the way to the next ones."""
         own = self.seconds_since(origin_ns)
         left = np.clip(np.searchsorted(own, t_s, side="right") - 1, 0, len(own) - 2)
-        fraction = (t_s - own[left]) / (own[left + 1] - own[left])
-        return interpolate(self.xyt[left], self.xyt[left + 1], fraction)
+        return left, (t_s - own[left]) / (own[left + 1] - own[left])
 
 
 @dataclass(frozen=True, slots=True)
