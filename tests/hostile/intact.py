@@ -1,4 +1,4 @@
-"""What damage left alone: how many messages lie in chunks of which no byte was touched."""
+"""What damage left alone: how many messages lie in chunks, or by themselves, of which no byte was touched."""
 
 from __future__ import annotations
 
@@ -23,10 +23,13 @@ class ChunkCount(NamedTuple):
 
 @cache
 def chunk_counts(path: Path) -> list[ChunkCount]:
-    """Return the chunks of an undamaged file; none where it has none."""
+    """Return the chunks of an undamaged file; of an MCAP without them its messages; none of other files."""
     data = path.read_bytes()
     if data.startswith(b"\x89MCAP"):
-        places = [(begin, end) for opcode, begin, end in mcap_records(data) if opcode == 6]
+        records = mcap_records(data)
+        places = [(begin, end) for opcode, begin, end in records if opcode == 6]
+        if not places:
+            return [ChunkCount(begin, end, 1) for opcode, begin, end in records if opcode == 5]
     elif data.startswith(b"#ROSBAG"):
         places = [(begin, end) for begin, middle, end in ros1_records(data) if b"op=\x05" in data[begin:middle]]
     else:

@@ -190,7 +190,7 @@ class McapReader:
         """Read what follows the data section's end; tell whether that is all, or go to data that stands behind it."""
         source.read(length, what)
         private: list[bytes] = []
-        begin = source.position
+        end = source.position
         try:
             while opcode != FOOTER:
                 if source.sniff(len(MAGIC)) == MAGIC:
@@ -208,7 +208,7 @@ class McapReader:
         except BagError as error:
             self._lose(error)
             # An end that is none: there may be data behind it.
-            if next_record(source, begin):
+            if next_record(source, end - 1, _DATA):
                 return False
         self.summary.private = private
         return True

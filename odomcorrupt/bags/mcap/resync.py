@@ -13,16 +13,21 @@ from odomcorrupt.bags.mcap.chunk import CODECS, Chunk, read_chunk
 from odomcorrupt.bags.mcap.contents import read_contents
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
+    ATTACHMENT_INDEX,
     CHANNEL,
     CHUNK,
+    CHUNK_INDEX,
     DATA_END,
     FOOTER,
     MESSAGE,
     MESSAGE_HEADER_BYTES,
     MESSAGE_INDEX,
     METADATA,
+    METADATA_INDEX,
     RECORD_HEADER_BYTES,
     SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
 )
 from odomcorrupt.errors import BagError
 
@@ -37,7 +42,8 @@ __all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_behin
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
-_LONGEST_CHUNK_HEAD = 64
+_FARTHEST = 10
+"""How many records are looked at to believe one."""
 _ADDED_BYTES = 32
 """Fields that later versions may append to a record; no other record has room in them."""
 _SHORTEST_MESSAGE = 22
@@ -50,17 +56,23 @@ _FIELDS = {
 }
 """Of a record's content: the bytes before fields with a length of their own, the widths of these, the bytes behind."""
 _EXACT = {DATA_END: 4, FOOTER: 20}
-_STRONG = (CHUNK, DATA_END)
-"""Records whose first bytes alone tell that they are no accident."""
 _BETWEEN_CHUNKS = (CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 """Records that never stand in a chunk, and whose length their fields repeat."""
-_EVERYTHING = range(2, 0x100)
+_EVERYTHING = range(FOOTER, DATA_END + 1)
+_SUMMARY = (SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET)
 _PRIVATE = 0x80
 
 
 def stands_here(source: Source) -> bool:
     """Tell whether the next bytes of a file can be a record of the data section, or its end."""
-    return _believable(source.sniff(_LOOK_BYTES), 0, _left(source))
+    head, here = source.sniff(_LOOK_BYTES), source.position
+    if not _believable(head, 0, _left(source)):
+        return False
+    if head[0] < _PRIVATE:
+        return True
+    chained = _chained(source, here)
+    source.seek(here)
+    return chained
 
 
 def stands_behind(source: Source, begin: int) -> bool:
@@ -80,15 +92,15 @@ def stands_behind(source: Source, begin: int) -> bool:
     return not another
 
 
-def next_record(source: Source, begin: int) -> bool:
+def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING) -> bool:
     """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one.
 
     In the bytes of a chunk messages are not looked for: they have no checksum of their own.
     """
     source.seek(begin)
-    inside_chunk = source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source)
-    found = _found(source, begin + 1, source.size or 0, _BETWEEN_CHUNKS if inside_chunk else _EVERYTHING)
-    at, _ = next(found, (0, 0))
+    if source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source):
+        kinds = _BETWEEN_CHUNKS
+    at, _ = next(_found(source, begin + 1, source.size or 0, kinds), (0, 0))
     if at:
         source.seek(at)
     return bool(at)
@@ -158,10 +170,30 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
             return
         # lengths are less than 2^40, so three of their bytes are zero
         quiet = (data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
-        for at in np.flatnonzero(quiet & (data[:count] > 1)).tolist():
-            if window[at] in kinds and _believable(window, at, left - at) and _chained(window, at, left - at):
+        for at in np.flatnonzero(quiet & (data[:count] > 1) & (data[:count] <= DATA_END)).tolist():
+            if window[at] in kinds and _believable(window, at, left - at) and _chained(source, begin + at):
                 yield begin + at, begin + at + RECORD_HEADER_BYTES + int.from_bytes(window[at + 1 : at + 9], "little")
         begin += _WINDOW_BYTES
+
+
+def _chained(source: Source, at: int) -> bool:
+    """Tell whether two more records follow one at byte `at` that is not known by itself; the source's place is lost."""
+    seen, ended = 0, False
+    for _ in range(_FARTHEST):
+        source.seek(at)
+        head, left = source.sniff(_LOOK_BYTES), _left(source)
+        if left < RECORD_HEADER_BYTES:
+            return True
+        opcode, length = struct.unpack_from("<BQ", head)
+        if not (_believable(head, 0, left) or (ended and opcode in _SUMMARY and length < left)):
+            return False
+        # Zeros behind a number are often taken for a private record: it proves nothing.
+        seen += opcode < _PRIVATE
+        if opcode == CHUNK or seen > 2:
+            return True
+        ended = ended or opcode == DATA_END
+        at += RECORD_HEADER_BYTES + length
+    return False
 
 
 def _believable(window: bytes, at: int, left: int) -> bool:
@@ -201,16 +233,3 @@ def _is_chunk(head: bytes, length: int) -> bool:
     (packed,) = struct.unpack_from("<Q", head, 32 + name_length)
     name = head[32 : 32 + name_length].decode(errors="replace")
     return bool(length == 40 + name_length + packed) and (name or "none") in CODECS
-
-
-def _chained(window: bytes, at: int, left: int) -> bool:
-    """Tell whether two more records follow one that is not known by itself, as far as can be seen."""
-    for _ in range(2):
-        opcode, length = struct.unpack_from("<BQ", window, at)
-        step = RECORD_HEADER_BYTES + length
-        if opcode in _STRONG or step == left or at + step + _LONGEST_CHUNK_HEAD > len(window):
-            return True
-        at, left = at + step, left - step
-        if not _believable(window, at, left):
-            return False
-    return True
