@@ -69,6 +69,27 @@ def test_twists_in_the_odom_frame_zero_twists_and_wrong_ones_are_noticed():
         assert any(sentence in said for said in odom["oddities"])
 
 
+@pytest.mark.parametrize(
+    ("broken", "said"),
+    [(1e300, "do not fit"), (-1e300, "do not fit"), (np.inf, "1 twists are not"), (np.nan, "1 twists are not")],
+)
+def test_a_damaged_twist_is_told_of_and_overflows_nothing(broken, said):
+    t, poses = DRIVE
+    made = twists(t, poses)
+    made[100] = broken
+    (odom,) = look([(ODOM, int(s), odometry(s, p, w)) for s, p, w in zip(t, poses, made, strict=True)])["odometry"]
+    (sentence,) = [sentence for sentence in odom["oddities"] if "twists" in sentence]
+    assert said in sentence
+
+
+def test_one_twist_that_is_no_number_does_not_hide_that_the_others_do_not_fit():
+    t, poses = DRIVE
+    made = twists(t, poses) * 3
+    made[100, 2] = np.nan
+    (odom,) = look([(ODOM, int(s), odometry(s, p, w)) for s, p, w in zip(t, poses, made, strict=True)])["odometry"]
+    assert sum("twists" in sentence for sentence in odom["oddities"]) == 2
+
+
 def test_restarts_swaps_jumps_zero_stamps_and_broken_poses_are_counted():
     t, poses = DRIVE
     poses = poses.copy()
