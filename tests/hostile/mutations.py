@@ -164,6 +164,19 @@ def ros1_records(data: bytes) -> list[tuple[int, int, int]]:
     return found
 
 
+def ros1_headers(data: bytes) -> list[bytes]:
+    """Return the headers of the records of a ROS 1 bag's chunks."""
+    found = []
+    for begin, middle, end in ros1_records(data):
+        header = data[begin + 4 : middle]
+        if b"op=\x05" in header:
+            codec = header.partition(b"compression=")[2][:3]
+            unpack = {b"bz2": bz2.decompress, b"lz4": lz4.frame.decompress}.get(codec, bytes)
+            inner = _ROS1 + unpack(data[middle + 4 : end])
+            found += [inner[at + 4 : after] for at, after, _ in ros1_records(inner)]
+    return found
+
+
 def _ros1_structure(data: bytes, other: bytes, rng: Rng, way: str) -> bytes:
     places = ros1_records(data)
     if way == "swap":

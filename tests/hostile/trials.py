@@ -18,6 +18,9 @@ from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from mcap.reader import NonSeekingReader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mutations import ros1_headers
 from rosbags.rosbag1 import Reader as Ros1LibraryReader
 
 from odomcorrupt.bags.messages import READABLE, locate
@@ -97,6 +100,19 @@ def _library_count(path: Path) -> int:
             return sum(1 for _ in reader.messages())
     with closing(sqlite3.connect(f"file:{path}?immutable=1", uri=True)) as connection:
         return len(connection.execute("SELECT data FROM messages").fetchall())
+
+
+def walked_count(path: Path) -> int | None:
+    """Count the messages of well-formed chunks without a look at indexes and the checksum of all; None for sqlite3."""
+    data = path.read_bytes()
+    try:
+        with guarded():
+            if data.startswith(b"\x89MCAP"):
+                records = StreamReader(io.BytesIO(data), validate_crcs=False).records
+                return sum(isinstance(record, Message) for record in records)
+            return sum(b"op=\x02" in header for header in ros1_headers(data))
+    except (Exception, FoundError):  # noqa: BLE001 - as above
+        return None
 
 
 def read_through(path: Path, recover: bool) -> tuple[int, list[str]]:  # noqa: FBT001 - passed on by `judged`
@@ -253,6 +269,9 @@ class BagTrial:
         if got == count:
             return
         seen = library_count(place)
+        if seen is None and got > count:
+            # others may refuse a bag for an index or a checksum that tell of fewer messages: no loss
+            seen = sum(walked_count(part) or 0 for part in sorted(place.iterdir() if place.is_dir() else [place]))
         if seen is None or seen != got:
             raise FoundError(f"{got} messages of {count} after {way}; others see {seen}")
 
