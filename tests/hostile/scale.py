@@ -76,7 +76,7 @@ def measured(source: Path, target: Path, *, pipe: bool = False) -> tuple[int, fl
     said = subprocess.run(words, stderr=subprocess.PIPE, check=False).stderr.decode()
     code, cpu, memory = noted.read_text().split()
     if int(code):
-        print(f"  {said.strip()}")
+        print(f"  {said.strip()}", file=sys.stderr)
     return int(code), time.monotonic() - begun, float(cpu), int(memory) * 1.024e-3
 
 
@@ -124,10 +124,10 @@ def main() -> None:
         with tempfile.TemporaryDirectory(dir=given.room) as room:
             source, target = Path(room) / f"in{suffix}", Path(room) / f"out{suffix}"
             write(source)
-            ways = (False, True) if name.endswith("MCAP") else (False,)
+            ways = (False, True) if "odometry" in name else (False,)
             for pipe in ways:
                 code, wall, cpu, memory = measured(source, target, pipe=pipe)
-                out = right(source, target) if target.exists() else "none"
+                out = "none" if code else right(source, target)
                 size = source.stat().st_size / 1e6
                 said = f"{name}{', pipe' if pipe else ''}"
                 print(f"| {said} | {size:.3g} | {code} | {wall:.1f} | {cpu:.1f} | {memory:.0f} | {out} |", flush=True)
