@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections import Counter
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
@@ -73,7 +72,7 @@ class Index:
 
     def count(self, table: NDArray[np.void]) -> None:
         """Count messages."""
-        for channel, count in Counter(table["channel"].tolist()).items():
+        for channel, count in zip(*map(np.ndarray.tolist, np.unique_counts(table["channel"])), strict=True):
             self.counts[channel] = self.counts.get(channel, 0) + count
         if table.size:
             start_ns, end_ns = span_ns(table)

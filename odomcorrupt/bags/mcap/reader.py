@@ -152,7 +152,10 @@ class McapReader:
                     yield from _alone(source, opcode, length, what)
             except BagError as error:
                 self._lose(error)
-                source.skip_to(begin + RECORD_HEADER_BYTES + length)
+                if not (
+                    source.skip_to(begin + RECORD_HEADER_BYTES + length) and stands_behind(source, begin, failed=True)
+                ):
+                    next_record(source, begin)
         if pending:
             yield from self._finished(pending)
 

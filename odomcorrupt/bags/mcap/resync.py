@@ -75,35 +75,49 @@ def stands_here(source: Source) -> bool:
     return chained
 
 
-def stands_behind(source: Source, begin: int) -> bool:
+def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
     """Tell whether the next bytes can be the record behind the one that begins at byte `begin`.
 
-    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too.
+    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too, or to the
+    end of one.
+
+    failed : whether that one could not be read
     """
     if not stands_here(source):
         return False
     here = source.position
-    if source.sniff(1)[0] in _BETWEEN_CHUNKS:
+    if not failed and source.sniff(1)[0] in _BETWEEN_CHUNKS:
         return True
     source.seek(begin)
-    claimed = source.sniff(1)[0] == CHUNK
-    another = claimed and any(end > here for _, end in _found(source, begin + 1, here, (CHUNK,)))
+    claimed = source.sniff(1)[:1] == bytes([CHUNK])
+    swallowed = claimed and any(_leads_to(source, at, here) for at, _ in _found(source, begin + 1, here, (CHUNK,)))
     source.seek(here)
-    return not another
+    return not swallowed
+
+
+def _leads_to(source: Source, at: int, here: int) -> bool:
+    """Tell whether records follow each other from byte `at` up to byte `here`, or over it."""
+    while at < here:
+        source.seek(at)
+        head = source.sniff(_LOOK_BYTES)
+        if not _believable(head, 0, _left(source)):
+            return False
+        at += RECORD_HEADER_BYTES + int.from_bytes(head[1:RECORD_HEADER_BYTES], "little")
+    return True
 
 
 def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING) -> bool:
-    """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one.
+    """Go to the first record behind byte `begin`, which led astray, or to the end; tell whether there is one.
 
     In the bytes of a chunk messages are not looked for: they have no checksum of their own.
     """
     source.seek(begin)
     if source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source):
         kinds = _BETWEEN_CHUNKS
-    at, _ = next(_found(source, begin + 1, source.size or 0, kinds), (0, 0))
-    if at:
-        source.seek(at)
-    return bool(at)
+    size = source.size or 0
+    at, _ = next(_found(source, begin + 1, size, kinds), (size, size))
+    source.seek(at)
+    return at < size
 
 
 def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chunk, str]:

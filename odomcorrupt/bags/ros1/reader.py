@@ -153,7 +153,7 @@ class Ros1Reader:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
                 self._lose(error)
-                if not (source.skip_to(end) and stands_behind(source, begin)):
+                if not (source.skip_to(end) and stands_behind(source, begin, failed=True)):
                     next_record(source, begin)
         if chunk:
             yield from self._finished(chunk)

@@ -33,36 +33,48 @@ _KINDS = (MESSAGE, INDEX, CHUNK, CHUNK_INFO, CONNECTION)
 
 def stands_here(source: Source) -> bool:
     """Tell whether the next bytes of a file can be a record."""
-    return _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - source.position) is not None
+    return _here(source) is not None
 
 
-def stands_behind(source: Source, begin: int) -> bool:
+def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
     """Tell whether the next bytes can be the record behind the one that begins at byte `begin`, or the file's end.
 
-    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too.
+    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too, or to the
+    end of one.
+
+    failed : whether that one could not be read
     """
     here = source.position
     if source.at_end():
         return True
-    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - here)
-    if kind not in _IN_CHUNKS:
+    kind = _here(source)
+    if kind is None or (kind not in _IN_CHUNKS and not failed):
         return kind is not None
     source.seek(begin)
-    claimed = _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - begin) == CHUNK
-    another = claimed and any(_end_at(source, at) > here for at in _found(source, begin + 1, here, (CHUNK,)))
+    claimed = _here(source) == CHUNK
+    swallowed = claimed and any(_leads_to(source, at, here) for at in _found(source, begin + 1, here, (CHUNK,)))
     source.seek(here)
-    return not another
+    return not swallowed
+
+
+def _leads_to(source: Source, at: int, here: int) -> bool:
+    """Tell whether records follow each other from byte `at` up to byte `here`, or over it."""
+    while at < here:
+        source.seek(at)
+        if _here(source) is None:
+            return False
+        head = read_head(source, whole=False)
+        at = source.position + head.size
+    return True
 
 
 def next_record(source: Source, begin: int) -> bool:
-    """Go to the first record behind byte `begin`, itself a record that led astray; return whether there is one."""
+    """Go to the first record behind byte `begin`, which led astray, or to the end; tell whether there is one."""
     size = source.size or 0
     source.seek(begin)
-    kind = _kind_at(source.sniff(_LOOK_BYTES), 0, size - begin)
-    at = next(_found(source, begin + 1, size, _STRONG if kind == CHUNK else _KINDS), None)
-    if at is not None:
-        source.seek(at)
-    return at is not None
+    at = next(_found(source, begin + 1, size, _STRONG if _here(source) == CHUNK else _KINDS), size)
+    source.seek(at)
+    return at < size
 
 
 def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
@@ -126,11 +138,8 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
         begin += _WINDOW_BYTES - _BACK_BYTES
 
 
-def _end_at(source: Source, at: int) -> int:
-    """Return where the record at a byte says that it ends."""
-    source.seek(at)
-    head = read_head(source, whole=False)
-    return source.position + head.size
+def _here(source: Source) -> int | None:
+    return _kind_at(source.sniff(_LOOK_BYTES), 0, (source.size or 0) - source.position)
 
 
 def _kind_at(window: bytes, at: int, left: int) -> int | None:
