@@ -84,7 +84,8 @@ def command(
     random = [gain.effect for gain in learned.noise]
     robot = fit_robot(runs, (*learned.fit.effects, *random), law_name="diffusion", clocks=learned.clocks)
     ladder = {"without effects": base.model}
-    names = [*learned.added, *(effect.name for effect in random)]
+    laws = [f"{one.channel} over {one.driver}" for one in learned.laws]
+    names = [*learned.added, *laws, *(effect.name for effect in random)]
     if names:
         ladder["with " + ", ".join(names)] = robot.model
     comparison = compare(judges, ladder)

@@ -7,6 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.report.found import dependence
 from odomcorrupt.report.sentences import size
 from odomcorrupt.report.tables import clock_lines, value_text
 from odomcorrupt.study.search.confidence import confidence, evidence_of
@@ -33,7 +34,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
     found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
     found += [_effect(look, learned, *own[look.added], ladder) for look in learned.rounds if look.added in own]
     found += [_noise(gain) for gain in learned.noise]
-    found += [_unknown(unknown) for unknown in learned.unknown[:3]]
+    found += [_unknown(unknown, believed=unknown in learned.laws) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
 
@@ -79,8 +80,8 @@ def _noise(gain: RandomGain) -> str:
     return _card("noise", gain.effect.name + channel, [*values, f"<p>noise: {escape(gain.effect.summary)}</p>"])
 
 
-def _unknown(unknown: Unknown) -> str:
-    driver = unknown.driver.replace("_", " ")
-    what = f"the {unknown.channel} error depends on {driver} ({unknown.nats:.0f} nats), and no known effect explains it"
-    lines = [f"<p>{escape(what)}; to try:</p>", f"<p><code>{escape(unknown.expression)}</code></p>"]
+def _unknown(unknown: Unknown, *, believed: bool) -> str:
+    what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    then = "the model has" if believed else "to try"
+    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(unknown.expression)}</code></p>"]
     return _card("unknown", "unknown", lines)

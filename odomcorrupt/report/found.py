@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.search.learn import Learned
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["NOTHING", "found_text", "position_error", "shares_text"]
+__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text"]
 
 NOTHING = "nothing is missing: no known effect would explain more than chance does"
 
@@ -38,17 +38,25 @@ def found_text(learned: Learned, advice: Advice) -> str:
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
         lines.append(f"noise: {gain.effect.name}{channel}, {values}: {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
-        lines += _unknown_lines(unknown)
+        lines += _unknown_lines(unknown, believed=unknown in learned.laws)
     if not lines:
         lines = [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
 
 
-def _unknown_lines(unknown: Unknown) -> list[str]:
+def _unknown_lines(unknown: Unknown, *, believed: bool) -> list[str]:
+    finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    return [finding, f"  {'the model has' if believed else 'to try'}: {unknown.expression}"]
+
+
+def dependence(unknown: Unknown) -> str:
+    """Return on what an error depends, as a clause."""
     driver = unknown.driver.replace("_", " ")
-    finding = f"unknown: the {unknown.channel} error depends on {driver} ({unknown.nats:.0f} nats)"
-    return [f"{finding}, and no known effect explains it", f"  to try: {unknown.expression}"]
+    if unknown.wavelength_m is not None:
+        return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
+    per = " per radian turned" if unknown.per == "rad" else ""
+    return f"the {unknown.channel} error{per} depends on {driver}"
 
 
 def shares_text(ladder: Sequence[Judgement]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from odomcorrupt.report.advice import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.candidates_picture import draw_candidates
 from odomcorrupt.report.cards import cards
-from odomcorrupt.report.found import NOTHING
+from odomcorrupt.report.found import NOTHING, dependence
 from odomcorrupt.report.html import ladder_table
 from odomcorrupt.report.ladder import draw_errors
 from odomcorrupt.report.page import page, picture, table
@@ -93,17 +93,14 @@ def _verdict(learned: Learned) -> str:
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
-        first = learned.unknown[0]
-        parts.append(
-            f"the {first.channel} error depends on {first.driver.replace('_', ' ')}, and no known effect does that"
-        )
+        parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
     text = "; ".join(parts) or NOTHING
     return text[0].upper() + text[1:]
 
 
 def _next(story: Story) -> str:
     items = [*advice_sentences(story.advice)]
-    items += [f"to try: {u.expression}" for u in story.learned.unknown[:3]]
+    items += [f"to try: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{_items(items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"

@@ -37,9 +37,9 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found = [*_clocks_found(learned)]
-    steps = [look for look in learned.rounds if look.added is not None]
+    steps = [look for look in learned.rounds if look.step is not None]
     for place, look in enumerate(steps):
-        if look.added in own:
+        if look.added is not None and look.added in own:
             effect, spread = own[look.added]
             sure = confidence(evidence_of(look, learned))
             held_out = _held_out(ladder[place], ladder[place + 1])
@@ -50,7 +50,7 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
         "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
         "found": found,
         "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
-        "unknown": [_unknown(u) for u in learned.unknown],
+        "unknown": [_unknown(u, believed=u in learned.laws) for u in learned.unknown],
         "not_testable": [
             {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
             for one in advice.untestable
@@ -131,7 +131,7 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     }
 
 
-def _unknown(unknown: Unknown) -> dict[str, Any]:
+def _unknown(unknown: Unknown, *, believed: bool) -> dict[str, Any]:
     return {
         "channel": unknown.channel,
         "depends_on": unknown.driver,
@@ -141,8 +141,11 @@ def _unknown(unknown: Unknown) -> dict[str, Any]:
             "standard_error": [_number(v) for v in unknown.curve_error],
             "p": _number(unknown.p),
             "nats": _number(unknown.nats),
+            "per": unknown.per,
+            "wavelength_m": unknown.wavelength_m,
         },
         "expression": unknown.expression,
+        "in_model": believed,
     }
 
 

@@ -42,7 +42,8 @@ def draw_unknown(unknown: Sequence[Unknown]) -> Figure:
 
 
 def _drawn(axes: Axes, one: Unknown) -> None:
-    scale, unit = (float(np.degrees(1.0)), "deg per m") if one.channel == "yaw" else (1e3, "mm per m")
+    per = f"per {one.per}"
+    scale, unit = (float(np.degrees(1.0)), f"deg {per}") if one.channel == "yaw" else (1e3, f"mm {per}")
     if one.driver == "position":
         _places(axes, one, scale, unit)
         return
@@ -55,6 +56,8 @@ def _drawn(axes: Axes, one: Unknown) -> None:
         label = "heading (deg)"
     else:
         label, factor = _UNITS.get(one.driver, (one.driver, 1.0))
+        if one.wavelength_m is not None:
+            label = "path driven, within a turn of the wheel (m)"
         x, curve, error = one.centres * factor, one.curve, one.curve_error
     _band(axes, x, scale * curve, scale * error)
     axes.set(xlabel=label, ylabel=f"truth minus odometry ({unit})")

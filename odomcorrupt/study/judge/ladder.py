@@ -23,7 +23,7 @@ def ladder_comparison(learned: Learned, recordings: Sequence[Recording], first: 
     recordings : what to judge on; those of the search are cut in halves, one fitted and the other judged
     first : what the model is called that the search began with
     """
-    steps = [look for look in learned.rounds if look.added is not None]
+    steps = [look for look in learned.rounds if look.step is not None]
     fits = [*(look.before for look in steps), learned.fit]
-    names = [first, *(f"+ {look.added}" for look in steps)]
+    names = [first, *(f"+ {look.step}" for look in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

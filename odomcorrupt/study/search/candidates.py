@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["Candidate", "library", "next_effect"]
+__all__ = ["HARM", "Candidate", "library", "next_effect"]
 
 LEVEL = 0.01
 """Probability of naming any effect on data without one."""
@@ -33,7 +33,7 @@ _SHORTLIST = 4
 _WORTH_A_REFIT = 0.25
 """Part of the leader's evidence below which a refit would not turn the tables."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
-_HARM = 1.02
+HARM = 1.02
 """An effect that the drift hardly depends on moves it up or down by about a hundredth, by chance."""
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
@@ -167,6 +167,6 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
     refused = ""
     if gain <= 0.0:
         refused = "gains nothing when everything is fitted together"
-    elif after > _HARM * before:
+    elif after > HARM * before:
         refused = _SPOILS
     return Candidate(score, again, gain, (before, after), refused)

@@ -77,7 +77,6 @@ def calibrated(odds: float) -> float:
 def evidence_of(look: Round, learned: Learned) -> Evidence:
     """Return the evidence for what a look added, in the light of what is left when the search has ended."""
     rivals = tuple(c.gain for c in look.candidates[1:] if not c.refused)
-    price = 0.5 * log(len(learned.fit.problem.nodes))
-    left = max((u.nats - price * len(u.curve) for u in learned.unknown), default=0.0)
+    left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     return Evidence(look.candidates[0].gain, rivals, left, wandering)

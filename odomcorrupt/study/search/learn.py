@@ -1,11 +1,13 @@
-"""The whole loop: name the first thing that is missing, believe it exactly, look again, until nothing is left."""
+"""The whole loop: name the first thing that is missing, believe it exactly, look again, until nothing is left.
+
+Where no known effect explains more, but a simple law of one driver does, the law is believed as effects are: known
+effects that only stood in for it fall idle and are dropped, and the error falls by what the law explains.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.study.fitting.approach import choose_approach
@@ -15,7 +17,7 @@ from odomcorrupt.study.fitting.events import slip_bursts
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
-from odomcorrupt.study.search.candidates import Candidate, next_effect
+from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
@@ -32,18 +34,30 @@ _MOST = 6
 _MOST_NOISE = 2
 _PLAIN_NATS = 100.0
 """What is counted in the odometry itself needs no statistics."""
+_MOST_LAWS = 2
 _DROP_NATS = 3.3
+_NOISE_PRICE = 6.0
+"""Nats that a wandering gain is worth by chance, and as much as it has to gain to be named."""
 ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """One look: the model before it, all candidates (the one that was added first), and what was added."""
+    """One look: the model before it, all candidates (the one that was added first), and what was added.
+
+    law : what no known effect explains, where its law was believed in this look
+    """
 
     before: Fit
     candidates: tuple[Candidate, ...]
     added: str | None
+    law: Unknown | None = None
+
+    @property
+    def step(self) -> str | None:
+        """What came into the model: the name of an effect, or on what a law depends; None if nothing did."""
+        return f"{self.law.channel} over {self.law.driver}" if self.law is not None else self.added
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -65,6 +79,7 @@ class Learned:
     rounds : looks in order; the last one added nothing, or the limit was reached
     noise : what encoders did, and wandering gains that were named and believed
     unknown : what no known effect explains
+    laws : those of them whose laws are believed: the final fit has them
     fit : the final fit
     error_m : its position error after 10 s on the fitted data
     """
@@ -73,6 +88,7 @@ class Learned:
     rounds: tuple[Round, ...]
     noise: tuple[RandomGain, ...]
     unknown: tuple[Unknown, ...]
+    laws: tuple[Unknown, ...]
     fit: Fit
     error_m: float
 
@@ -101,17 +117,26 @@ def learn(
     )
     rounds: list[Round] = []
     noise = [RandomGain(effect, _PLAIN_NATS) for effect in encoders]
+    laws: list[Unknown] = []
     while True:
         candidates = next_effect(fitted, clocks.free)
         best = candidates[0] if candidates and not candidates[0].refused else None
         believed = believed_columns(fitted.problem, clocks.free)
-        unknown = unknown_dependences(fitted, believed) if best is None else []
-        gain = _wandering(fitted, believed, best, unknown)
-        if gain is not None and len(fitted.random) < _MOST_NOISE:
+        gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
+        unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
+        if gain is not None and gain.nats > max((u.nats for u in unknown), default=0.0) + ALTERNATIVE_NATS:
             noise.append(gain)
             fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
             continue
-        full = len(rounds) >= most
+        if best is None and len(laws) < _MOST_LAWS:
+            law, lawful = _believable(fitted, clocks, unknown)
+            if law is not None and lawful is not None:
+                laws.append(law)
+                rounds.append(Round(fitted, tuple(candidates), None, law))
+                fitted = _without_idlers(lawful, clocks, {e.name for e in start})
+                noise, fitted = _without_idle_noise(noise, fitted, clocks)
+                continue
+        full = len([r for r in rounds if r.added is not None]) >= most
         rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
         if best is None or best.fit is None or full:
             break
@@ -121,18 +146,40 @@ def learn(
     if bursts is not None:
         noise.append(RandomGain(bursts, _PLAIN_NATS))
     fitted = _without_idlers(fitted, clocks, {e.name for e in start})
-    return Learned(clocks, tuple(rounds), tuple(noise), tuple(unknown), fitted, ten_second_error(fitted))
+    kept = {effect.name for effect in fitted.effects}
+    believed_laws = tuple(one for one in laws if one.law is not None and one.law.effect.name in kept)
+    return Learned(
+        clocks, tuple(rounds), tuple(noise), (*laws, *unknown), believed_laws, fitted, ten_second_error(fitted)
+    )
 
 
-def _wandering(fitted: Fit, believed: Array, best: Candidate | None, unknown: Sequence[Unknown]) -> RandomGain | None:
+def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGain | None:
     """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one."""
     gains = random_gains(fitted, believed)
-    if not gains:
-        return None
-    price = 0.5 * float(np.log(len(fitted.problem.nodes)))
-    rivals = [best.gain] if best is not None else []
-    rivals += [u.nats - price * len(u.curve) for u in unknown]
-    return gains[0] if gains[0].nats > max(rivals, default=0.0) + ALTERNATIVE_NATS else None
+    rival = best.gain if best is not None else 0.0
+    return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None
+
+
+def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> tuple[Unknown | None, Fit | None]:
+    """Return the plainest dependence with a law, and the fit with it, where it gains and does not spoil the path."""
+    have = {effect.name for effect in fitted.effects}
+    for one in unknown:
+        if one.law is None or one.law.effect.name in have:
+            continue
+        again = _again(fitted, clocks, (*fitted.effects, one.law.effect), random=fitted.random)
+        gains = again.log_likelihood - fitted.log_likelihood > one.law.price
+        return (one, again) if gains and ten_second_error(again) <= HARM * ten_second_error(fitted) else (None, None)
+    return None, None
+
+
+def _without_idle_noise(noise: list[RandomGain], fitted: Fit, clocks: Clocks) -> tuple[list[RandomGain], Fit]:
+    """Drop wandering gains that a law has made idle."""
+    if not fitted.random:
+        return noise, fitted
+    calm = _again(fitted, clocks, fitted.effects, random=())
+    if fitted.log_likelihood - calm.log_likelihood >= _DROP_NATS + _NOISE_PRICE * len(fitted.random):
+        return noise, fitted
+    return [gain for gain in noise if gain.effect.name not in WANDERING], calm
 
 
 def _again(fitted: Fit, clocks: Clocks, effects: Sequence[Effect], random: Sequence[Effect]) -> Fit:

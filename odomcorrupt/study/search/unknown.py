@@ -1,178 +1,143 @@
-"""What is left when no known effect explains it: the driver on which the error depends, and the curve.
+"""What is left when no known effect explains it: the driver on which the error depends, the curve, and a law to try.
 
-For every driver (speed, yaw rate, ...) and channel the error per metre is let free as a curve of a few hat functions;
-the curve's joint score says whether it is there, its estimate is what the user sees.
+For every driver (speed, yaw rate, ...) and channel the error per metre, and of the heading per radian turned, too, is
+let free as a curve of a few hat functions. The curve's joint score says whether it is there, its estimate is what the
+user sees. Simple laws of one or two numbers are tried beside it: they see what a curve of eight is too blunt for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.study.search.curves import curve_drivers
+from odomcorrupt.study.search.law_scores import best_laws
+from odomcorrupt.study.search.laws import CHANNELS, MOVES
 from odomcorrupt.study.search.score import score_columns
-from odomcorrupt.study.search.shapes import plainest_law
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from odomcorrupt.effects.effect import Motion
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.law_scores import ScoredLaw
     from odomcorrupt.study.search.score import ColumnScore
 
 __all__ = ["Unknown", "unknown_dependences"]
 
-CHANNELS = ("along", "across", "yaw")
-_HATS = {"speed": 6, "yaw_rate": 6, "acceleration": 6, "yaw_acceleration": 6, "time": 8, "distance": 8}
-_GRID = 4
 _LEVEL = 0.01
-_WRITTEN = 2
-"""How many dependences get a law that is fitted itself; the others a line through their curve."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Unknown:
     """An error of one channel that follows one driver.
 
+    per : what it is an error per: "m" driven, or "rad" turned
     centres : (m,) values of the driver, or (m, 2) places
-    curve, curve_error : (m,) error of truth minus odometry per metre driven (m/m or rad/m) there, and its error
-    p : probability of such a curve anywhere without any dependence
-    nats : log likelihood that the curve gains
+    curve, curve_error : (m,) error of truth minus odometry per `per` there (m/m, rad/m or rad/rad), and its error
+    p : probability of such a dependence anywhere without any
+    nats : log likelihood that it gains, less what its numbers gain by chance
+    law : the law that explains most of it, if one does
     expression : a simple effect of that shape, ready to be edited
+
+    Two are the same finding only if they are the same object.
     """
 
     channel: str
     driver: str
+    per: str
     centres: Array
     curve: Array
     curve_error: Array
     p: float
     nats: float
+    law: ScoredLaw | None
     expression: str
+
+    @property
+    def wavelength_m(self) -> float | None:
+        """Of an error that comes back with the way: after how much of it, m."""
+        return self.law.law.wavelength_m or None if self.law is not None else None
 
 
 def unknown_dependences(fit: Fit, believed: Array) -> list[Unknown]:
     """Return the dependences that nothing believed explains, the plainest first; usually none."""
-    problem = fit.problem
-    shapes = {name: [shape(m) for m in problem.motions] for name, shape in _drivers(fit).items()}
+    laws = {(found.law.driver, found.channel): found for found in best_laws(fit, believed)}
+    found = []
+    for (driver, channel, per), where, score in _curves(fit, believed):
+        law = laws.get((driver, channel))
+        nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
+        seen = score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > 0.0
+        if law is not None and per == ("rad" if law.move == "omega" else "m"):
+            most = max(nats, law.nats) if seen else law.nats
+            p = min(score.p, law.score.p) if seen else law.score.p
+            found.append(_unknown(driver, channel, per, where, score, p, most, law))
+        elif seen and law is None:
+            found.append(_unknown(driver, channel, per, where, score, score.p, nats, None))
+    return sorted(found, key=lambda u: u.nats, reverse=True)
+
+
+def _curves(fit: Fit, believed: Array) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
+    """Return the curve of every driver and channel: which it is, where its hats are, and their joint score."""
+    motions, nodes = fit.problem.motions, fit.problem.nodes
+    travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
+    turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     names, groups, centres = [], [], []
-    for name, per_run in shapes.items():
-        joined = np.concatenate([values for values, _ in per_run])
-        where = per_run[0][1]
-        metres = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in problem.motions])
-        held = joined * metres[:, None]
-        used = np.abs(held).sum(axis=0) > 0.01 * metres.sum()
+    drivers = curve_drivers(motions)
+    for name, (channel, per) in product(drivers, [*((c, "m") for c in CHANNELS), ("yaw", "rad")]):
+        shapes = [drivers[name](m) for m in motions]
+        held = np.concatenate([values for values, _ in shapes]) * (travel if per == "m" else turn)[:, None]
+        amount = np.abs(held).sum(axis=0)
+        used = amount > 0.01 * np.abs(travel if per == "m" else turn).sum()
         if used.sum() < 2:
             continue
-        for c, channel in enumerate(CHANNELS):
-            columns = []
-            for hat in held[:, used].T:
-                error = np.zeros((len(hat), 3))
-                error[:, c] = -hat
-                columns.append(problem.nodes.column(error))
-            names.append((name, channel))
-            groups.append(np.stack(columns, axis=2))
-            centres.append(where[used])
-    scores = score_columns(fit, groups, believed)
-    found = [
-        _unknown(name, channel, where, score)
-        for (name, channel), where, score in zip(names, centres, scores, strict=True)
-        if score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error
-    ]
-    found.sort(key=lambda u: u.nats - 0.5 * len(u.curve) * np.log(len(problem.nodes)), reverse=True)
-    laws = [plainest_law(fit, believed, u.driver, u.channel) for u in found[:_WRITTEN]]
-    written = [replace(u, expression=law or u.expression) for u, law in zip(found, laws, strict=False)]
-    return [*written, *found[_WRITTEN:]]
+        columns = []
+        for hat in held[:, used].T:
+            error = np.zeros((len(hat), 3))
+            error[:, CHANNELS.index(channel)] = -hat
+            columns.append(nodes.column(error))
+        names.append((name, channel, per))
+        groups.append(np.stack(columns, axis=2))
+        centres.append(shapes[0][1][used])
+    return list(zip(names, centres, score_columns(fit, groups, believed), strict=True))
 
 
-def _unknown(name: str, channel: str, where: Array, score: ColumnScore) -> Unknown:
+def _unknown(
+    driver: str, channel: str, per: str, where: Array, score: ColumnScore, p: float, nats: float, law: ScoredLaw | None
+) -> Unknown:
+    curve, error = score.estimate, score.standard_error
+    if law is not None and law.law.wavelength_m:  # a wave is shown, not the hats that are too wide for it
+        where = np.linspace(0.0, law.law.wavelength_m, 13)
+        angle = 2.0 * np.pi * where / law.law.wavelength_m
+        waves = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        curve, error = waves @ law.score.estimate, np.sqrt(waves**2 @ law.score.standard_error**2)
     return Unknown(
         channel=channel,
-        driver=name,
+        driver=driver,
+        per=per,
         centres=where,
-        curve=score.estimate,
-        curve_error=score.standard_error,
-        p=score.p,
-        nats=0.5 * score.statistic / score.inflation,
-        expression=_expression(name, channel, where, score),
+        curve=curve,
+        curve_error=error,
+        p=p,
+        nats=nats,
+        law=law,
+        expression=law.expression if law is not None else _line(driver, channel, per, where, score),
     )
 
 
-def _drivers(fit: Fit) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
-    """Return for each driver a function to its hats (n, m) and their centres."""
-    motions = fit.problem.motions
-    of: dict[str, Callable[[Motion], Array]] = {
-        "speed": lambda m: m.v,
-        "yaw_rate": lambda m: m.omega,
-        "acceleration": lambda m: m.a,
-        "yaw_acceleration": lambda m: m.alpha,
-        "time": lambda m: m.t_s,
-        "distance": lambda m: m.distance,
-    }
-    drivers: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
-    for name, value in of.items():
-        moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])
-        if len(moving) < 100:
-            continue
-        knots = np.unique(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
-        if len(knots) > 2:
-            drivers[name] = _hats(value, knots)
-    drivers["heading"] = _harmonics
-    xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
-    drivers["position"] = _tiles(xs, ys)
-    return drivers
-
-
-def _spread(values: Array) -> Array:
-    """Return grid lines that span nearly all of the values."""
-    low, high = np.quantile(values, 0.02), np.quantile(values, 0.98)
-    return np.linspace(float(low), float(high), _GRID)
-
-
-def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], tuple[Array, Array]]:
-    def shape(motion: Motion) -> tuple[Array, Array]:
-        return _linear_hats(value(motion), knots), knots
-
-    return shape
-
-
-def _linear_hats(values: Array, knots: Array) -> Array:
-    """Return piecewise linear hats (n, m) that sum to one, flat beyond the outer knots."""
-    clipped = np.clip(values, knots[0], knots[-1])
-    return np.stack([np.interp(clipped, knots, unit) for unit in np.eye(len(knots))], axis=1)
-
-
-def _harmonics(motion: Motion) -> tuple[Array, Array]:
-    """Return cosines and sines of the heading and of twice the heading (n, 4), and their numbers."""
-    angles = np.stack([np.cos(motion.theta), np.sin(motion.theta), np.cos(2 * motion.theta), np.sin(2 * motion.theta)])
-    return angles.T, np.arange(4.0)
-
-
-def _tiles(xs: Array, ys: Array) -> Callable[[Motion], tuple[Array, Array]]:
-    places = np.array([(x, y) for x in xs for y in ys])
-
-    def shape(motion: Motion) -> tuple[Array, Array]:
-        across, up = _linear_hats(motion.x, xs), _linear_hats(motion.y, ys)
-        return (across[:, :, None] * up[:, None, :]).reshape(len(motion), -1), places
-
-    return shape
-
-
-def _expression(name: str, channel: str, where: Array, score: ColumnScore) -> str:
+def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -> str:
     """Return the simplest effect of the shape of the curve, as an expression with its numbers filled in."""
     curve, weight = score.estimate, 1.0 / np.maximum(score.standard_error, 1e-12) ** 2
+    move = "abs(v)" if per == "m" else "omega"
     if name == "heading":
-        cos1, sin1, cos2, sin2 = curve
-        first = f"{cos1:.3g} * cos(theta) + {sin1:.3g} * sin(theta)"
-        second = f"{cos2:.3g} * cos(2 * theta) + {sin2:.3g} * sin(2 * theta)"
-        keep_first = np.hypot(cos1, sin1) >= np.hypot(cos2, sin2)
-        return f"{channel} += abs(v) * ({first if keep_first else second})"
+        terms = ("cos(theta)", "sin(theta)", "cos(2 * theta)", "sin(2 * theta)")
+        text = " + ".join(f"{k:.3g} * {terms[int(i)]}" for i, k in zip(where, curve, strict=True))
+        return f"{channel} += {move} * ({text})"
     if name == "position":
         worst = int(np.argmax(np.abs(curve) * np.sqrt(weight)))
         x, y = where[worst]
-        return f"{channel} += {curve[worst]:.3g} * abs(v) * exp(-((x - {x:.3g})**2 + (y - {y:.3g})**2) / 2)"
+        return f"{channel} += {curve[worst]:.3g} * {move} * exp(-((x - {x:.3g})**2 + (y - {y:.3g})**2) / 2)"
     variable = {"speed": "v", "yaw_rate": "omega", "acceleration": "a", "yaw_acceleration": "alpha", "time": "t"}
     slope, offset = np.polyfit(where, curve, 1, w=np.sqrt(weight))
-    return f"{channel} += abs(v) * ({offset:.3g} + {slope:.3g} * {variable.get(name, name)})"
+    return f"{channel} += {move} * ({offset:.3g} + {slope:.3g} * {variable.get(name, name)})"
