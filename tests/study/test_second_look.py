@@ -5,10 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hidden import as_recording
+from scipy.optimize import minimize
+from wandering import noisy_path, recording, wander
 
+from odomcorrupt.laws import LAWS, Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.approach import Approach, choose_approach
 from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.fitting.problem import pose_problem
+from odomcorrupt.study.likelihood.law_pieces import LawPieces
+from odomcorrupt.study.likelihood.noise_task import NoiseTask
 
 
 @pytest.mark.parametrize(("seed", "route"), [(50018, "office"), (50021, "slalom")])
@@ -22,3 +28,24 @@ def test_noise_of_the_wheels_is_not_left_to_a_wander_of_the_truth(seed, route):
     start[names.index(2)], start[-1] = np.log(0.002), np.log(1e-6)
     assert found.log_likelihood == pytest.approx(fit([run], approach=approach, start=start).log_likelihood, abs=0.5)
     assert found.noise.coefficients.trans_trans == pytest.approx(0.0018, rel=0.2)
+
+
+@pytest.mark.parametrize("law", ["diffusion", "quadratic"])
+def test_a_climb_from_anywhere_ends_at_the_top_that_a_textbook_optimiser_finds(law):
+    steps = wander(7, 200.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), 7), seed=7)
+    problem = pose_problem([run], approach=Approach("truth"))
+    nothing = np.zeros((len(problem.nodes), 3, 0))
+    task = NoiseTask(
+        problem.nodes, LawPieces(LAWS[law], problem.nodes, problem.steps), nothing, np.ones(len(problem.nodes))
+    )
+    guess = task.first_guess()
+    rng = np.random.default_rng(7)
+    starts = [guess, *(guess + rng.normal(0.0, 1.5, len(guess)) for _ in range(5))]
+    tops = [task.evaluate(task.climb(start)).log_likelihood for start in starts]
+    low = np.log(1e-5)
+    textbook = minimize(
+        lambda free: -task.evaluate(free).log_likelihood, guess, method="L-BFGS-B", bounds=[(low, 0.0)] * len(guess)
+    )
+    np.testing.assert_allclose(tops, max(tops), atol=0.01)
+    assert max(tops) > -textbook.fun - 0.01

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.recordings.trajectory import Recording
 
 __all__ = ["Clocks", "find_clocks"]
@@ -33,11 +35,26 @@ RIVALS = ("accel_slip", "backlash")
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2)."""
+    """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
+
+    noise, beside : the noise that was found on the way, and what was free: where to start from, nothing to believe
+    """
 
     clocks: tuple[Clock, ...]
     free: tuple[tuple[bool, bool], ...]
     errors: tuple[tuple[float, float], ...]
+    noise: Array | None = None
+    beside: tuple[Effect, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    """The clock of some runs, which of its numbers are real, and their errors; and the fit that it comes from."""
+
+    clock: Clock
+    free: tuple[bool, bool]
+    errors: tuple[float, float]
+    fit: Fit
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
@@ -48,10 +65,18 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     leaders = clock_leaders(recordings)
     together = {i: [r for r, leader in zip(recordings, leaders, strict=True) if leader == i] for i in set(leaders)}
     found = {i: _find_clock(runs, approach) for i, runs in together.items()}
-    return Clocks(*(tuple(part) for part in zip(*(found[leader] for leader in leaders), strict=True)))
+    each = [found[leader] for leader in leaders]
+    longest = max(found.values(), key=lambda f: len(f.fit.problem.nodes)).fit
+    return Clocks(
+        tuple(f.clock for f in each),
+        tuple(f.free for f in each),
+        tuple(f.errors for f in each),
+        longest.noise.free,
+        tuple(e for e in longest.onward.effects if e.name in NUISANCE),
+    )
 
 
-def _find_clock(runs: Sequence[Recording], approach: Approach) -> tuple[Clock, tuple[bool, bool], tuple[float, float]]:
+def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
     rivals = [kinds[name]() for name in RIVALS if runs[0].track_m is not None or not kinds[name].needs_track]
@@ -68,16 +93,17 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> tuple[Clock, t
                 free_clocks=[free] * len(runs),
                 approach=approach,
                 start=noise,
+                nearly=True,
             )
             noise = best.noise.free
-            clock = best.problem.clocks[0]
+            clock = best.onward.clocks[0]
             errors = (float(best.clock_errors[0, 0]), float(best.clock_errors[0, 1]))
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
-            nuisance = best.effects[: len(nuisance)]
+            nuisance = best.onward.effects[: len(nuisance)]
         else:
             before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
             if after < _CLOCK_HARM * before:
-                return clock, free, errors
-    return Clock(), (False, False), (0.0, 0.0)
+                return _Found(clock, free, errors, best)
+    return _Found(Clock(), (False, False), (0.0, 0.0), best)

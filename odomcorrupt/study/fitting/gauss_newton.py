@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,13 @@ _NEAR, _SMALL = 2.0, 0.1
 """Steps within so many standard errors leave robust weights as they are, and end the search."""
 
 
+class Onward(NamedTuple):
+    """Where the last step of a fit leads: a next look would start there."""
+
+    effects: tuple[Effect, ...]
+    clocks: tuple[Clock, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class Fit:
     """A fitted model of some recordings.
@@ -46,6 +53,7 @@ class Fit:
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    onward : effects and clocks after the last step, which the problem is without because it is small
     """
 
     problem: Problem
@@ -54,6 +62,7 @@ class Fit:
     random: tuple[Effect, ...]
     standard_errors: Array
     clock_errors: Array
+    onward: Onward
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -90,11 +99,13 @@ def fit(
     start: Array | None = None,
     weights: Array | None = None,
     random: Sequence[Effect] = (),
+    nearly: bool = False,
 ) -> Fit:
     """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
 
     random : wandering gains that are believed, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
+    nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
     """
     # a random effect is believed or passed over, never estimated here
     random = [*random, *(e for e in effects if e.name in WANDERING)]
@@ -108,25 +119,34 @@ def fit(
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         if before is not None and weights is not None:
             weights = _carried(weights, before, problem)
-        before = problem
         columns = believed_columns(problem, free)
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = fit_noise(problem.nodes, pieces, columns, start=start, weights=weights, headings=problem.headings)
-        start = noise.free
+        noise = fit_noise(
+            problem.nodes,
+            pieces,
+            columns,
+            start=start,
+            weights=weights,
+            headings=problem.headings,
+            elsewhere=before is None,
+        )
+        start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
+        old = effects
         effects, clocks = _moved(effects, clocks, _led(free, leaders), noise.theta)
         clocks = tuple(clocks[leader] for leader in leaders)
-        if not np.any(np.abs(noise.theta) > _SMALL * errors):
+        step = _made(old, effects, noise.theta)
+        if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
-        if not np.any(np.abs(noise.theta) > _NEAR * errors):
+        if not np.any(np.abs(step) > _NEAR * errors):
             # so near the end nobody becomes an outlier or ceases to be one
             weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
     clock_errors[_led(free, leaders)] = errors[own:]
     clock_errors = clock_errors[leaders]
-    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors)
+    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors, Onward(effects, clocks))
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
@@ -151,6 +171,12 @@ def _carried(weights: Array, before: Problem, now: Problem) -> Array:
         nearest = right - (wanted - middle[right - 1] < middle[right] - wanted)
         carried[new] = weights[old[nearest]]
     return carried
+
+
+def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Array:
+    """Return the steps that were really made: a parameter that stands at its bound goes no farther."""
+    own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
+    return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
 
 
 def _led(free: Array, leaders: Sequence[int]) -> Array:

@@ -80,10 +80,14 @@ def fit_robot(
     """
     recordings = [refilled(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
+    start_noise = None
     if clocks is None:
         clocks = find_clocks(recordings, approach)
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
-    fitted = fit(recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
+        start_noise = clocks.noise
+    fitted = fit(
+        recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
+    )
     columns = believed_columns(fitted.problem, clocks.free)
     intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}

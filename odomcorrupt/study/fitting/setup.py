@@ -13,7 +13,7 @@ from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, fit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.fitting.approach import Approach
@@ -36,13 +36,19 @@ def find_setup(
     kinds = registry()
     asked = {name for effect in effects for name in (effect.name, effect.twin_of)}
     asked |= {name for name, kind in kinds.items() if kind.twin_of in asked}
-    free = [kinds[name]() for name in _QUANTITIES if name not in asked]
+    near = {effect.name: effect for effect in clocks.beside}
+
+    def usual(names: Iterable[str]) -> list[Effect]:
+        return [near.get(name, kinds[name]()) for name in names if name not in asked]
+
+    free, beside = usual(_QUANTITIES), usual(name for name in NUISANCE if name not in _QUANTITIES)
     if not free:
         return ()
-    beside = [kinds[name]() for name in NUISANCE if name not in asked and name not in _QUANTITIES]
 
     def fitted(*together: Effect) -> Fit:
-        return fit(recordings, together, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach)
+        return fit(
+            recordings, together, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=clocks.noise
+        )
 
     best = fitted(*free, *beside, *effects)
     there = [e for e in best.effects[: len(free)] if chi2.sf(best.wald[e.name], len(amplitudes(e))) < _LEVEL]

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import blas, lapack
-from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import TruthNoise
+from odomcorrupt.study.likelihood.climb import Box, climbed
 from odomcorrupt.study.likelihood.law_pieces import NAMES
 from odomcorrupt.study.likelihood.selected_inverse import inverse_band
 from odomcorrupt.study.likelihood.whitener import (
@@ -42,8 +42,10 @@ _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6
 _STEP = 1e-4
+_NATS, _PROFILE_NATS = 1e-4, 1e-3
+"""A climb ends where its next step would gain less."""
 _DEAD, _FAINT = 1e-4, 1e-3
-"""A coefficient this small has no slope left to climb back on; and where it is tried again."""
+"""Noise this small has no slope left to climb back on; and where a coefficient is tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,25 +111,7 @@ class NoiseTask:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
-        movable = np.flatnonzero(low < high)
-        begin = np.clip(free, low, high)
-        # in units of its own standard error every number is as easy to climb along as the others
-        unit = self._units(self.evaluate(begin), movable)
-
-        def cost(x: Array) -> tuple[float, Array]:
-            done = self.evaluate(np.clip(x * unit, low, high))
-            return -done.log_likelihood, -self.slope(done, movable) * unit
-
-        found = minimize(
-            cost,
-            begin / unit,
-            method="L-BFGS-B",
-            jac=True,
-            bounds=list(zip(low / unit, high / unit, strict=True)),
-            options={"ftol": 1e-8 if fixed is None else 1e-7, "maxiter": 60 if fixed is None else 12},
-        )
-        climbed: Array = np.clip(found.x * unit, low, high)
-        return climbed
+        return climbed(self, np.clip(free, low, high), Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
 
     def second_look(self, free: Array) -> Array:
         """Return the better of a top and the one that is reached from where no coefficient is nearly zero.
@@ -135,17 +119,22 @@ class NoiseTask:
         Noise of travel, of turns and of a wander of the truth look alike at one speed, and the first steps of a climb
         may put a coefficient where nothing pulls it back.
         """
-        active = len(self._pieces.active)
-        dead = np.flatnonzero(free[:active] < np.log(_DEAD))
-        if not len(dead):
+        if not np.any(free[: len(self._pieces.active)] < np.log(_DEAD)):
             return free
-        other = free.copy()
-        other[dead], other[-1] = np.log(_FAINT), _TRUTH_LOW[-1]
+        other = self.revived(free)
+        other[-1] = _TRUTH_LOW[-1]
         other = self.climb(other)
         return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
 
+    def revived(self, free: Array) -> Array:
+        """Return noise of which nothing is nearly zero: there, it would have no slope left to climb back on."""
+        active = len(self._pieces.active)
+        coefficients, truth = free[:active], free[active:]
+        lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
+        return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
+
     def slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return the slope (m,) of the log likelihood: at its top in the columns, they may be held as they are.
+        """Return the slope (m,) of the log likelihood in the numbers that may move; the columns may be held meanwhile.
 
         With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), and dV lies in the band.
         """
@@ -158,24 +147,23 @@ class NoiseTask:
         # what lies below the diagonal stands for what lies above it, too
         lever[0] *= 0.5
         by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
-        slope = np.zeros(len(done.free))
-        for i in movable:
-            slope[i] = by_band @ self._share_slope(done.free, i)
-        return slope
+        return np.array([by_band @ self._share_slope(done.free, i) for i in movable])
 
-    def _units(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
-        """Return about the standard error (m,) of each number by itself, from the average information.
+    def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the average information (m, m) of the numbers that may move.
 
         Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
         """
         white = done.whitener
         pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
-        units = np.ones(len(done.free))
-        for i in movable:
-            change = self._sum(self._share_slope(done.free, i))
-            push = white.whiten(blas.dsbmv(BAND, 1.0, change, pull.ravel(), lower=1).reshape(-1, 3))
-            units[i] = 1.0 / np.sqrt(np.clip(0.5 * float(push @ push), 1.0, 1e8))
-        return units
+        changes = np.stack([self._share_slope(done.free, i) for i in movable]) @ self._bands
+        rows = self._floor.shape[::-1]
+        pushes = np.empty((len(pull), len(movable)), order="F")
+        for i, change in enumerate(changes):
+            pushes[:, i] = blas.dsbmv(BAND, 1.0, change.reshape(rows).T, pull, lower=1)
+        pushes = white.whitened(pushes)
+        information: Array = 0.5 * pushes.T @ pushes
+        return information
 
     def _shares(self, free: Array) -> Array:
         """Return the weight of every band."""
@@ -191,9 +179,8 @@ class NoiseTask:
         return slope
 
     def _sum(self, shares: Array) -> Array:
-        """Return the bands that have a weight, weighed and summed."""
-        used = np.flatnonzero(shares)
-        summed: Array = (shares[used] @ self._bands[used]).reshape(self._floor.shape[::-1]).T
+        """Return the bands, weighed and summed."""
+        summed: Array = (shares @ self._bands).reshape(self._floor.shape[::-1]).T
         return summed
 
     def _band(self, shares: Array) -> Array:
