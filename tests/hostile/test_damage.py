@@ -34,6 +34,14 @@ def bags(tmp_path_factory):
     return make_small_bags(tmp_path_factory.mktemp("bags"))
 
 
+@pytest.fixture
+def interruptible():
+    """Hear SIGINT, which a shell's background jobs, and all that they begin, ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def call(*words, stdin=None, **options):
     """Run the program as a user does; return exit code and what was said."""
     done = subprocess.run(
@@ -311,7 +319,7 @@ def test_a_directory_that_vanishes_meanwhile_is_said(bags, tmp_path):
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGKILL, None)]
 )
-def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_path):
+def test_a_signal_leaves_no_output_and_what_was_there(number, code, bags, tmp_path, interruptible):
     target = tmp_path / "out.mcap"
     target.write_bytes(b"what was there")
     data = bags["mcap zstd"].path.read_bytes()

@@ -20,6 +20,8 @@ __all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "
 
 MAGIC: Final = b"SQLite format 3\0"
 _LEAST_BYTES = 1 << 20
+_COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
+"""Tables and columns without which nothing can be read."""
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
@@ -48,8 +50,11 @@ class Topic:
 
 
 @contextmanager
-def reported(path: Path, *, writing: bool = False) -> Iterator[None]:
-    """Say of sqlite's errors which file they are about."""
+def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Iterator[None]:
+    """Say of sqlite's errors which file they are about.
+
+    recover : whether recovery is under way, and need not be advised
+    """
     try:
         yield
     except (OSError, MemoryError, sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
@@ -59,9 +64,8 @@ def reported(path: Path, *, writing: bool = False) -> Iterator[None]:
             reason = error.strerror if isinstance(error, OSError) else f"sqlite3 says {error}"
             raise BagError(f"{path}: cannot be written: {reason}") from error
         reason = str(error) or type(error).__name__
-        raise BagError(
-            f"{path}: sqlite3 says {reason}; the bag is truncated or damaged; --recover saves what is whole"
-        ) from error
+        advice = "" if recover else "; --recover saves what is whole"
+        raise BagError(f"{path}: sqlite3 says {reason}; the bag is truncated or damaged{advice}") from error
 
 
 def has_log(path: Path) -> bool:
@@ -104,7 +108,8 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     """
     tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     # A view may run for ever, and is nothing a recorder makes.
-    if not {"topics", "messages"} <= tables or not {"id", "name", "type"} <= set(columns(connection, "topics")):
+    known = all(wanted <= set(columns(connection, table)) for table, wanted in _COLUMNS.items())
+    if not (known and _COLUMNS.keys() <= tables):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
     first = connection.execute("SELECT data FROM messages LIMIT 1").fetchone()
     if first and isinstance(first[0], bytes) and first[0].startswith(ZSTD_MAGIC):

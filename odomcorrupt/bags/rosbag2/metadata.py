@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass, field
+from functools import lru_cache
 from io import StringIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -48,9 +50,8 @@ class Addition:
 
 def read_info(path: Path) -> dict[str, Any]:
     """Read what a metadata.yaml says."""
-    yaml = _yaml("safe")
     try:
-        document = yaml.load(path.read_text(encoding="utf8"))
+        document = _parsed(path.read_text(encoding="utf8"))
     except (OSError, ValueError, _yaml_error()) as error:
         raise BagError(
             f"{path}: cannot be read: {error}; without it the directory's files are read as they are"
@@ -63,14 +64,11 @@ def read_info(path: Path) -> dict[str, Any]:
 
 def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
     """Return a YAML text with its bag information changed, all else as it stands."""
-    yaml = _yaml("rt")
-    yaml.preserve_quotes = True
-    yaml.width = 1 << 30
     out = StringIO()
     try:
-        document = yaml.load(text)
+        document = deepcopy(_parsed(text))
         change(document.get(_ROOT, document))
-        yaml.dump(document, out)
+        _faithful().dump(document, out)
     except (_yaml_error(), AttributeError, KeyError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise BagError(f"metadata: not as rosbag2 writes it ({reason[:200]}); remove metadata.yaml") from error
@@ -171,6 +169,19 @@ def _extend(span: dict[str, Any], start_ns: int, end_ns: int) -> None:
     after_ns = max(before_ns + span["duration"]["nanoseconds"], end_ns)
     span["starting_time"]["nanoseconds_since_epoch"] = min(before_ns, start_ns)
     span["duration"]["nanoseconds"] = after_ns - min(before_ns, start_ns)
+
+
+@lru_cache(maxsize=8)
+def _parsed(text: str) -> Any:
+    """Return a YAML document with its comments and quotes; one that is read and then edited is parsed once."""
+    return _faithful().load(text)
+
+
+def _faithful() -> Any:
+    yaml = _yaml("rt")
+    yaml.preserve_quotes = True
+    yaml.width = 1 << 30
+    return yaml
 
 
 def _yaml(kind: str) -> Any:

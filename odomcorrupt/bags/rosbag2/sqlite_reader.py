@@ -81,7 +81,10 @@ class SqliteReader:
         only : channels whose messages are read; those of others are told of, but large ones stay where they are
         """
         self.losses.clear()
-        with reported(self.path), closing(read_only(self.readable, whole=not self._recover)) as connection:
+        with (
+            reported(self.path, recover=self._recover),
+            closing(read_only(self.readable, whole=not self._recover)) as connection,
+        ):
             rows: list[int] = []
             head: list[tuple[int, int]] = []
             data: list[bytes | None] = []
