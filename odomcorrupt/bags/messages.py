@@ -16,6 +16,8 @@ from odomcorrupt.bags.spans import windows
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
@@ -28,6 +30,7 @@ __all__ = [
     "gather_stamps_ns",
     "locate",
     "scatter",
+    "scatter_columns",
     "scatter_stamps_ns",
 ]
 
@@ -89,8 +92,30 @@ def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.f
 def scatter(block: Block, layout: Layout, item: Item, field: str, values: NDArray[np.float64]) -> None:
     """Write a field (n, count) of all messages of a layout into the block's data, in place."""
     offset, count = item.fields[field]
-    raw = np.ascontiguousarray(np.broadcast_to(values, (layout.starts.size, count)), dtype=_order(layout) + "f8")
-    windows(block.data, 8 * count)[layout.starts + offset] = raw.view(f"V{8 * count}")[:, 0]
+    _put(block, layout, layout.starts + offset, np.broadcast_to(values, (layout.starts.size, count)))
+
+
+def scatter_columns(
+    block: Block, layout: Layout, item: Item, field: str, columns: Sequence[int], values: NDArray[np.float64],
+    which: NDArray[np.bool_] | slice = slice(None),
+) -> None:  # fmt: skip
+    """Write some columns of a field, ascending, in place; `which` are the layout's messages that get values (n, k)."""
+    offset, _ = item.fields[field]
+    starts = layout.starts[which] + offset
+    begin = 0
+    while begin < len(columns):
+        end = begin + 1
+        while end < len(columns) and columns[end] == columns[end - 1] + 1:
+            end += 1
+        _put(block, layout, starts + 8 * columns[begin], values[:, begin:end])
+        begin = end
+
+
+def _put(block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    """Write rows of numbers (n, k) to places (n,) of the block's data."""
+    raw = np.ascontiguousarray(values, dtype=_order(layout) + "f8")
+    width = raw.itemsize * raw.shape[1]
+    windows(block.data, width)[places] = raw.view(f"V{width}")[:, 0]
 
 
 def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int64]:
@@ -127,10 +152,15 @@ def _matches(
 ) -> NDArray[np.bool_]:
     """Tell which messages (n,) have a template's structural bytes and are long enough for its numbers."""
     same = lengths >= template.size
-    width = template.mask.size
     candidates = np.flatnonzero(same) if not same.all() else slice(None)
-    heads = windows(data, width)[starts[candidates]].view(np.uint8).reshape(-1, width)
-    same[candidates] = ~((heads ^ template.structure) & template.mask).any(axis=1)
+    # by words, of which the last one may reach back: eight bytes are compared as quickly as one
+    width = template.mask.size
+    step = 8 if width >= 8 else 1
+    for begin in (*range(0, width - step, step), width - step):
+        mask = template.mask[begin : begin + step].view(f"u{step}")[0]
+        if mask:
+            words = windows(data, step)[starts[candidates] + begin].view(f"u{step}")
+            same[candidates] &= (words & mask) == template.structure[begin : begin + step].view(f"u{step}")[0]
     return same
 
 

@@ -18,13 +18,16 @@ if TYPE_CHECKING:
     from odomcorrupt.laws import Variances
     from odomcorrupt.pose import Array
 
-__all__ = ["FLOOR", "SUMS", "NoiseSteps", "pose_covariance", "sum_terms", "twist_covariance"]
+__all__ = ["BODY_SUMS", "FLOOR", "SUMS", "NoiseSteps", "pose_covariance", "sum_terms", "twist_covariance"]
 
 SUMS = 15
 """Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six for the body.
 
 Where effects draw, the rows of `wander` follow; the body's six hold both.
 """
+
+BODY_SUMS = slice(9, SUMS)
+"""Those of the body."""
 
 FLOOR = 1e-9
 """Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none."""
@@ -37,7 +40,7 @@ class NoiseSteps:
     variances : of the four draws
     start_xy, end_xy : (2, n) noisy positions, metres from the path's start
     travel_rad : (n,) where the body's x axis points while it translates
-    bearing_rad : (n,) where trans acts, against the body's x axis
+    bearing_rad : (n,) where trans acts, against the body's x axis; None along it
     along_m, across_m : (n,) the noisy travel
     arc : whether rot1 is spread evenly over the translation
     """
@@ -46,7 +49,7 @@ class NoiseSteps:
     start_xy: Array
     end_xy: Array
     travel_rad: Array
-    bearing_rad: Array
+    bearing_rad: Array | None
     along_m: Array
     across_m: Array
     arc: bool
@@ -56,7 +59,8 @@ def sum_terms(steps: NoiseSteps) -> Array:
     """Return what each increment adds to the running sums, (SUMS, n)."""
     v = steps.variances
     (x1, y1), (x2, y2) = (steps.start_xy + steps.end_xy) / 2.0 if steps.arc else steps.start_xy, steps.end_xy
-    world, body = steps.travel_rad + steps.bearing_rad, steps.bearing_rad
+    body = 0.0 if steps.bearing_rad is None else steps.bearing_rad
+    world = steps.travel_rad + body
     c, s, cb, sb = np.cos(world), np.sin(world), np.cos(body), np.sin(body)
     heading = v.rot1 + v.rot2
     # in the body at mid heading, the step swings by half of rot1 less half of rot2; an arc's rot1 swings nothing
@@ -100,8 +104,8 @@ def pose_covariance(sums: Array, xy_m: Array) -> Array:
 
 
 def twist_covariance(grown: Array, dt_s: Array) -> Array:
-    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals in which the sums grew by (SUMS, n)."""
-    return _symmetric(*grown[9:SUMS] / (dt_s * dt_s))
+    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals in which the body's sums grew by (6, n)."""
+    return _symmetric(*grown / (dt_s * dt_s))
 
 
 def _symmetric(*upper: Array) -> Array:

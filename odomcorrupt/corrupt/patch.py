@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_stamps_ns
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corrupt.correction import Correction
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.rigid import SpatialPoses, from_left, from_right
 from odomcorrupt.corrupt.targets import ODOMETRY, plain
-from odomcorrupt.corrupt.twist import TopicTwist
+from odomcorrupt.corrupt.twist import TopicTwist, TwistChange
 from odomcorrupt.corrupt.wander import wanders
 from odomcorrupt.pose import yaw_from_quaternion
 
@@ -102,7 +102,7 @@ class Patcher:
                 if target.channel.topic.endswith("tf_static"):
                     self.changes.static.add(edge)
                 if self._moves:
-                    _move(block, target, part.xyt)
+                    _move(block, target, part.xyt, _poses(block, target))
             if self._clocks:
                 self._shift_stamps(block, target, first_ns)
         if self._moves:
@@ -112,42 +112,42 @@ class Patcher:
     def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
         clean = []
         for target, at in parts:
-            position = gather(block, target.layout, target.item, "position")
-            quat = gather(block, target.layout, target.item, "orientation")
-            clean.append(np.column_stack((position[:, :2], yaw_from_quaternion(quat))))
-            _move(block, target, at.xyt)
+            poses = _poses(block, target)
+            clean.append(np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw))))
+            noisy = _move(block, target, at.xyt, poses)
             if self._covariance:
-                noisy = gather(block, target.layout, target.item, "position")[:, :2].T
-                _set_planar(
-                    block, target, "pose_covariance", pose_covariance(at.sums, noisy - at.origin_xy), slice(None)
-                )
+                covariance = pose_covariance(at.sums, noisy.position[:, :2].T - at.origin_xy)
+                _set_planar(block, target, "pose_covariance", covariance, slice(None))
         if not self._twist:
             return
         # one topic's messages may have several layouts: its twists follow each other in the order of arrival
-        rows = np.concatenate([target.layout.rows for target, _ in parts])
-        order = np.argsort(rows)
+        follower = self._twists.setdefault(topic, TopicTwist())
+        if len(parts) == 1:
+            (target, at), change = parts[0], follower.change(parts[0][0].stamps_ns, clean[0], parts[0][1])
+            self._patch_twist(block, target, change)
+            return
+        order = np.argsort(np.concatenate([target.layout.rows for target, _ in parts]))
         back = np.argsort(order)
-        every = Correction(
-            np.concatenate([at.xyt for _, at in parts])[order],
-            np.concatenate([at.sums for _, at in parts], axis=1)[:, order],
-            np.concatenate([at.origin_xy for _, at in parts], axis=1)[:, order],
-            np.concatenate([at.stretch for _, at in parts])[order],
-            np.concatenate([at.held for _, at in parts])[order],
-        )
+        every = _rows(_together([at for _, at in parts]), order)
         stamps = np.concatenate([target.stamps_ns for target, _ in parts])[order]
-        change = self._twists.setdefault(topic, TopicTwist()).change(stamps, np.concatenate(clean)[order], every)
-        known, added, covariance = change.known[back], change.added[back], change.covariance[back]
+        change = follower.change(stamps, np.concatenate(clean)[order], every)
         start = 0
         for target, _ in parts:
-            own = slice(start, start + len(target.stamps_ns))
-            start = own.stop
+            own = back[start : start + len(target.stamps_ns)]
+            start += len(own)
+            self._patch_twist(block, target, TwistChange(change.known[own], change.added[own], change.covariance[own]))
+
+    def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
+        added = change.added
+        moved = change.known & _nonzero(added) & np.isfinite(added).all(axis=1)
+        if moved.any():
             twist = gather(block, target.layout, target.item, "twist")
-            moved = np.flatnonzero(known[own] & added[own].any(axis=1) & np.isfinite(added[own]).all(axis=1))
-            if len(moved):
-                twist[np.ix_(moved, PLANAR)] += added[own][moved]
-                scatter(block, target.layout, target.item, "twist", twist)
-            if self._covariance:
-                _set_planar(block, target, "twist_covariance", covariance[own], known[own])
+            rows = slice(None) if moved.all() else np.flatnonzero(moved)
+            for column, place in enumerate(PLANAR):
+                twist[rows, place] += added[rows, column]
+            scatter(block, target.layout, target.item, "twist", twist)
+        if self._covariance:
+            _set_planar(block, target, "twist_covariance", change.covariance, change.known)
 
     def _shift_stamps(self, block: Block, target: Target, first_ns: int) -> None:
         t_s = (target.stamps_ns - first_ns) * np.float64(1e-9)
@@ -158,33 +158,49 @@ class Patcher:
         scatter_stamps_ns(block, target.layout, target.item, written + np.where(written == 0, 0, shift_ns))
 
 
-def _rows(at: Correction, rows: slice) -> Correction:
+def _rows(at: Correction, rows: slice | NDArray[np.int64]) -> Correction:
     return Correction(at.xyt[rows], at.sums[:, rows], at.origin_xy[:, rows], at.stretch[rows], at.held[rows])
 
 
-def _move(block: Block, target: Target, correction_xyt: Array) -> None:
-    """Move poses, those alone that the correction does move: the others keep their bits."""
-    moved = correction_xyt.any(axis=1)
+def _together(parts: list[Correction]) -> Correction:
+    return Correction(
+        np.concatenate([at.xyt for at in parts]),
+        np.concatenate([at.sums for at in parts], axis=1),
+        np.concatenate([at.origin_xy for at in parts], axis=1),
+        np.concatenate([at.stretch for at in parts]),
+        np.concatenate([at.held for at in parts]),
+    )
+
+
+def _poses(block: Block, target: Target) -> SpatialPoses:
+    layout, item = target.layout, target.item
+    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+
+
+def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
+    """Move poses, those alone that the correction does move: the others keep their bits; return what they become."""
+    moved = _nonzero(correction_xyt)
     if not moved.any():
-        return
-    position = gather(block, target.layout, target.item, "position")
-    quat = gather(block, target.layout, target.item, "orientation")
+        return poses
     act = from_left if target.side == "left" else from_right
-    poses = act(correction_xyt[moved], SpatialPoses(position[moved], quat[moved]))
-    position[moved], quat[moved] = poses.position, poses.quat_xyzw
-    scatter(block, target.layout, target.item, "position", position)
-    scatter(block, target.layout, target.item, "orientation", quat)
+    if moved.all():
+        out = act(correction_xyt, poses)
+    else:
+        out = SpatialPoses(poses.position.copy(), poses.quat_xyzw.copy())
+        some = act(correction_xyt[moved], SpatialPoses(poses.position[moved], poses.quat_xyzw[moved]))
+        out.position[moved], out.quat_xyzw[moved] = some.position, some.quat_xyzw
+    scatter(block, target.layout, target.item, "position", out.position)
+    scatter(block, target.layout, target.item, "orientation", out.quat_xyzw)
+    return out
+
+
+def _nonzero(xyt: Array) -> NDArray[np.bool_]:
+    """Tell which rows (n,) of (n, 3) are not all zero."""
+    moved: NDArray[np.bool_] = (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
+    return moved
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:
     """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
-    whole = gather(block, target.layout, target.item, name)
-    planar = covariance.reshape(-1, 9)
-    whole[:, PLANAR_BLOCK] = np.where(_column(which, len(whole)), planar, whole[:, PLANAR_BLOCK])
-    scatter(block, target.layout, target.item, name, whole)
-
-
-def _column(which: slice | NDArray[np.bool_], n: int) -> NDArray[np.bool_]:
-    chosen = np.zeros(n, dtype=bool)
-    chosen[which] = True
-    return chosen[:, None]
+    planar = covariance.reshape(-1, 9)[which]
+    scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, planar, which)

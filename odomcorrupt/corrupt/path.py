@@ -161,7 +161,7 @@ class NoisyPath:
         heading = np.cumsum(np.concatenate((self._error[2:], rot1 + added[:, 2] + rot2)))
         # the translation happens after rot1, at the middle of what the effects turn
         swing = heading[:-1] + (rot1 / 2.0 if self._law.arc else rot1) + added[:, 2] / 2.0
-        bearing, shift = np.zeros(n), draws[:, 1:3]
+        bearing, shift = None, draws[:, 1:3]
         if self._law.along_travel:
             bearing = np.arctan2(driven.dl_m, driven.ds_m)
             shift = rotate(shift, bearing)

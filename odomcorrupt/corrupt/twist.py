@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.covariance import twist_covariance
+from odomcorrupt.corrupt.covariance import BODY_SUMS, twist_covariance
 from odomcorrupt.pose import rotate, wrap
 
 if TYPE_CHECKING:
@@ -62,8 +62,12 @@ class TopicTwist:
 
         """
         n = len(stamps_ns)
-        out = TwistChange(np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3, 3)))
         edges = np.flatnonzero(np.diff(at.stretch)) + 1
+        if n and not len(edges):
+            if at.stretch[0] != self._stretch:
+                self._begin(int(at.stretch[0]))
+            return self._within_stretch(stamps_ns, clean_xyt, at.xyt, at.sums)
+        out = TwistChange(np.zeros(n, dtype=bool), np.zeros((n, 3)), np.zeros((n, 3, 3)))
         for start, stop in zip([0, *edges], [*edges, n], strict=True):
             if start == stop:
                 continue
@@ -77,35 +81,39 @@ class TopicTwist:
     def _within_stretch(
         self, stamps_ns: NDArray[np.int64], clean_xyt: Array, correction_xyt: Array, sums: Array
     ) -> TwistChange:
+        sums = sums[BODY_SUMS]
         if not len(self._stamps_ns):
             self._sums = sums[:, :0]
         floor = self._stamps_ns[-1] if len(self._stamps_ns) else np.iinfo(np.int64).min
         reach = np.maximum.accumulate(np.concatenate(([floor], stamps_ns)))
-        ahead = np.flatnonzero(stamps_ns > reach[:-1])
+        beyond = stamps_ns > reach[:-1]
+        # nearly always all of them are, and need not be picked out
+        ahead = slice(None) if beyond.all() else np.flatnonzero(beyond)
         at_ns = np.concatenate((self._stamps_ns, stamps_ns[ahead]))
         clean = np.concatenate((self._clean, clean_xyt[ahead]))
         correction = np.concatenate((self._correction, correction_xyt[ahead]))
-        grown = np.diff(np.concatenate((self._sums, sums[:, ahead]), axis=1), axis=1)
+        every_sum = np.concatenate((self._sums, sums[:, ahead]), axis=1)
         dt_s = np.diff(at_ns) * np.float64(1e-9)
 
         # row 0 is what was known before this batch, row k what the k-th message ahead brought
-        fresh = len(ahead) - len(dt_s)
-        known = np.concatenate(([self._known], np.arange(len(ahead)) >= fresh))
+        count = len(at_ns) - len(self._stamps_ns)
+        fresh = count - len(dt_s)
+        known = np.concatenate(([self._known], np.arange(count) >= fresh))
         added = np.zeros((len(known), 3))
         covariance = np.zeros((len(known), 3, 3))
         added[0], covariance[0] = self._added, self._covariance
         added[1 + fresh :] = _body_difference(clean, correction) / dt_s[:, None]
-        covariance[1 + fresh :] = twist_covariance(grown, dt_s)
+        covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
 
-        latest = np.zeros(len(stamps_ns), dtype=np.int64)
-        latest[ahead] = np.arange(1, len(ahead) + 1)
-        latest = np.maximum.accumulate(latest)
-        repeated = stamps_ns == reach[:-1]
         self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
-        if len(ahead):
-            self._sums = sums[:, ahead[-1:]]
+        self._sums = every_sum[:, -1:]
         self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
-        return TwistChange(known[latest] & ~repeated, added[latest], covariance[latest])
+        if isinstance(ahead, slice):
+            return TwistChange(known[1:], added[1:], covariance[1:])
+        latest = np.zeros(len(stamps_ns), dtype=np.int64)
+        latest[ahead] = np.arange(1, count + 1)
+        latest = np.maximum.accumulate(latest)
+        return TwistChange(known[latest] & (stamps_ns != reach[:-1]), added[latest], covariance[latest])
 
 
 def _body_difference(clean_xyt: Array, correction_xyt: Array) -> Array:

@@ -7,7 +7,15 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
-from odomcorrupt.bags.messages import READABLE, gather, gather_stamps_ns, locate, scatter, scatter_stamps_ns
+from odomcorrupt.bags.messages import (
+    READABLE,
+    gather,
+    gather_stamps_ns,
+    locate,
+    scatter,
+    scatter_columns,
+    scatter_stamps_ns,
+)
 from odomcorrupt.errors import BagError
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -162,6 +170,46 @@ def test_scattered_numbers_are_read_by_gather_and_nothing_else_changes(wire):
     assert gather_stamps_ns(block, layout, item).tolist() == (stamps_ns + 5).tolist()
     scatter_stamps_ns(block, layout, item, stamps_ns)
     np.testing.assert_array_equal(block.data, before)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_columns_are_scattered_into_the_messages_that_are_named_and_into_nothing_else(wire):
+    rng = np.random.default_rng(4)
+    name = "nav_msgs/msg/Odometry"
+    messages = [build(store(wire), name, rng, frame_id="odom", child_frame_id="base") for _ in range(9)]
+    block = block_of([serialise(wire, m, name) for m in messages])
+    (layout,) = locate(block, Channel(0, "/odom", name, "ros1" if wire == "ros1" else "cdr"))
+    (item,) = layout.items
+    expected = gather(block, layout, item, "pose_covariance")
+    which = np.arange(9) % 2 == 1
+    values = rng.normal(size=(4, 5))
+    expected[np.ix_(which, [0, 1, 5, 6, 35])] = values
+    scatter_columns(block, layout, item, "pose_covariance", [0, 1, 5, 6, 35], values, which)
+    np.testing.assert_array_equal(gather(block, layout, item, "pose_covariance"), expected)
+    scatter_columns(block, layout, item, "twist", [5], np.full((9, 1), 3.0))
+    assert (gather(block, layout, item, "twist")[:, 5] == 3.0).all()
+    whole = block_of([serialise(wire, m, name) for m in messages])
+    scatter(whole, layout, item, "pose_covariance", expected)
+    scatter(whole, layout, item, "twist", gather(block, layout, item, "twist"))
+    np.testing.assert_array_equal(block.data, whole.data)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_message_that_differs_in_any_structural_byte_has_a_layout_of_its_own(wire):
+    name = "nav_msgs/msg/Odometry"
+    encoding = "ros1" if wire == "ros1" else "cdr"
+    child = "base_footprint"
+    for frame in ("o", "odom", "odometry"):
+        for place in range(len(child)):
+            other = child[:place] + "X" + child[place + 1 :]
+            rng = np.random.default_rng(5)
+            pair = [build(store(wire), name, rng, frame_id=frame, child_frame_id=c) for c in (child, other, child)]
+            block = block_of([serialise(wire, m, name) for m in pair])
+            found = locate(block, Channel(0, "/odom", name, encoding))
+            assert [(one.rows.tolist(), one.items[0].child_frame_id) for one in found] == [
+                ([0, 2], child),
+                ([1], other),
+            ]
 
 
 def test_messages_of_equal_length_with_different_strings_have_layouts_of_their_own():

@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 from odomcorrupt.bags.block import Message
 from odomcorrupt.bags.messages import READABLE, gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.errors import BagError
 
 OFFICE = FIXTURES / "office_ros2"
@@ -398,3 +399,11 @@ def test_recordings_of_others_go_through(path, tmp_path):
 def test_recordings_of_others_were_looked_at():
     assert all(isinstance(path, Path) for path in DIRECTORIES)
     assert DIRECTORIES
+
+
+def test_metadata_that_is_edited_twice_is_edited_from_what_it_was():
+    text = "rosbag2_bagfile_information:\n  # kept\n  version: 5\n  custom_data:\n    a: '1'\n"
+    first = edited(text, lambda info: add_provenance(info, "x", {"k": "1"}))
+    assert first == edited(text, lambda info: add_provenance(info, "x", {"k": "1"}))
+    assert first == text + "    x.k: '1'\n"
+    assert edited(text, dict.copy) == text
