@@ -20,6 +20,8 @@ __all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "
 
 MAGIC: Final = b"SQLite format 3\0"
 _LEAST_BYTES = 1 << 20
+_LONGEST = 200
+"""Characters of a reason that are told."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 """Tables and columns without which nothing can be read."""
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
@@ -63,7 +65,8 @@ def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Ite
         if writing:
             reason = error.strerror if isinstance(error, OSError) else f"sqlite3 says {error}"
             raise BagError(f"{path}: cannot be written: {reason}") from error
-        reason = str(error) or type(error).__name__
+        # sqlite3 quotes the whole text that it cannot decode
+        reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
         advice = "" if recover else "; --recover saves what is whole"
         raise BagError(f"{path}: sqlite3 says {reason}; the bag is truncated or damaged{advice}") from error
 

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info"]
 
 _ROOT = "rosbag2_bagfile_information"
+_LONGEST = 200
+"""Characters of a reason that are told."""
 
 
 class TopicInfo(NamedTuple):
@@ -54,7 +56,7 @@ def read_info(path: Path) -> dict[str, Any]:
         document = _parsed(path.read_text(encoding="utf8"))
     except (OSError, ValueError, _yaml_error()) as error:
         raise BagError(
-            f"{path}: cannot be read: {error}; without it the directory's files are read as they are"
+            f"{path}: cannot be read: {_line(error)}; without it the directory's files are read as they are"
         ) from error
     info = document.get(_ROOT) if isinstance(document, dict) else None
     if not isinstance(info, dict) or not isinstance(info.get("relative_file_paths"), list):
@@ -70,9 +72,16 @@ def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
         change(document.get(_ROOT, document))
         _faithful().dump(document, out)
     except (_yaml_error(), AttributeError, KeyError, TypeError, ValueError) as error:
-        reason = " ".join(str(error).split())
-        raise BagError(f"metadata: not as rosbag2 writes it ({reason[:200]}); remove metadata.yaml") from error
+        raise BagError(f"metadata: not as rosbag2 writes it ({_line(error)}); remove metadata.yaml") from error
     return out.getvalue()
+
+
+def _line(error: Exception) -> str:
+    """Return an error in one line that is not too long: those of YAML quote what they are about."""
+    problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
+    where = f" in line {mark.line + 1}" if mark is not None else ""
+    text = " ".join(str(problem or error).split())
+    return (text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...") + where
 
 
 def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) -> None:
