@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _FOUR = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
 
-__all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "variances"]
+__all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "magnitudes", "variances"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +233,13 @@ def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
     10 um of jitter does not spin. The laws of turn, drive, turn split it at the bearing, see `rot_trans_rot`.
     White noise on twists, which goes with time, is not counted here.
     """
+    return law.rule(k, *magnitudes(law, steps))
+
+
+def magnitudes(law: Law, steps: Increments) -> tuple[Array, Array, Array]:
+    """Return what a law looks at: how much each step turns, travels and turns again (n,), none negative."""
     if not law.split:
         half = np.abs(steps.dtheta_rad) / 2.0
-        return law.rule(k, half, np.hypot(steps.ds_m, steps.dl_m), half)
+        return half, np.hypot(steps.ds_m, steps.dl_m), half
     parts = rot_trans_rot(steps)
-    return law.rule(k, np.abs(parts.rot1_rad), np.abs(parts.trans_m), np.abs(parts.rot2_rad))
+    return np.abs(parts.rot1_rad), np.abs(parts.trans_m), np.abs(parts.rot2_rad)

@@ -59,10 +59,8 @@ def climbed(hill: _Hill, begin: Array, box: Box, enough: float) -> Array:
         step = _best_step(slope, bend * information, *room)
         promise = float(slope @ step - 0.5 * bend * step @ information @ step)
         if promise < enough:
-            if fresh:
-                break
-            information, fresh = hill.information(done, movable), True
-            continue
+            # the information is fresh, or its last promise was kept
+            break
         free = done.free.copy()
         free[movable] += step
         new = hill.evaluate(np.clip(free, box.low, box.high))

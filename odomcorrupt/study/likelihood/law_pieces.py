@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.laws import Coefficients, variances
+from odomcorrupt.laws import Coefficients, magnitudes
 
 if TYPE_CHECKING:
     from odomcorrupt.increments import Increments
@@ -19,6 +19,8 @@ __all__ = ["NAMES", "LawPieces"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
+_PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))
+"""Magnitudes of a step on which coefficients that do anything together show it."""
 
 
 class LawPieces:
@@ -32,21 +34,23 @@ class LawPieces:
         def of(*ones: int) -> Coefficients:
             return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
 
-        def rows(*ones: int) -> Array:
-            v = variances(law, of(*ones), steps)
+        def rows(*ones: int, on: tuple[Array, ...]) -> Array:
+            v = law.rule(of(*ones), *on)
             return np.stack((v.rot1, v.trans, v.across, v.rot2))
 
+        seen = magnitudes(law, steps)
+        # the more motion, the more noise: the largest of each tells whether a coefficient does anything
+        most = tuple(np.array([m.max(initial=0.0)]) for m in seen)
         self._degree = law.degree
-        single = [rows(i) for i in range(len(NAMES))]
-        self.active = [i for i, own in enumerate(single) if own.any()]
+        self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]
         """Which coefficients do anything under this law and on this drive."""
-        self._single = {i: nodes.covariance(law, of(i), steps) for i in self.active}
+        self._single = {i: nodes.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
         self._pairs: list[tuple[int, int, Array]] = []
         for i, j in combinations(self.active, 2) if law.degree == 2 else ():
-            both = rows(i, j)
+            alone, both = rows(i, on=_PROBE) + rows(j, on=_PROBE), rows(i, j, on=_PROBE)
             # most pairs add up, and carrying their noise to the nodes is the dear part
-            if np.abs(both - single[i] - single[j]).max() > 1e-12 * np.abs(both).max():
-                cross = nodes.covariance(law, of(i, j), steps) - self._single[i] - self._single[j]
+            if np.abs(both - alone).max() > 1e-12 * np.abs(both).max():
+                cross = nodes.spread(law, law.rule(of(i, j), *seen), steps) - self._single[i] - self._single[j]
                 self._pairs.append((i, j, cross))
 
     def parts(self) -> list[Array]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.increments import Increments
-    from odomcorrupt.laws import Coefficients, Law
+    from odomcorrupt.laws import Coefficients, Law, Variances
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording
 
@@ -93,13 +93,26 @@ class Nodes:
 
     def carried(self, error: Array) -> Array:
         """Return (3, n): what errors (n0, 3) of the odometry's increments do to the residual, step by step."""
-        along, across, yaw = error.T[:, self.source] * self.share
+        carried = np.zeros((3, len(self.source)))
+        along, across, yaw = (np.take(part, self.source) * self.share if part.any() else None for part in error.T)
         (c, s), (ahead, left) = self.axis.T, self.lever.T
-        return np.stack((c * along - s * across - yaw * left, s * along + c * across + yaw * ahead, yaw))
+        if along is not None:
+            carried[0], carried[1] = c * along, s * along
+        if across is not None:
+            carried[0] -= s * across
+            carried[1] += c * across
+        if yaw is not None:
+            carried[0] -= yaw * left
+            carried[1] += yaw * ahead
+            carried[2] = yaw
+        return carried
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
-        v = variances(law, k, steps)
+        return self.spread(law, variances(law, k, steps), steps)
+
+    def spread(self, law: Law, v: Variances, steps: Increments) -> Array:
+        """Return (K, 3, 3): the covariance of the residual from variances of the increments that follow a law."""
         total = np.zeros((3, 3, len(self)))
         # a turn spread over the step swings its end as one made half-way
         for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
