@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import (
     TwistError,
     parameter,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -51,7 +51,7 @@ class Backlash(Effect):
     needs_track: ClassVar[bool] = True
     summary: ClassVar[str] = "gears have play: travel is lost at each reversal of a wheel"
     about: ClassVar[About | None] = About(
-        equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed",
+        equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed; no yaw with a gyro",
         typical="2 to 15 mm at the rim (1 to 8 degrees at the wheel; an estimate)",
         source="the play operator, as in Visintin 1994, Differential Models of Hysteresis",
         confused_with=("time_offset", "accel_slip"),
@@ -59,6 +59,12 @@ class Backlash(Effect):
     )
 
     travel: float = parameter("m", "lost at each reversal of a wheel", low=0.0, high=0.05, typical=0.005, step=0.004)
+    heading: str = heading_choice()
+
+    @property
+    def lost_m(self) -> float:
+        """With a gyro, odometry has the mean of both motors alone, and cannot tell which of them crossed its play."""
+        return 0.0 if self.heading == "wheels" else abs(self.travel)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return gears that have not turned yet."""
@@ -74,7 +80,7 @@ class Backlash(Effect):
             inside, after = _crossed(u * motion.dt_s, gear, width)
             lost.append(-sign * inside * rate)
             gears.append(after)
-        return TwistError(body_of(Rims(*lost), track), tuple(gears))
+        return TwistError(body_of(Rims(*lost), track, self.heading), tuple(gears))
 
     def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:
         """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
@@ -84,7 +90,7 @@ class Backlash(Effect):
             side, after = _sides(travel, gear)
             extra.append(0.5 * self.travel * np.diff(side))
             gears.append(after)
-        return Recorded(steps + body_of(Rims(*extra), track), tuple(gears))
+        return Recorded(steps + body_of(Rims(*extra), track, self.heading), tuple(gears))
 
 
 def _crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:

@@ -188,6 +188,11 @@ class Effect:
         """Whether it does anything: some amplitude is off its identity."""
         return any(getattr(self, p.name) != p.identity for p in amplitudes(self))
 
+    @property
+    def lost_m(self) -> float:
+        """Up to how many metres of what it does no correction can get back, because odometry does not tell."""
+        return 0.0
+
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for effects with shapes
         """Return the family at its identity with every shape that is worth trying on these motions.

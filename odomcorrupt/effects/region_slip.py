@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.wheels import heading_choice, turning
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +27,7 @@ class RegionSlip(Effect):
     summary: ClassVar[str] = "the wheels slip on one patch of the floor"
     reads_truth: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
-        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc",
+        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro",
         typical="1 to 10 % at a carpet's edge, on wet floor, on a ramp (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("scale_drift", "wheel_scale", "slope", "slip_burst"),
@@ -37,6 +38,7 @@ class RegionSlip(Effect):
     x: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
     y: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
     radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)
+    heading: str = heading_choice()
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
@@ -71,4 +73,5 @@ class RegionSlip(Effect):
         """Return f: a scale error that depends on the place."""
         inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
         slip = np.where(inside, -self.slip, 0.0)
-        return TwistError(stacked(slip * motion.v, slip * motion.vy, slip * motion.omega, motion.v), state)
+        yaw = turning(self.heading, slip * motion.omega)
+        return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.wheels import heading_choice, turning
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,7 @@ class ScaleDrift(Effect):
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the scale of distance and turn changes with time"
     about: ClassVar[About | None] = About(
-        equation="f = rate t (v, vy, omega)",
+        equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
         typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
         source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
         confused_with=("wheel_scale", "region_slip", "clock_skew"),
@@ -24,8 +25,10 @@ class ScaleDrift(Effect):
     )
 
     rate: float = parameter("1/s", "growth of the true radius per second", low=-2e-4, high=2e-4, typical=1e-5)
+    heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a scale error that grows."""
         scale = self.rate * motion.t_s
-        return TwistError(stacked(scale * motion.v, scale * motion.vy, scale * motion.omega, motion.v), state)
+        yaw = turning(self.heading, scale * motion.omega)
+        return TwistError(stacked(scale * motion.v, scale * motion.vy, yaw, motion.v), state)

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
-from odomcorrupt.effects.wheels import Rims, body_of, rims_of
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class SpeedScale(Effect):
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the wheels' radius changes with their speed"
     about: ClassVar[About | None] = About(
-        equation="f_wheel = k abs(u) u for each wheel's rim speed u",
+        equation="f_wheel = k abs(u) u for each wheel's rim speed u; no yaw with a gyro",
         typical="0.1 to 3 % per m/s (an estimate)",
         source="tyre growth, as in any text on tyres; sizes are engineering judgement",
         confused_with=("wheel_scale", "accel_slip", "wheelbase"),
@@ -30,12 +30,14 @@ class SpeedScale(Effect):
     )
 
     k: float = parameter("s/m", "growth of the radius per rim speed", low=-0.1, high=0.1, typical=0.01)
+    heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a scale error in proportion to the speed, wheel by wheel."""
         if motion.track_m is None:
             speed = self.k * np.abs(motion.v)
-            return TwistError(stacked(speed * motion.v, 0.0, 2.0 * speed * motion.omega, motion.v), state)
+            yaw = turning(self.heading, 2.0 * speed * motion.omega)
+            return TwistError(stacked(speed * motion.v, 0.0, yaw, motion.v), state)
         right, left = rims_of(motion.v, motion.omega, motion.track_m)
         grown = Rims(self.k * np.abs(right) * right, self.k * np.abs(left) * left)
-        return TwistError(body_of(grown, motion.track_m), state)
+        return TwistError(body_of(grown, motion.track_m, self.heading), state)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.wheels import heading_choice, turning
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +20,7 @@ class WheelScale(Effect):
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the wheels' true radius differs from the nominal one"
     about: ClassVar[About | None] = About(
-        equation="f = e (v, vy, omega)",
+        equation="f = e (v, vy, omega); e (v, vy, 0) with a gyro",
         typical="0.2 to 2 %; inflatable tyres up to 3 %",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_s",
         confused_with=("speed_scale", "scale_drift", "lost_increments", "lever_arm"),
@@ -27,7 +28,9 @@ class WheelScale(Effect):
     )
 
     e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.5, high=1.0, typical=0.01)
+    heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, proportional to the whole twist."""
-        return TwistError(stacked(self.e * motion.v, self.e * motion.vy, self.e * motion.omega, motion.v), state)
+        yaw = turning(self.heading, self.e * motion.omega)
+        return TwistError(stacked(self.e * motion.v, self.e * motion.vy, yaw, motion.v), state)

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from odomcorrupt.effects.effect import stacked
+import numpy as np
+
+from odomcorrupt.effects.effect import choice, stacked
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
 
-__all__ = ["Rims", "body_of", "needed_track_m", "rims_of"]
+__all__ = ["Rims", "body_of", "heading_choice", "needed_track_m", "rims_of", "turning"]
+
+
+def heading_choice() -> Any:
+    """Declare where the odometry's heading comes from: with a gyro, what the wheels do wrong is wrong along alone."""
+    return choice("source of the odometry's heading; what wheels do wrong does not turn a gyro", "wheels", "gyro")
+
+
+def turning(heading: str, yaw: Array) -> Array:
+    """Return how much an error of the wheels turns the odometry, rad/s or rad, of what it would turn their heading."""
+    return yaw if heading == "wheels" else np.zeros_like(yaw)
 
 
 class Rims(NamedTuple):
@@ -36,6 +48,7 @@ def rims_of(along: Array, yaw: Array, track_m: float) -> Rims:
     return Rims(along + half, along - half)
 
 
-def body_of(rims: Rims, track_m: float) -> Array:
-    """Return what the body does, (n, 3), where the wheels do this."""
-    return stacked(0.5 * (rims.right + rims.left), 0.0, (rims.right - rims.left) / track_m, rims.right)
+def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
+    """Return what the odometry does, (n, 3), where the wheels do this."""
+    yaw = turning(heading, (rims.right - rims.left) / track_m)
+    return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)

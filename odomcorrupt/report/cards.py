@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.report.found import dependence
 from odomcorrupt.report.sentences import size
-from odomcorrupt.report.tables import clock_lines, value_text
+from odomcorrupt.report.tables import clock_lines, value_text, words_text
 from odomcorrupt.study.search.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[floa
             lines.append(
                 f"<p>10 s error {size('along', before)} → <strong>{size('along', after)}</strong>, held out</p>"
             )
-    return _card(effect.kind, effect.name, lines)
+    return _card(effect.kind, effect.name + words_text(effect), lines)
 
 
 def _noise(gain: RandomGain) -> str:

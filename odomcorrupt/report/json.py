@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.advice import drive_sentence
 from odomcorrupt.report.found import position_error
 from odomcorrupt.study.judge.clock_gain import clock_gain
@@ -157,6 +157,7 @@ def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str],
             p.name: {"value": getattr(effect, p.name), "standard_error": _number(error), "unit": p.unit}
             for p, error in zip(amplitudes(effect), errors, strict=True)
         },
+        "words": {word: getattr(effect, word) for word in choices(effect)},
         "alternatives": list(alternatives),
         "confidence": confidence,
     }

@@ -5,11 +5,12 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.effect import amplitudes, choices
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.fitting.clocks import Clocks
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Learned, Round
@@ -65,6 +66,13 @@ def _candidate_line(candidate: Candidate) -> str:
     return f"{score.effect.name:<16}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
 
 
+def words_text(effect: Effect) -> str:
+    """Return those parameters of an effect that are words, and not the usual ones: " (heading gyro)", or ""."""
+    said = [f"{word} {getattr(effect, word)}" for word, options in choices(effect).items()]
+    usual = [f"{word} {options[0]}" for word, options in choices(effect).items()]
+    return f" ({', '.join(said)})" if said != usual else ""
+
+
 def ladder_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
     lines = []
@@ -72,8 +80,9 @@ def ladder_text(learned: Learned) -> str:
         if look.added is not None:
             before, after = look.candidates[0].rmse
             rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""
+            name = look.added + words_text(look.candidates[0].score.effect)
             lines.append(
-                f"  + {look.added:<16}{look.candidates[0].gain:+8.1f} nats   "
+                f"  + {name:<16}{look.candidates[0].gain:+8.1f} nats   "
                 f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s{rivals}"
             )
     return "\n".join(lines)

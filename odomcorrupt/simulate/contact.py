@@ -83,7 +83,7 @@ def _carry(
 ) -> _Steps:
     rolled_m = 0.5 * (travel_m[:, 0] + travel_m[:, 1])
     turn_rad = _turn(travel_m[:, 0] - travel_m[:, 1], rim_mps[:, 0] - rim_mps[:, 1], step_s, robot, streams)
-    forward_m = yield_along(rolled_m, step_s, robot)
+    forward_m = yield_along(rolled_m, 0.5 * (rim_mps[:, 0] + rim_mps[:, 1]), step_s, robot)
     for i, (sigma, tau_s) in enumerate(robot.floor.uneven):
         forward_m = forward_m * (1.0 + wander(sigma, tau_s, step_s, len(forward_m), streams.open(f"uneven {i}")))
     left_m = creep_sideways(forward_m / step_s, turn_rad / step_s, step_s, robot)

@@ -60,16 +60,19 @@ def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> n
     return np.repeat(1.0 / np.sqrt(chi2 * inverse_dof), per_jolt)[:n]
 
 
-def yield_along(rolled_m: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
+def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
     """Let the tyres carry the mass: the body lags behind the wheels' rolling.
 
     Newton with a tyre of slip stiffness C, rolling at u: ``m dv/dt = C (u - v) / abs(u)``, the force being shared by
-    both wheels, whose contact points creep alike. Only ``m / C`` is left in the answer.
+    both wheels, whose contact points creep alike. Only ``m / C`` is left in the answer. How fast they creep is said by
+    the wheels' turning: random creep moves no load, and must not be rectified by that product.
 
     Parameters
     ----------
     rolled_m : ndarray, shape (n,)
         Forward way of the wheels per step, m.
+    rim_mps : ndarray, shape (n,)
+        Mean rim speed of both wheels.
 
     Returns
     -------
@@ -78,7 +81,7 @@ def yield_along(rolled_m: np.ndarray, step_s: float, robot: Robot) -> np.ndarray
     """
     if robot.traction_s2_per_m == 0.0:
         return rolled_m
-    settle_s = robot.traction_s2_per_m * np.abs(rolled_m) / step_s
+    settle_s = robot.traction_s2_per_m * np.abs(rim_mps)
     keep = np.exp(-step_s / np.maximum(settle_s, 1e-9))
     behind_mps, speed_mps = [], 0.0
     for rolling_mps, kept in zip((rolled_m / step_s).tolist(), keep.tolist(), strict=True):

@@ -18,6 +18,7 @@ from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
+from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
@@ -145,7 +146,9 @@ def learn(
     bursts = slip_bursts(fitted)
     if bursts is not None:
         noise.append(RandomGain(bursts, _PLAIN_NATS))
-    fitted = _without_idlers(fitted, clocks, {e.name for e in start})
+    given = {e.name for e in start}
+    fitted = with_one_heading(fitted, given, lambda said: _again(fitted, clocks, said, random=fitted.random))
+    fitted = _without_idlers(fitted, clocks, given)
     kept = {effect.name for effect in fitted.effects}
     believed_laws = tuple(one for one in laws if one.law is not None and one.law.effect.name in kept)
     return Learned(

@@ -1,0 +1,49 @@
+"""A gyro's heading knows nothing of the wheels: their errors are then wrong along alone, and are named all the same."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import choices
+from odomcorrupt.motion import error_of
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.search.learn import learn
+from odomcorrupt.testing import contract_drive
+
+OF_WHEELS = ["backlash", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]
+
+
+def test_effects_of_the_wheels_know_where_a_heading_comes_from():
+    assert [name for name, kind in registry().items() if "heading" in choices(kind)] == OF_WHEELS
+
+
+@pytest.mark.parametrize("name", OF_WHEELS)
+def test_with_a_gyro_the_error_along_is_the_same_and_none_is_in_the_heading(name):
+    kind, motion = registry()[name], contract_drive().motion
+    size = {"backlash": "travel", "region_slip": "slip", "scale_drift": "rate", "speed_scale": "k", "wheel_scale": "e"}
+    wheels, gyro = (error_of(kind(**{size[name]: 1e-4, "heading": h}), motion) for h in ("wheels", "gyro"))
+    assert np.array_equal(wheels[:, :2], gyro[:, :2])
+    assert wheels[:, 2].any()
+    assert not gyro[:, 2].any()
+
+
+@pytest.mark.parametrize(("source", "word"), [("gyro", "gyro"), ("encoders", "wheels")])
+def test_a_scale_of_the_wheels_is_named_whatever_gives_the_heading(source, word):
+    run = as_recording(simulate(91, "wheel_scale", parameters={"e": 0.02}, duration_s=300.0, yaw_from=source))
+    learned = learn([run])
+    (effect,) = learned.fit.effects
+    assert (effect.name, effect.heading) == ("wheel_scale", word)
+    assert effect.e == pytest.approx(0.02, rel=0.15)
+
+
+def test_two_causes_that_share_the_heading_are_not_taken_for_a_gyro():
+    # the wheels' scale and the track turn the robot together; a gyro and a track could say the same with other numbers
+    causes = {"wheel_scale": {"e": 0.02}, "wheelbase": {"e": -0.02}}
+    run = as_recording(simulate(92, tuple(causes), parameters=causes, duration_s=300.0, yaw_from="encoders"))
+    found = {e.name: e for e in learn([run]).fit.effects}
+    assert set(found) == set(causes)
+    assert found["wheel_scale"].heading == "wheels"
+    assert found["wheelbase"].e == pytest.approx(-0.02, rel=0.15)
