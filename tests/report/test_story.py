@@ -1,0 +1,294 @@
+"""What a search found, in all its words and pictures: findings that seldom come together, on one small drive."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from html import unescape
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_report import Balanced
+
+from odomcorrupt.cli import run
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.report.advice import advice_text, limits_sentence
+from odomcorrupt.report.candidates_picture import draw_candidates
+from odomcorrupt.report.figure import rendered
+from odomcorrupt.report.fitted import fit_text, laws_table
+from odomcorrupt.report.found import NOTHING, found_text, shares_text
+from odomcorrupt.report.found_html import Story, found_html
+from odomcorrupt.report.json import learned_json
+from odomcorrupt.report.plan_picture import draw_plan
+from odomcorrupt.report.tables import clock_lines, value_text
+from odomcorrupt.report.unknown_picture import draw_unknown
+from odomcorrupt.study.advice.advise import Advice, Choice, Limit, Untestable
+from odomcorrupt.study.advice.manoeuvres import MANOEUVRES, Limits
+from odomcorrupt.study.advice.plan import plan_of
+from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.study.judge.ladder import ladder_comparison
+from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.search.random_gain import RandomGain
+from odomcorrupt.study.search.unknown import Unknown
+
+PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
+PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
+SPINS = next(plan for plan in PLANS.values() if plan.fastest_mps == 0.0)
+CHOICES = (
+    Choice(("side_slip", "turn_asymmetry"), "it never turned to the left", PLAN, 12.0),
+    Choice(("gyro_bias", "scale_drift"), "", SPINS, 3.0),
+    Choice(("wheel_scale", "speed_scale"), "", None, 0.0, "measure a wheel"),
+    Choice(("lever_arm", "mount_yaw"), "", None, 0.0),
+)
+UNTESTABLE = (
+    Untestable("backlash", "never reversed", PLAN),
+    Untestable("accel_slip", "never reversed", PLAN),
+    Untestable("slope", "no map", None, "give a map"),
+    Untestable("time_offset", "it stood still", None),
+)
+LIMITS = (
+    Limit("wheel_scale", "e", 0.0012, ""),
+    Limit("lever_arm", "x", 0.0034, "m"),
+    Limit("lever_arm", "y", 0.005, "m"),
+)
+ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
+NONE = Advice((), (), (), None)
+
+
+def unknown(channel, driver, *, per="m", wavelength_m=None):
+    centres = {
+        "position": np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0]]),
+        "heading": np.arange(3.0),
+    }.get(driver, np.linspace(-1.0, 1.0, 9))
+    curve = 0.01 * np.sin(np.arange(len(centres)))
+    law = None if wavelength_m is None else SimpleNamespace(law=SimpleNamespace(wavelength_m=wavelength_m))
+    expression = f"{channel} += v * (0.01 * {driver})"
+    return Unknown(channel, driver, per, centres, curve, np.full(len(centres), 0.002), 1e-6, 40.0, law, expression)
+
+
+UNKNOWNS = (
+    unknown("yaw", "speed"),
+    unknown("along", "heading"),
+    unknown("yaw", "yaw_rate", per="rad"),
+    unknown("across", "position"),
+    unknown("along", "distance", wavelength_m=0.52),
+)
+
+
+@pytest.fixture(scope="session")
+def searched(case):
+    return learn([case.recording])
+
+
+@pytest.fixture(scope="session")
+def ladder(searched, case):
+    return ladder_comparison(searched, [case.recording])
+
+
+@pytest.fixture(scope="session")
+def rich(searched):
+    """Say that the search also found noise and unknowns, the first of which is believed."""
+    wandering = effect_from_values("gauss_markov", {"sigma": 0.02, "tau": 4.0, "channel": "yaw"})
+    return replace(searched, noise=(RandomGain(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
+
+
+@pytest.fixture(scope="session")
+def poor(searched):
+    """Say that the search found nothing."""
+    first = searched.rounds[0]
+    return replace(searched, rounds=(replace(first, added=None),), fit=first.before, noise=(), unknown=(), laws=())
+
+
+def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
+    text = found_text(rich, ADVICE)
+    assert "missing, in the order of evidence" in text
+    assert "  + unequal_wheels" in text
+    assert "noise: gauss_markov (yaw), sigma 2 %, tau 4 s: the gain of travel or turn wanders" in text
+    assert "unknown: the yaw error depends on speed (40 nats), and no known effect explains it" in text
+    assert f"the model has: {UNKNOWNS[0].expression}" in text
+    assert f"to try: {UNKNOWNS[1].expression}" in text
+    assert "the yaw error per radian turned depends on yaw rate" in text
+    assert "nan" not in text
+    alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
+    assert "the along error comes back every 0.52 m driven" in alone
+
+
+def test_where_nothing_is_found_the_text_says_so(poor):
+    assert found_text(poor, NONE) == NOTHING
+
+
+def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive():
+    lines = advice_text(ADVICE).splitlines()
+    assert len(lines) == len(CHOICES) + 3
+    assert lines[0].startswith(
+        "side_slip or turn_asymmetry: these data cannot tell (it never turned to the left); drive "
+    )
+    assert lines[0].endswith("that is expected to tell by 12 nats")
+    assert "up to 46 deg/s" in lines[1]
+    assert lines[2] == "wheel_scale or speed_scale: the same to every drive: measure a wheel"
+    assert "no drive of ten minutes would" in lines[3]
+    assert lines[4].startswith("backlash, accel_slip: not testable here: never reversed; drive ")
+    assert lines[5] == "slope: not testable here: no map; give a map"
+    assert lines[6] == "time_offset: not testable here: it stood still"
+    assert advice_text(NONE) == limits_sentence(()) == ""
+    assert limits_sentence(LIMITS) == (
+        "these sizes would have been seen: wheel_scale 0.12 %, lever_arm x 3.4 mm, lever_arm y 5 mm"
+    )
+
+
+def test_the_page_shows_everything_at_once_and_stays_whole(rich, ladder):
+    page = found_html(Story(rich, ladder, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
+    parsed = Balanced()
+    parsed.feed(page)
+    assert not parsed.open
+    assert parsed.tags.count("img") == 5
+    assert all(source.startswith("data:") for source in parsed.sources)
+    text = unescape(page)
+    for sentence in advice_text(ADVICE).splitlines():
+        assert sentence.partition(": ")[0] in text
+    for one in UNKNOWNS[:3]:
+        assert one.expression in text
+    assert "gauss_markov (yaw)" in text
+    assert "odomcorrupt fit run.mcap -o robot.toml" in text
+
+
+def test_the_page_of_a_search_that_found_nothing_is_whole(poor, ladder):
+    first = replace(ladder, judgements=ladder.judgements[:1])
+    page = found_html(Story(poor, first, NONE, ""), version="0")
+    parsed = Balanced()
+    parsed.feed(page)
+    assert not parsed.open
+    assert NOTHING[1:] in unescape(page)
+    assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
+
+
+def test_json_has_no_number_that_is_none(rich, poor, ladder):
+    told = learned_json(rich, ladder.judgements, ADVICE)
+    assert json.loads(json.dumps(told, allow_nan=False))["verdict"] == "unknown"
+    assert len(told["unknown"]) == len(UNKNOWNS)
+    assert [one["effect"] for one in told["not_testable"]] == [one.effect for one in UNTESTABLE]
+    assert learned_json(poor, ladder.judgements[:1], NONE)["verdict"] == "complete"
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        *(lambda one=one: draw_unknown([one]) for one in UNKNOWNS),
+        lambda: draw_unknown(UNKNOWNS),
+        lambda: draw_plan(PLAN),
+        lambda: draw_plan(SPINS),
+    ],
+)
+def test_a_picture_is_the_same_file_every_time(draw):
+    first = rendered(draw(), "svg")
+    assert rendered(draw(), "svg") == first
+    assert b"nan" not in first.lower().split()
+
+
+def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
+    first = rich.rounds[0]
+    refused = replace(first.candidates[-1], gain=30.0, fit=first.candidates[0].fit, refused="it says nothing held out")
+    look = replace(first, candidates=(*first.candidates[:3], refused))
+    assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
+
+
+def test_the_fall_of_the_error_is_told_for_ladders_alone(ladder):
+    text = shares_text(ladder.judgements)
+    assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
+    assert "10 s: " in text
+    assert "-" in text.partition("10 m: ")[2]
+    assert shares_text(ladder.judgements[:1]) == ""
+
+
+def test_values_have_units_that_a_person_thinks_in():
+    assert value_text(0.1, 0.01, "rad/m") == "5.73 +- 0.57 deg/m"
+    assert value_text(0.002, None, "m") == "2 mm"
+    assert value_text(0.05, 0.001, "s") == "50 +- 1 ms"
+    assert value_text(4.0, None, "s") == "4 s"
+    assert value_text(0.01, 0.002, "") == "1 +- 0.2 %"
+
+
+def test_clocks_that_are_off_have_a_line_and_others_none(searched):
+    clocks = replace(
+        searched.clocks,
+        clocks=tuple(replace(clock, offset_s=0.05, rate=2e-5) for clock in searched.clocks.clocks),
+        free=tuple((True, True) for _ in searched.clocks.clocks),
+        errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
+    )
+    assert clock_lines(["a"], clocks) == ["a: the odometry's clock is off: offset 50 +- 1 ms, skew 20 +- 1 ppm"]
+    assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
+
+
+def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(searched, case):
+    result = fit_robot([case.recording], searched.fit.effects, law_name="quadratic", clocks=searched.clocks)
+    text = fit_text(result)
+    assert text.startswith("law quadratic, coefficients with 95 % intervals:")
+    assert "as the law has it" in text
+    assert "  unequal_wheels: curvature -0." in text
+    table = laws_table({"quadratic": result, "other": result}).splitlines()
+    assert table[1].split() == ["quadratic", "0.0", str(len(result.fit.pieces.active)), "yes"]
+
+
+@pytest.fixture
+def found(monkeypatch, rich):
+    """Let the commands find everything at once, without a search."""
+    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: rich)
+    monkeypatch.setattr("odomcorrupt.study.advice.advise.advise", lambda _learned: ADVICE)
+
+
+def test_diagnose_says_in_the_terminal_what_to_type_next(found, case, tmp_path, capsys):
+    words = ["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--drive", str(tmp_path / "next.mcap")]
+    assert run(words) == 0
+    out, err = capsys.readouterr()
+    assert "held-out position error (RMS):" in out
+    assert out.splitlines()[-1].startswith("next: odomcorrupt fit ")
+    assert "--add unequal_wheels -o robot.toml" in out
+    assert f"wrote {tmp_path / 'next.mcap'}: " in err
+    assert run(words) == 1
+    assert "--overwrite" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["learn", "{bag}", "{model}"], "`fit --start` and `diagnose` take models"),
+        (["diagnose", "{bag}", "{model}", "{other}"], "2 models given; diagnose one at a time"),
+        (["diagnose", "{bag}", "--drive", "next.bag"], "commands are written as MCAP"),
+        (["fit", "{bag}", "{model}"], "is a model; pass it with --start"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, capsys):
+    typed = [word.format(bag=case.bag, model=case.base, other=case.robot) for word in words]
+    assert run(typed) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, tmp_path, capsys, monkeypatch):
+    asked = []
+    monkeypatch.setattr("odomcorrupt.study.judge.compare.compare", lambda _runs, models: asked.append(models) or ladder)
+    monkeypatch.setattr("odomcorrupt.study.judge.ladder.compare", lambda _runs, _models: ladder)
+    monkeypatch.chdir(tmp_path)
+    words = ["learn", str(case.bag), "--track", str(case.recording.track_m)]
+    files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
+    assert run([*words, *(word for pair in files.items() for word in pair)]) == 0
+    out, err = capsys.readouterr()
+    assert all((tmp_path / name).stat().st_size > 0 for name in files.values())
+    assert all(f"wrote {name}" in err for name in files.values())
+    assert "missing, in the order of evidence" in out
+    assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
+    assert "odomcorrupt sim.bag noisy.bag --model robot.toml" in unescape((tmp_path / "all.html").read_text())
+    assert run([*words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert told["comparison"]["models"][0]["name"] == ladder.judgements[0].name
+
+
+def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):
+    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: searched)
+    monkeypatch.setattr("odomcorrupt.study.advice.advise.advise", lambda _learned: NONE)
+    drive = tmp_path / "next.mcap"
+    assert run(["diagnose", str(case.bag), "--json", "--drive", str(drive)]) == 0
+    assert f"{drive} is not written: nothing is open that a drive would settle" in capsys.readouterr().err
+    assert not drive.exists()
