@@ -220,14 +220,18 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
     assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
 
 
-def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(searched, case):
-    result = fit_robot([case.recording], searched.fit.effects, law_name="quadratic", clocks=searched.clocks)
-    text = fit_text(result)
+@pytest.fixture(scope="session")
+def fitted(searched, case):
+    return fit_robot([case.recording], searched.fit.effects, law_name="quadratic", clocks=searched.clocks)
+
+
+def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
+    text = fit_text(fitted)
     assert text.startswith("law quadratic, coefficients with 95 % intervals:")
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
-    table = laws_table({"quadratic": result, "other": result}).splitlines()
-    assert table[1].split() == ["quadratic", "0.0", str(len(result.fit.pieces.active)), "yes"]
+    table = laws_table({"quadratic": fitted, "other": fitted}).splitlines()
+    assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.pieces.active)), "yes"]
 
 
 @pytest.fixture
@@ -266,8 +270,9 @@ def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, caps
     assert err.count("\n") == 1
 
 
-def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, tmp_path, capsys, monkeypatch):
+def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, fitted, tmp_path, capsys, monkeypatch):
     asked = []
+    monkeypatch.setattr("odomcorrupt.study.fitting.robot.fit_robot", lambda *_args, **_named: fitted)
     monkeypatch.setattr("odomcorrupt.study.judge.compare.compare", lambda _runs, models: asked.append(models) or ladder)
     monkeypatch.setattr("odomcorrupt.study.judge.ladder.compare", lambda _runs, _models: ladder)
     monkeypatch.chdir(tmp_path)
