@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import as_recording
@@ -16,6 +18,7 @@ from odomcorrupt.study.fitting.clocks import find_clocks
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
 from odomcorrupt.study.fitting.intervals import coefficient_intervals
 from odomcorrupt.study.likelihood.windows import time_windows
+from odomcorrupt.study.recordings.trajectory import Trajectory
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.score import score_tests
 
