@@ -18,7 +18,8 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
-from odomcorrupt.study.search.score import Score, best_member, score_tests
+from odomcorrupt.study.search.members import best_member
+from odomcorrupt.study.search.score import Score, score_tests
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.study.search.score import UNUSUAL_NATS
+from odomcorrupt.study.search.members import UNUSUAL_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

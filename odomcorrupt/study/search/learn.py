@@ -6,10 +6,13 @@ effects that only stood in for it fall idle and are dropped, and the error falls
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.drift import ten_second_error
@@ -19,6 +22,7 @@ from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
 from odomcorrupt.study.search.heading import with_one_heading
+from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
@@ -37,6 +41,8 @@ _PLAIN_NATS = 100.0
 """What is counted in the odometry itself needs no statistics."""
 _MOST_LAWS = 2
 _DROP_NATS = 3.3
+_WORTH_NATS = 1.0
+"""What a new shape has to gain."""
 _NOISE_PRICE = 6.0
 """Nats that a wandering gain is worth by chance, and as much as it has to gain to be named."""
 ALTERNATIVE_NATS = 3.0
@@ -143,6 +149,7 @@ def learn(
             break
         # believe it: robust weights are taken anew, because what looked like outliers may be explained now
         fitted = _again(best.fit, clocks, best.fit.effects, random=best.fit.random)
+        fitted = _reshaped(fitted, clocks, best.score.effect.name)
     bursts = slip_bursts(fitted)
     if bursts is not None:
         noise.append(RandomGain(bursts, _PLAIN_NATS))
@@ -154,6 +161,21 @@ def learn(
     return Learned(
         clocks, tuple(rounds), tuple(noise), (*laws, *unknown), believed_laws, fitted, ten_second_error(fitted)
     )
+
+
+def _reshaped(fitted: Fit, clocks: Clocks, name: str) -> Fit:
+    """Look for the shape of an effect anew, now that what it explains is no noise any more."""
+    (effect,) = (e for e in fitted.effects if e.name == name)
+    if all(p.amplitude for p in parameters(effect)):
+        return fitted
+    others = [e for e in fitted.effects if e is not effect]
+    problem, own = fitted.problem, amplitudes(effect)
+    explained = problem.columns(effect) @ np.array([getattr(effect, p.name) for p in own])
+    still = replace(effect, **{p.name: p.identity for p in own})  # type: ignore[type-var]  # effects are dataclasses
+    believed = believed_columns(replace(problem, effects=tuple(others)), clocks.free)
+    moved = best_member(fitted, [still, *type(effect).scan(problem.motions)], believed, explained)
+    again = _again(fitted, clocks, [*others, moved], random=fitted.random)
+    return again if again.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted
 
 
 def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGain | None:

@@ -8,15 +8,12 @@ few blocks borrow strength from the others, as limma does for few arrays).
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from operator import itemgetter
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
-
-from odomcorrupt.effects.effect import choices, parameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,15 +24,11 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["UNUSUAL_NATS", "ColumnScore", "Score", "best_member", "block_of", "score_columns", "score_tests"]
+__all__ = ["ColumnScore", "Score", "block_of", "score_columns", "score_tests"]
 
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
 _PRIOR_DOF = 20.0
-_REFINEMENTS = (0.4, 0.2, 0.1)
-_WORTH_NATS = 0.2
-UNUSUAL_NATS = 4.0
-"""What a word other than the usual one, a heading from a gyro, has to explain on top."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,53 +108,6 @@ def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[Co
     weights = np.array([t.dof for t in usable])
     shared = max(float(np.sum(weights * [t.variance for t in usable]) / weights.sum()), 1.0) if usable else 1.0
     return [_judged(t, shared, len(usable)) for t in tests]
-
-
-def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
-    """Return the shape that explains most of what is left: the best of a family, then refined step by step.
-
-    A parameter that is a word keeps its first one, unless another explains plainly more.
-    """
-    if len(family) == 1 and not choices(family[0]):
-        return family[0]
-    whiten = fit.noise.whitener.whiten
-    r = fit.noise.innovations
-    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
-    r = r - basis @ (basis.T @ r)
-
-    def gain(effect: Effect) -> float:
-        column = whiten(fit.problem.columns(effect))
-        column = column - basis @ (basis.T @ column)
-        if not column.any():
-            return 0.0
-        return float((column @ np.linalg.lstsq(column, r, rcond=None)[0]) @ r)
-
-    gains = [gain(effect) for effect in family]
-    plain = family[int(np.argmax(gains))]
-    words = [(max(gains), plain), *((gain(other) - UNUSUAL_NATS, other) for other in _other_words(plain))]
-    most, best = max(words, key=itemgetter(0))
-    shapes = [p for p in parameters(best) if not p.amplitude]
-    for fraction in _REFINEMENTS:
-        better = True
-        while better:
-            better = False
-            for p in shapes:
-                for step in (-fraction * p.typical, fraction * p.typical):
-                    value = float(np.clip(getattr(best, p.name) + step, p.low, p.high))
-                    moved = replace(best, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
-                    if (new := gain(moved)) > most + _WORTH_NATS:
-                        best, most, better = moved, new, True
-    return best
-
-
-def _other_words(effect: Effect) -> list[Effect]:
-    """Return the effect with each of its words replaced by each other one that it may be."""
-    words = [(word, option) for word, options in choices(effect).items() for option in options]
-    return [
-        replace(effect, **{word: option})  # type: ignore[type-var]  # effects are dataclasses
-        for word, option in words
-        if getattr(effect, word) != option
-    ]
 
 
 @dataclass(frozen=True, slots=True)

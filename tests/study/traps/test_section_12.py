@@ -16,7 +16,8 @@ from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 from odomcorrupt.study.search.candidates import _price, library, next_effect
 from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.score import best_member, score_tests
+from odomcorrupt.study.search.members import best_member
+from odomcorrupt.study.search.score import score_tests
 
 
 @pytest.mark.slow

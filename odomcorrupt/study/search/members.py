@@ -1,0 +1,111 @@
+"""Which member of a family of shapes explains most: all are looked at, the best few are refined step by step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from operator import itemgetter
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import choices, parameters
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+
+__all__ = ["UNUSUAL_NATS", "best_member"]
+
+UNUSUAL_NATS = 4.0
+"""What a word other than the usual one, a heading from a gyro, has to explain on top."""
+_REFINEMENTS = (0.4, 0.2, 0.1)
+"""Steps of shapes, in parts of their typical sizes."""
+_WORTH_NATS = 0.2
+_STARTS, _PLAIN = 4, 60.0
+"""From how many members the search goes on where the best explains so much (chi-square): hills have neighbours."""
+
+
+def best_member(fit: Fit, family: Sequence[Effect], believed: Array, more: Array | None = None) -> Effect:
+    """Return the shape that explains most of what is left.
+
+    A parameter that is a word keeps its first one, unless another explains plainly more.
+
+    Parameters
+    ----------
+    fit : the fitted model
+    family : the shapes, at their identities
+    believed : (K, 3, q)
+        Columns of what is believed beside.
+    more : (K, 3)
+        What the fit has explained already, to be explained anew.
+
+    """
+    if len(family) == 1 and not choices(family[0]):
+        return family[0]
+    gain = _gain_on(fit, believed, more)
+    ranked = sorted(((gain(member), i, member) for i, member in enumerate(family)), reverse=True, key=itemgetter(0))
+    most, _, plain = ranked[0]
+    refined = [_refined(start, gain) for start in _starts([m for _, _, m in ranked], most)]
+    most, plain = max(refined, key=itemgetter(0))
+    words = [(most, plain), *((gain(other) - UNUSUAL_NATS, other) for other in _other_words(plain))]
+    return max(words, key=itemgetter(0))[1]
+
+
+def _gain_on(fit: Fit, believed: Array, more: Array | None) -> Callable[[Effect], float]:
+    """Return the chi-square that an effect explains of what the believed columns leave."""
+    whiten = fit.noise.whitener.whiten
+    r = fit.noise.innovations if more is None else fit.noise.innovations + whiten(more)
+    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
+    r = r - basis @ (basis.T @ r)
+
+    def gain(effect: Effect) -> float:
+        column = whiten(fit.problem.columns(effect))
+        column = column - basis @ (basis.T @ column)
+        if not column.any():
+            return 0.0
+        return float((column @ np.linalg.lstsq(column, r, rcond=None)[0]) @ r)
+
+    return gain
+
+
+def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
+    """Return members to refine, the best first: one, or where they explain plainly, some that differ in shape."""
+    chosen = [ranked[0]]
+    shapes = [p for p in parameters(ranked[0]) if not p.amplitude]
+    for member in ranked[1:]:
+        if most < _PLAIN or len(chosen) == _STARTS:
+            break
+        far = [any(abs(getattr(member, p.name) - getattr(c, p.name)) > 0.4 * p.typical for p in shapes) for c in chosen]
+        if all(far):
+            chosen.append(member)
+    return chosen
+
+
+def _refined(effect: Effect, gain: Callable[[Effect], float]) -> tuple[float, Effect]:
+    """Return the gain and the effect at the top of the hill on which this one stands."""
+    shapes = [p for p in parameters(effect) if not p.amplitude]
+    best, most = effect, gain(effect)
+    for fraction in _REFINEMENTS:
+        better = True
+        while better:
+            better = False
+            for p in shapes:
+                for step in (-fraction * p.typical, fraction * p.typical):
+                    value = float(np.clip(getattr(best, p.name) + step, p.low, p.high))
+                    moved = replace(best, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
+                    if (new := gain(moved)) > most + _WORTH_NATS:
+                        best, most, better = moved, new, True
+    return most, best
+
+
+def _other_words(effect: Effect) -> list[Effect]:
+    """Return the effect with each of its words replaced by each other one that it may be."""
+    words = [(word, option) for word, options in choices(effect).items() for option in options]
+    return [
+        replace(effect, **{word: option})  # type: ignore[type-var]  # effects are dataclasses
+        for word, option in words
+        if getattr(effect, word) != option
+    ]
