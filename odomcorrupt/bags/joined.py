@@ -69,7 +69,9 @@ class _Run:
         if isinstance(raw, Ros1Framing):
             starts = [block.raw.starts + begin for block, begin in zip(self.blocks, begins, strict=True)]
             raw = Ros1Framing(raw.codec, np.concatenate(starts))
-        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends))
+        crcs = tuple(crc for block in self.blocks for crc in block.read_crcs)
+        crcs = crcs if len(crcs) == len(ends) else ()
+        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), read_crcs=crcs)
 
 
 def _alike(one: object, other: object) -> bool:

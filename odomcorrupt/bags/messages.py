@@ -49,6 +49,7 @@ class Layout:
     items : one for an Odometry or pose, one per transform for a TFMessage (none for an empty one)
     big_endian : whether numbers are stored big-endian (CDR only)
     unsigned_seconds : whether the stamps' seconds are unsigned, as in ROS 1
+    size : bytes from a message's start to the end of its last number
     """
 
     rows: NDArray[np.int64]
@@ -56,6 +57,7 @@ class Layout:
     items: tuple[Item, ...]
     big_endian: bool = False
     unsigned_seconds: bool = False
+    size: int = 0
 
 
 def locate(block: Block, channel: Channel) -> list[Layout]:
@@ -77,7 +79,8 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
         first = block.data[starts[0] : starts[0] + lengths[0]].tobytes()
         template = read_template(first, channel.topic, channel.msgtype, channel.encoding)
         same = _matches(block.data, starts, lengths, template)
-        layouts.append(Layout(rows[same], starts[same], template.items, template.big_endian, template.unsigned_seconds))
+        kind = (template.items, template.big_endian, template.unsigned_seconds, template.size)
+        layouts.append(Layout(rows[same], starts[same], *kind))
         rows, starts, lengths = rows[~same], starts[~same], lengths[~same]
     return layouts
 

@@ -52,7 +52,7 @@ class Rests:
             ]
         return self._blocks
 
-    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:  # noqa: ARG002 - summed once in any case
         """Compress and sum for an MCAP, what all runs share once."""
         chunk: Packed = self._once(packed, codec, data, level)
         return chunk

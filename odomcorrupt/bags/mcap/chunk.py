@@ -44,11 +44,12 @@ class McapFraming:
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A decompressed chunk and the contents of the message indexes that follow it."""
+    """A decompressed chunk, its CRC-32 where that is known, and the contents of the message indexes that follow it."""
 
     data: NDArray[np.uint8]
     codec: str
     what: str
+    crc: int | None = None
     indexes: list[bytes] = field(default_factory=list)
 
     def append(self, _opcode: int, content: bytes, _what: str) -> None:
@@ -105,7 +106,7 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
         data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf)
     if crc not in (0, zlib.crc32(data.data)):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
-    return Chunk(data, codec, named)
+    return Chunk(data, codec, named, crc or None)
 
 
 def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:

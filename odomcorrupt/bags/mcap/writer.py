@@ -55,9 +55,9 @@ class Packed(NamedTuple):
     shared: Shared | None = None
 
 
-def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
-    """Compress and sum a chunk's records."""
-    crc = zlib.crc32(data.data)
+def packed(codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:
+    """Compress a chunk's records, and sum them where that was not done before."""
+    crc = zlib.crc32(data.data) if crc is None else crc
     return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
 
 
@@ -122,7 +122,7 @@ class McapWriter:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
         native = isinstance(framing, McapFraming)
         if native and not isinstance(block.raw, PartFraming):
-            return Framed(block.data, block.table, block.ends)
+            return Framed(block.data, block.table, block.ends, block.crcs)
         table = block.table.copy()
         table["channel"] = self._directory.translate(table["channel"])
         if native:
@@ -148,10 +148,11 @@ class McapWriter:
         stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
         rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
         chunks = [ChunkRows(*row) for row in rows]
-        for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
+        crcs = framed.crcs or (None,) * len(chunks)
+        for chunk, indexes, crc in zip(chunks, message_indexes(framed.table, chunks), crcs, strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
-            chunk_data = self.pack(codec, data, self._level)
+            chunk_data = self.pack(codec, data, self._level, crc)
             size = len(chunk_data.data)
             head = chunk_head(start_ns, end_ns, size=data.size, crc=chunk_data.crc, codec=codec, packed=size)
             span = ChunkSpan(
