@@ -113,8 +113,12 @@ def _unlz4(data: memoryview, size: int) -> bytearray:
 
 def require_level(codec: str, level: int | None) -> None:
     """Refuse a level that a codec does not have."""
-    lowest, highest = _LEVELS.get(codec, (0, 99))
-    if level is not None and not lowest <= level <= highest:
+    if level is None:
+        return
+    if codec not in _LEVELS:
+        raise BagError(f"level {level}: without compression there is none; leave --level out")
+    lowest, highest = _LEVELS[codec]
+    if not lowest <= level <= highest:
         raise BagError(f"level {level}: {codec} has levels {lowest} to {highest}")
 
 
@@ -123,7 +127,8 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
 
     Independent blocks of 64 KB are what LZ4 packs and unpacks fastest: larger or linked ones go through its own buffer.
     """
-    require_level(codec, level)
+    if codec != "none":
+        require_level(codec, level)
     if codec == "zstd":
         return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
     if codec == "lz4":

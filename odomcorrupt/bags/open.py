@@ -36,6 +36,14 @@ _CODECS: dict[Kind, tuple[str, ...]] = {
     "sqlite3": ("none",),
 }
 _NAMES: dict[Kind, str] = {"mcap": "an MCAP", "ros1": "a ROS 1 bag", "sqlite3": "a sqlite3 bag"}
+_PACKED = {
+    b"\x28\xb5\x2f\xfd": ("zstd", "zstd -d"),
+    b"\x1f\x8b": ("gzip", "gunzip"),
+    b"BZh": ("bzip2", "bunzip2"),
+    b"\xfd7zXZ\0": ("xz", "unxz"),
+    b"\x04\x22\x4d\x18": ("lz4", "lz4 -d"),
+}
+"""Files that are compressed as a whole, by their first bytes: by what, and what undoes it."""
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
@@ -87,8 +95,9 @@ def _unknown(name: str, begin: bytes) -> BagError:
         return BagError(
             f"{name}: is a ROS 1 bag of version {begin[9:12].decode()}; `rosbag migrate` makes it a 2.0 one"
         )
-    if begin.startswith(b"\x28\xb5\x2f\xfd"):
-        return BagError(f"{name}: is a zstd-compressed file; decompress it first (`zstd -d`)")
+    for magic, (kind, command) in _PACKED.items():
+        if begin.startswith(magic):
+            return BagError(f"{name}: is a {kind}-compressed file; decompress it first (`{command}`)")
     if begin == SQLITE_MAGIC:
         return BagError(f"{name}: a sqlite3 bag cannot come through a pipe; name the file or directory")
     return BagError(f"{name}: begins with {begin[:8]!r}, which is no MCAP, ROS 1 bag or ROS 2 bag")
@@ -121,8 +130,8 @@ def open_writer(
         raise BagError(
             f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
         )
-    if compression is not None:
-        require_level(compression, level)
+    if compression is not None or kind == "sqlite3":
+        require_level(compression or "none", level)
     if path is None or str(path) == "-":
         return McapWriter(Output(None, stream or sys.stdout.buffer), _single(reader, "mcap"), compression, level)
     named = path.suffix.lower() in _SUFFIXES

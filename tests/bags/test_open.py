@@ -1,15 +1,19 @@
 """Bags are known by their content, and appear complete or not at all."""
 
+import bz2
+import gzip
 import io
+import lzma
 import os
 import stat
 import subprocess
 import sys
 import threading
 
+import lz4.frame
 import pytest
 from mcap.writer import Writer as McapLibraryWriter
-from oracles import OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages
+from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages
 from rosbags.rosbag1 import Writer as Ros1LibraryWriter
 
 from odomcorrupt.bags.open import open_reader, open_writer
@@ -34,7 +38,11 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
     [
         (b"", "is empty"),
         (b"#ROSBAG V1.2\n", "version 1.2"),
-        (b"\x28\xb5\x2f\xfd compressed", "zstd"),
+        (b"\x28\xb5\x2f\xfd compressed", "decompress it first .`zstd -d`"),
+        (gzip.compress(b"a bag"), "is a gzip-compressed file; decompress it first .`gunzip`"),
+        (bz2.compress(b"a bag"), "`bunzip2`"),
+        (lzma.compress(b"a bag"), "`unxz`"),
+        (lz4.frame.compress(b"a bag"), "`lz4 -d`"),
         (b"PK\3\4 and so on", "no MCAP, ROS 1 bag or ROS 2 bag"),
     ],
 )
@@ -190,6 +198,13 @@ def test_a_ros1_bag_on_a_pipe_becomes_the_same_bag_as_a_file(tmp_path):
     through_file = copy(OFFICE_BAG, tmp_path / "file.bag")
     through_pipe = copy(None, tmp_path / "pipe.bag", stdin=io.BytesIO(OFFICE_BAG.read_bytes()))
     assert through_pipe.read_bytes() == through_file.read_bytes()
+
+
+def test_a_level_without_a_compression_is_refused(tmp_path):
+    with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="level 3: without compression"):
+        open_writer(tmp_path / "out.mcap", reader, compression="none", level=3)
+    with open_reader(FIXTURES / "office_ros2") as reader, pytest.raises(BagError, match="level 3: without compression"):
+        open_writer(tmp_path / "out", reader, level=3)
 
 
 def test_a_level_that_a_compression_does_not_have_is_refused_before_anything_is_written(tmp_path):
