@@ -3,12 +3,13 @@
     python benchmarks/bags.py                        # 150 s of a robot with a camera, 600 MB raw, 3 rounds
     python benchmarks/bags.py --seconds 30 --rounds 5     # smaller bags: start-up is a larger part of it
     python benchmarks/bags.py --only "odom mcap zstd"
+    python benchmarks/bags.py --cpp ./loop_cpp    # beside the C++ MCAP library, too; loop_cpp.cpp says how to compile
 
-It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where it is installed, a loop over
-ROS 1's own rosbag, one after the other in every round, and counts the CPU seconds (user + system) of whole processes.
-Medians are printed, and ratios beside the goals. Bags without a camera are 8 times as long, 120 000 messages at 150 s;
-the long one 133 times, 2 million: there the loops take minutes, and `cp` alone is run beside. The goal for that bag is
-the C++ MCAP library's time, which is not measured here: the case tells whether time grows with the messages only.
+It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where they are installed, a loop
+over ROS 1's own rosbag and one with the C++ MCAP library, one after the other in every round, and counts the CPU
+seconds (user + system) of whole processes. Medians are printed, and ratios beside the goals. Bags without a camera are
+8 times as long, 120 000 messages at 150 s; the long one 133 times, 2 million: there the loops in Python take minutes
+and are left out.
 A round that is not counted comes first: it compiles modules, ours as well as theirs, as installing them does. Linear
 algebra has one thread, for all. Needs the test extra; writes into a folder of its own, and takes it away.
 """
@@ -66,11 +67,11 @@ class Case:
 
 
 CASES = (
-    Case("camera mcap zstd", {"rosbags": (0.27, 0.40), "mcap": None}),
-    Case("camera mcap none", {"rosbags": (0.27, 0.40), "cp": (2.5, 3.5)}),
-    Case("camera mcap lz4", {"mcap": None}),
-    Case("odom mcap zstd", {"rosbags": (0.10, 0.15), "mcap": (0.03, 0.05)}),
-    Case("long mcap zstd", {}),
+    Case("camera mcap zstd", {"rosbags": (0.27, 0.40), "mcap": None, "cpp": (1.2, 1.6)}),
+    Case("camera mcap none", {"rosbags": (0.27, 0.40), "cp": (2.5, 3.5), "cpp": (1.4, 1.6)}),
+    Case("camera mcap lz4", {"mcap": None, "cpp": (1.5, 1.8)}),
+    Case("odom mcap zstd", {"rosbags": (0.10, 0.15), "mcap": (0.03, 0.05), "cpp": None}),
+    Case("long mcap zstd", {"cpp": (1.0, 1.4)}),
     Case("camera ros1 lz4", {"rosbags": (0.5, 0.6), "ros1": (0.22, 0.3)}),
     Case("odom ros1 lz4", {"rosbags": (0.09, 0.15), "ros1": (0.066, 0.10)}),
     Case("camera sqlite3 none", {"rosbags": (0.26, 0.4), "cp": (2.3, 3.0)}),
@@ -86,7 +87,7 @@ def ros1_python() -> str | None:
     return python
 
 
-def commands(case: Case, source: Path, target: Path) -> dict[str, list[str]]:
+def commands(case: Case, source: Path, target: Path, cpp: Path | None) -> dict[str, list[str]]:
     """Return what is measured: each rewrites or copies source to target."""
     out = {
         "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1"],
@@ -95,8 +96,10 @@ def commands(case: Case, source: Path, target: Path) -> dict[str, list[str]]:
     out |= {
         name: [sys.executable, str(HERE / f"loop_{name}.py"), str(source), str(target)]
         for name in case.goals
-        if name != "cp"
+        if name not in ("cp", "cpp")
     }
+    if "cpp" in case.goals and cpp is not None:
+        out["cpp"] = [str(cpp.absolute()), str(source), str(target)]
     python = ros1_python()
     if "ros1" in out and python is None:
         del out["ros1"]
@@ -130,15 +133,16 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def measure(case: Case, folder: Path, seconds: float, rounds: int) -> tuple[float, dict[str, float]]:
+def measure(case: Case, folder: Path, given: argparse.Namespace) -> tuple[float, dict[str, float]]:
     """Return the bag's size in MB and the median CPU seconds of each command."""
     source, target = case.file(folder, "in"), case.file(folder, "out")
-    WRITERS[case.format](source, case.kind, case.codec, seconds * TIMES[case.length])
+    WRITERS[case.format](source, case.kind, case.codec, given.seconds * TIMES[case.length])
     files = source.iterdir() if source.is_dir() else [source]
     size = sum(file.stat().st_size for file in files) / 1e6
-    taken: dict[str, list[float]] = {name: [] for name in commands(case, source, target)}
-    for _ in range(1 + rounds):
-        for name, command in commands(case, source, target).items():
+    measured = commands(case, source, target, given.cpp)
+    taken: dict[str, list[float]] = {name: [] for name in measured}
+    for _ in range(1 + given.rounds):
+        for name, command in measured.items():
             taken[name].append(cpu_seconds(command, environment(folder)))
             discard(target)
     discard(source)
@@ -152,13 +156,14 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", action="append", choices=[case.name for case in CASES])
     parser.add_argument("--folder", type=Path, help="where to write the bags")
+    parser.add_argument("--cpp", type=Path, help="loop_cpp, compiled")
     given = parser.parse_args()
     print("| bag | MB | odomcorrupt, CPU s | cp | part of the time of (goal; at most) |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         for case in CASES:
             if given.only and case.name not in given.only:
                 continue
-            size, took = measure(case, Path(folder), given.seconds, given.rounds)
+            size, took = measure(case, Path(folder), given)
             ratios = [
                 f"{name} {took['odomcorrupt'] / took[name]:.2g}"
                 + ("" if goal is None else f" ({goal[0]:g}; {goal[1]:g})")
