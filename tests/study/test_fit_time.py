@@ -1,0 +1,39 @@
+"""A fit takes time in proportion to the drive: it looks at a long one no more often than at a short one."""
+
+from __future__ import annotations
+
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.fitting import gauss_newton
+from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.study.likelihood.noise_task import NoiseTask
+
+
+def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]:
+    """Return how often a base fit evaluates a likelihood, and how often it lays the drive out anew."""
+    counted = {"evaluated": 0, "posed": 0}
+    evaluate, pose = NoiseTask.evaluate, gauss_newton.pose_problem
+
+    def evaluating(self, free):
+        counted["evaluated"] += 1
+        return evaluate(self, free)
+
+    def posing(*given, **named):
+        counted["posed"] += 1
+        return pose(*given, **named)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(NoiseTask, "evaluate", evaluating)
+        patch.setattr(gauss_newton, "pose_problem", posing)
+        fit_robot([as_recording(simulate(1, "unequal_wheels", duration_s=duration_s))], [], law_name="diffusion")
+    return counted["evaluated"], counted["posed"]
+
+
+def test_a_long_drive_is_looked_at_no_more_often_than_a_short_one(monkeypatch):
+    short, long = looks(monkeypatch, 120.0), looks(monkeypatch, 600.0)
+    # 420 evaluations and eleven layouts were needed once, and 90 000 steps took three times as long
+    assert max(short[0], long[0]) < 330
+    assert max(short[1], long[1]) < 12
+    assert long[0] < 2.0 * short[0]
