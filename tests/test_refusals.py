@@ -1,0 +1,146 @@
+"""What the commands refuse: one clear line, the right exit code, and nothing written."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import shlex
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.cli import run
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
+NOISE = "--alpha 0.05 0.02 0.05 0.01 --seed 7"
+
+ROBOT = """schema = 1
+[noise]
+law = "diffusion"
+rot_rot = 0.05
+rot_trans = 0.02
+trans_trans = 0.05
+trans_rot = 0.01
+"""
+REFUSED = {
+    f"sample {OFFICE} --start 0,0,0": "--start: the motion is that of",
+    f"sample {OFFICE} --example article": "--example: the motion is that of",
+    "sample --start 0,0": "'0,0' is no pose; write x,y,heading as in 0.2,0.35,10deg",
+    "sample --start 10deg,0,0": "is no pose",
+    "sample --start a,b,c": "is no pose",
+    "density -o out.txt": "ends in .txt; write .png, .svg or .pdf",
+    f"map {OFFICE} -o out.txt": "ends in .txt; write .png, .svg or .pdf",
+    f"integrate {OFFICE} --plot out.txt": "ends in .txt; write .png, .svg or .pdf",
+    f"integrate {OFFICE} --runs 3": "--runs 3: without --twist-noise all runs are the same",
+    f"integrate {OFFICE} --twist-noise -1 0": "twist noise: -1.0 m/s, 0.0 rad/s; both must be zero or more",
+    f"{OFFICE} out.mcap --tf correction": "--tf correction and --new-odom-frame FRAME go together",
+    f"batch {OFFICE} runs --runs 2 --layout split --output trajectories {NOISE}": "is for whole bags",
+    f"batch {OFFICE} runs --runs 2 --shard 1/2 --dask tcp://x:1 {NOISE}": "--shard and --dask: both spread the runs",
+    f"batch {OFFICE} runs --runs 2 --shard 1/2 --alpha 0 0 0 0": "--shard: all shards need the same --seed; give one",
+    f"batch {OFFICE} runs --runs 2 --shard 3/2 {NOISE}": "'3/2'; write which of how many, counted from 1",
+    f"batch {OFFICE} runs --runs 2 --tf correction {NOISE}": "--tf correction and --new-odom-frame FRAME go together",
+    f"batch {OFFICE} runs --runs 2 --keep-truth /t --output overlay {NOISE}": "--keep-truth: adds messages",
+    "spread . -o out.txt": "no kind of picture",
+    "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: stands alone",
+    "simulate out.mcap --effect none --effect wheel_scale": "--effect none: stands alone",
+    "simulate out.mcap --effect wheel_scale:0.01": "'0.01' is not key=value; write as in wheel_scale:e=0.01",
+    "simulate out.mcap --size huge": "--size huge: give weak, medium, strong or a number",
+    "fit robot.toml": "no recording given; name a bag with odometry and truth",
+}
+PIPES = {
+    "sample -": "-: the whole drive is read first, which a pipe cannot do; name a file",
+    "map -": "-: maps take the whole drive, which a pipe cannot show twice; name a file",
+    "integrate -": "-: integration reads the whole drive first, which a pipe cannot do; name files",
+    "info -": "INPUT is - but stdin is a terminal; feed it a bag",
+    "- out.mcap": "INPUT is - but stdin is a terminal; feed it a bag",
+    "correct - out.mcap --effect gyro_bias:b=0.1": "correction reads a bag twice",
+}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    return tmp_path
+
+
+def refused(words, capsys):
+    """Run what must fail; return the line that says why."""
+    before = set(Path.cwd().rglob("*"))
+    assert run(shlex.split(words)) in (1, 2)
+    err = capsys.readouterr().err
+    assert err.startswith("odomcorrupt: ")
+    assert err.count("\n") == 1
+    assert set(Path.cwd().rglob("*")) == before
+    return err
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_makes_no_sense_is_refused(words, here, capsys):
+    assert REFUSED[words] in refused(words, capsys)
+
+
+@pytest.mark.parametrize("words", PIPES)
+def test_a_pipe_is_refused_where_none_can_be_and_so_is_a_terminal(words, here, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    assert PIPES[words] in refused(words, capsys)
+
+
+@pytest.mark.parametrize(
+    ("library", "words", "said"),
+    [
+        ("matplotlib", f"sample {OFFICE} -o out.png", "pictures need it"),
+        ("matplotlib", "density -o out.png", "pictures need it"),
+        ("matplotlib", f"map {OFFICE} -o out.png", "pictures need it"),
+        ("scipy", f"fit {OFFICE}", "the study needs it"),
+        ("scipy", f"learn {OFFICE}", "the study needs it"),
+    ],
+)
+def test_a_library_that_is_missing_is_named_with_what_to_install(library, words, said, here, capsys, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *args, **named):
+        if name.partition(".")[0] == library:
+            raise ImportError(name)
+        return real(name, *args, **named)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    line = refused(words, capsys)
+    assert f"{library} is not installed; {said}" in line
+    assert 'pip install "odomcorrupt[study]"' in line
+
+
+def test_a_directory_that_is_not_there_is_told(here, capsys):
+    line = refused("sample -o gone/out.csv", capsys)
+    assert line == "odomcorrupt: gone/out.csv: the directory gone does not exist; create it first\n"
+
+
+def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, capsys):
+    assert (
+        run(shlex.split(f"batch {OFFICE} runs --runs 3 --output trajectories {NOISE} --effect slip_burst:rate=0.1"))
+        == 0
+    )
+    capsys.readouterr()
+    assert run(["spread", "runs", "-o", "out.svg"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("runs: 3 runs; standard deviations about their mean")
+    assert "The prediction knows nothing of the draws of slip_burst." in text
+    assert (here / "out.svg").stat().st_size > 1000
+    assert run(["spread", "runs", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert (told["runs"], told["random_effects"]) == (3, ["slip_burst"])
+    assert len(told["rows"]) == len(text.splitlines()) - 3
+    assert run(["spread", "runs", "-o", "out.svg"]) == 1
+    assert "--overwrite" in capsys.readouterr().err
+
+
+def test_a_cloud_along_a_drive_is_written_as_text_and_as_a_picture(here, capsys):
+    words = f"sample {OFFICE} --samples 20 {NOISE}"
+    assert run(shlex.split(f"{words} -o cloud.csv")) == 0
+    assert run(shlex.split(f"{words} -o cloud.svg")) == 0
+    assert "wrote cloud.csv" in capsys.readouterr().err
+    assert (here / "cloud.csv").read_text().count("\n") > 20
+    assert (here / "cloud.svg").stat().st_size > 1000
+    assert run(shlex.split(f"{words} --json")) == 0
+    json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
