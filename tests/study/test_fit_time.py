@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-import pytest
+from typing import TYPE_CHECKING
+
 from hidden import as_recording
 
 from odomcorrupt.simulate import simulate
 from odomcorrupt.study.fitting import gauss_newton
 from odomcorrupt.study.fitting.robot import fit_robot
 from odomcorrupt.study.likelihood.noise_task import NoiseTask
+
+if TYPE_CHECKING:
+    import pytest
 
 
 def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]:
