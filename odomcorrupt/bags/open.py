@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Kind
 
-__all__ = ["open_reader", "open_writer"]
+__all__ = ["kind_of", "open_reader", "open_writer"]
 
 _READERS: dict[bytes, type[McapReader | Ros1Reader]] = {MCAP_MAGIC: McapReader, ROS1_MAGIC: Ros1Reader}
 _CODECS: dict[Kind, tuple[str, ...]] = {
@@ -125,7 +125,7 @@ def open_writer(
         Where the output exists and overwrite is false, is the input, or cannot hold what the input holds.
 
     """
-    kind = _kind(path, reader)
+    kind = kind_of(path, reader)
     if compression is not None and compression not in _CODECS[kind]:
         raise BagError(
             f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
@@ -148,7 +148,7 @@ def open_writer(
     return SqliteWriter(path, part)
 
 
-def _kind(path: Path | None, reader: BagReader) -> Kind:
+def kind_of(path: Path | None, reader: BagReader) -> Kind:
     """Return the format that an output's name asks for, or that of the input."""
     if path is None or str(path) == "-":
         return "mcap"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.bags.output import Output
 from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.transform import Transform
+from odomcorrupt.corrupt.unchanged import Tape, may_stay, write_as_it_was
 from odomcorrupt.modelfile import format_model
 
 if TYPE_CHECKING:
@@ -41,10 +41,10 @@ class Container:
     level: int | None = None
     recover: bool = False
 
-    def as_it_was(self, source: Path, target: Path) -> bool:
-        """Whether an output of unchanged messages is the input file itself."""
-        same_kind = source.suffix.lower() == target.suffix.lower() and source.is_file()
-        return same_kind and self.compression is None and self.level is None and not self.recover
+    @property
+    def as_it_was(self) -> bool:
+        """Whether an output of unchanged messages is to be the input itself."""
+        return self.compression is None and self.level is None and not self.recover
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,17 +113,18 @@ def corrupt_bag(
     """
     transform = Transform(model, seed, run, options, path=path)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
-    with open_reader(source, recover=container.recover) as reader:
+    adds = options.keep_truth is not None or options.new_odom_frame is not None
+    tape = Tape() if source is None and silent and not adds and container.as_it_was else None
+    with open_reader(source, cast("BinaryIO | None", tape), recover=container.recover) as reader:
         transform.driver.prepare(reader, reader.name)
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )
-        adds = options.keep_truth is not None or options.new_odom_frame is not None
-        if silent and not adds and source is not None and target is not None and container.as_it_was(source, target):
-            for _ in transform.blocks(reader, reader.name):
-                pass
-            _copy(source, target)
+        if silent and not adds and container.as_it_was and may_stay(source, target, reader):
+            write_as_it_was(tape or reader.paths[0], target, transform.blocks(reader, reader.name), watch)
         else:
+            if tape is not None:
+                tape.stop()
             with writer:
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
@@ -150,19 +151,6 @@ def _added(transform: Transform) -> Mapping[str, int]:
     if transform.edge is not None and transform.driver.frames is not None:
         added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
     return added
-
-
-def _copy(source: Path, target: Path) -> None:
-    output = Output(target)
-    output.open()
-    try:
-        with source.open("rb") as file:
-            while piece := file.read(1 << 20):
-                output.write(piece)
-        output.commit()
-    except BaseException:
-        output.discard()
-        raise
 
 
 def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:

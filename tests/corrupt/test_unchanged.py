@@ -1,0 +1,73 @@
+"""Zero parameters: the bag as it is, through files and pipes alike."""
+
+import shutil
+import sqlite3
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+ZERO = ("--alpha", "0", "0", "0", "0")
+
+
+def run(*args, stdin=None):
+    command = [sys.executable, "-m", "odomcorrupt", *map(str, args), *ZERO]
+    return subprocess.run(command, input=stdin, capture_output=True, check=False)
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Return a bag that our writer would not write so: its chunks are packed harder."""
+    path = tmp_path / "in.mcap"
+    assert run(FIXTURES / "office.mcap", path, "--compression", "zstd", "--level", "9").returncode == 0
+    return path
+
+
+def test_a_file_and_a_pipe_give_the_very_bytes_of_the_input(bag, tmp_path):
+    content = bag.read_bytes()
+    assert run(bag, tmp_path / "out.mcap").returncode == 0
+    assert (tmp_path / "out.mcap").read_bytes() == content
+    assert run(bag, "-").stdout == content
+    assert run("-", "-", "--odom", "/odom", stdin=content).stdout == content
+    assert run("-", tmp_path / "from_pipe.mcap", "--odom", "/odom", stdin=content).returncode == 0
+    assert (tmp_path / "from_pipe.mcap").read_bytes() == content
+
+
+def test_a_ros1_bag_stays_one_in_a_file_and_becomes_an_mcap_on_a_pipe(tmp_path):
+    content = (FIXTURES / "office.bag").read_bytes()
+    assert run("-", tmp_path / "out.bag", "--odom", "/odom", stdin=content).returncode == 0
+    assert (tmp_path / "out.bag").read_bytes() == content
+    on_pipe = run("-", "-", "--odom", "/odom", stdin=content)
+    assert on_pipe.returncode == 0
+    assert on_pipe.stdout == run(FIXTURES / "office.bag", "-").stdout
+    assert on_pipe.stdout.startswith(b"\x89MCAP0")
+
+
+def test_a_container_option_is_heeded(bag, tmp_path):
+    assert run(bag, tmp_path / "out.mcap", "--compression", "none").returncode == 0
+    content = bag.read_bytes()
+    assert (tmp_path / "out.mcap").read_bytes() != content
+    piped = run("-", "-", "--odom", "/odom", "--compression", "none", stdin=content)
+    assert piped.stdout == (tmp_path / "out.mcap").read_bytes()
+
+
+def test_what_stands_in_the_log_of_a_database_is_not_left_behind(tmp_path):
+    source = tmp_path / "in.db3"
+    shutil.copy(FIXTURES / "office_ros2/office_ros2.db3", source)
+    with closing(sqlite3.connect(source)) as writer:
+        writer.execute("PRAGMA journal_mode = WAL")
+        writer.execute("DELETE FROM messages WHERE rowid > 1000")
+        writer.commit()
+        assert run(source, tmp_path / "out.db3").returncode == 0
+    with closing(sqlite3.connect(tmp_path / "out.db3")) as written:
+        assert written.execute("SELECT count(*) FROM messages").fetchone() == (1000,)
+
+
+def test_a_cut_pipe_is_an_error_and_leaves_no_file(bag, tmp_path):
+    done = run("-", tmp_path / "out.mcap", "--odom", "/odom", stdin=bag.read_bytes()[:-5000])
+    assert done.returncode == 1
+    assert b"truncated" in done.stderr
+    assert not (tmp_path / "out.mcap").exists()
