@@ -90,3 +90,9 @@ def test_oddities_are_counted_and_told(command, odd, tmp_path, capsys):
     assert before.shape == after.shape
     assert np.isnan(after).any(axis=1).sum() == np.isnan(before).any(axis=1).sum() == 1
     assert np.nanmax(np.abs(after - before)) < 20.0
+
+
+def test_a_batch_makes_the_same_bytes_of_them(odd, tmp_path, capsys):
+    assert run([str(odd), str(tmp_path / "one.mcap"), *NOISE, "--run", "1"]) == 0
+    assert run(["batch", str(odd), str(tmp_path / "runs"), "--runs", "2", *NOISE]) == 0
+    assert (tmp_path / "runs" / "run_000001.mcap").read_bytes() == (tmp_path / "one.mcap").read_bytes()

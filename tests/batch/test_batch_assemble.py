@@ -1,0 +1,52 @@
+"""Overlays are put back into the bag they were made from, and into no other."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.cli import run
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
+
+
+@pytest.fixture
+def runs(tmp_path, monkeypatch):
+    """Make overlays of the office, and whole bags to compare with."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(FIXTURES / "office.mcap", "in.mcap")
+    assert run(["batch", "in.mcap", "runs", "--runs", "1", "--output", "overlay", *NOISE]) == 0
+    assert run(["in.mcap", "whole.mcap", *NOISE]) == 0
+    return next(Path("runs").glob("run_*"))
+
+
+def refused(capsys, *words):
+    capsys.readouterr()
+    assert run(["assemble", *map(str, words)]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert not Path("out.mcap").exists()
+    return said
+
+
+def test_an_overlay_in_its_bag_is_the_whole_bag(runs, capsys):
+    assert run(["assemble", str(runs), "out.mcap"]) == 0
+    assert Path("out.mcap").read_bytes() == Path("whole.mcap").read_bytes()
+    assert "in the place of those of in.mcap" in capsys.readouterr().err
+
+
+def test_an_input_that_is_gone_or_another_is_told(runs, capsys):
+    shutil.move("in.mcap", "moved.mcap")
+    assert "the batch's input is not there; name it with --input" in refused(capsys, runs, "out.mcap")
+    shutil.copy("whole.mcap", "in.mcap")
+    assert "is not what the batch was made from any more" in refused(capsys, runs, "out.mcap")
+    assert run(["assemble", str(runs), "out.mcap", "--input", "moved.mcap"]) == 0
+
+
+def test_an_overlay_does_not_go_into_a_bag_of_other_topics(runs, capsys):
+    said = refused(capsys, "whole.mcap", "out.mcap", "--input", runs)
+    assert "has topics that" in said
+    assert "name the input it was made from" in said
