@@ -46,6 +46,7 @@ class SqliteReader:
     readable : the file, or what is whole of one that was cut within a page
     damaged : whether sqlite3 finds fault with it; looked at where recovery was asked for
     losses : what could not be read, one sentence each, where recovery was asked for
+    lost_rows : row ids of messages that are told of as lost
     """
 
     kind: Kind = "sqlite3"
@@ -56,6 +57,7 @@ class SqliteReader:
         self.path = path
         self.paths = [path]
         self.losses: list[str] = []
+        self.lost_rows: list[int] = []
         self._recover = recover
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
@@ -81,6 +83,7 @@ class SqliteReader:
         only : channels whose messages are read; those of others are told of, but large ones stay where they are
         """
         self.losses.clear()
+        self.lost_rows.clear()
         with (
             reported(self.path, recover=self._recover),
             closing(read_only(self.readable, whole=not self._recover)) as connection,
@@ -98,6 +101,7 @@ class SqliteReader:
                 unread = blob is None and only is not None and channel not in only
                 if not (unread or isinstance(blob, bytes)) or channel not in self.channels or type(log_ns) is not int:
                     self._lose(f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged")
+                    self.lost_rows.append(row)
                     continue
                 rows.append(row)
                 head.append((channel, log_ns))

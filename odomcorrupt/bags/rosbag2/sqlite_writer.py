@@ -121,6 +121,7 @@ class SqliteWriter:
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         with reported(self._path, writing=True):
+            self._drop_lost()
             rows = self._connection.execute(query).fetchall()
         start_ns, end_ns = min((row[2] for row in rows), default=0), max((row[3] for row in rows), default=0)
         return PartContents(self._path.name, {names[row[0]]: row[1] for row in rows}, start_ns, end_ns)
@@ -172,7 +173,13 @@ class SqliteWriter:
             self._connection.execute(f"PRAGMA {pragma}").fetchall()
         self._connection.execute("BEGIN")
 
+    def _drop_lost(self) -> None:
+        """Leave out of a copy what was told of as lost: without recovery nobody could read it."""
+        rows = [(row,) for row in self._reader.lost_rows]
+        self._connection.executemany("DELETE FROM messages WHERE rowid = ?", rows)
+
     def _finish(self) -> None:
+        self._drop_lost()
         self._connection.execute("COMMIT")
         if self._journal == "wal":
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
