@@ -61,6 +61,7 @@ class Outcome:
     swapped : odometry messages that came behind later ones, and were put in order
     zero_stamps : odometry stamps that are zero, for which log times stood in
     placed : frames, by channel, of what is drawn in one, see `witnesses`
+    stayed : edges of TF that are not moved, "parent -> child"
     """
 
     model: MotionModel
@@ -80,6 +81,7 @@ class Outcome:
     swapped: int
     zero_stamps: int
     placed: Mapping[int, str]
+    stayed: frozenset[str] = frozenset()
 
 
 def corrupt_bag(
@@ -141,6 +143,7 @@ def corrupt_bag(
         model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
         transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
         _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
+        frozenset(transform.stayed),
     )  # fmt: skip
 
 

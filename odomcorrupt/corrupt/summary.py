@@ -25,6 +25,9 @@ SIDEWAYS = 0.1
 STRAIGHT = 0.001
 """One that goes less than this part of its way so is not."""
 
+MOST_EDGES = 6
+"""More need not be named."""
+
 LOST_RAD = 1.0
 """Beyond this deviation of the heading a forecast to first order says nothing about positions."""
 
@@ -53,9 +56,16 @@ def _is_silent(model: MotionModel) -> bool:
 def _moved(outcome: Outcome) -> str:
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
-    none = [] if edges else [f"no transform from {outcome.frames.odom}"]
+    none = [] if edges else [f"no transform from {outcome.frames.odom}{_stayed(outcome)}"]
     added = [f"{count} {what} added" for what, count in outcome.added.items()]
     return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
+
+
+def _stayed(outcome: Outcome) -> str:
+    """Say which edges there are where none was moved: the frame may have been meant otherwise."""
+    edges = sorted(outcome.stayed)
+    more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
+    return f" (TF has {', '.join(edges[:MOST_EDGES])}{more})" if edges else ""
 
 
 def model_words(model: MotionModel, origin: str) -> str:

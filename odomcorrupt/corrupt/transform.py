@@ -96,6 +96,7 @@ class Transform:
     path : where the odometry is moved to, in place of the noisy path that the model draws
 
     seen : channels that carried messages; placed : frames of those that are drawn in one, see `witnesses`
+    stayed : edges of TF that are not moved
     """
 
     def __init__(
@@ -116,6 +117,7 @@ class Transform:
         self.unusable = 0
         self.seen: set[int] = set()
         self.placed: dict[int, str] = {}
+        self.stayed: set[str] = set()
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
@@ -228,6 +230,8 @@ class Transform:
         for channel, layout in held.parts:
             for number, item in enumerate(layout.items):
                 side = self._side(channel, item, frames)
+                if side is None and channel.msgtype in TRANSFORMS:
+                    self.stayed.add(f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}")
                 if side is not None:
                     stamps_ns = stamps_or_log_ns(held.block, layout, number)
                     found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))

@@ -178,3 +178,15 @@ def test_a_silent_summary_promises_no_drift(tmp_path):
     text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", silent()), "")
     assert text.startswith("Nothing to change: ")
     assert "Drift" not in text
+
+
+def test_where_no_edge_is_moved_the_summary_names_those_there_are(tmp_path):
+    for frame, words in (("nope", "no transform from nope (TF has base_link -> "), (None, "transforms odom -> base_")):
+        outcome = corrupt_bag(
+            FIXTURES / "office.mcap", tmp_path / f"{frame}.mcap", model(), seed=3, run=0,
+            options=Options(odom_frame=frame), container=Container(),
+        )  # fmt: skip
+        text = summary(outcome, "")
+        assert words in text
+        assert "odom -> base_link" in text
+        assert ("TF has" in text) is (frame == "nope")
