@@ -23,7 +23,7 @@ class Shelf:
     """Gives room for chunks."""
 
     def __init__(self) -> None:
-        self._free: list[bytearray] = []
+        self._free: list[NDArray[np.uint8]] = []
         self._buffer: NDArray[np.uint8] = np.empty(0, dtype=np.uint8)
         self._used = 0
 
@@ -38,8 +38,9 @@ class Shelf:
 
     def _take_buffer(self) -> None:
         self._buffer = np.empty(0, dtype=np.uint8)
-        memory = self._free.pop() if self._free else bytearray(SHELF_BYTES)
-        self._buffer = np.frombuffer(memory, dtype=np.uint8)
+        # not zeroed: of a short bag most of it is never touched
+        memory = self._free.pop() if self._free else np.empty(SHELF_BYTES, dtype=np.uint8)
+        self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
         # Whatever is given is a view of this array: when the last one has gone, the memory is free again.
         weakref.finalize(self._buffer, self._free.append, memory).atexit = False
         self._used = 0
