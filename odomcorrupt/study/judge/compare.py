@@ -91,13 +91,15 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     fitted = {r.name for r in recordings for model in models.values() if r.name in _fitted_on(model)}
     judged = {name: _stretches(model, on_time, fitted, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
+    # a truth of positions alone is given headings, for it takes a pose to start from
+    as_it_came = _cut([aligned(r, Clock()) for r in recordings], fitted)
+    clock_right = _cut(on_time, fitted)
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
-        # a truth of positions alone is given headings, for it takes a pose to start from
-        raw_error_m=_ten_seconds([aligned(r, Clock()) for r in recordings]),
-        clock_error_m=_ten_seconds(on_time),
-        clock_trajectory=trajectory_error(on_time),
+        raw_error_m=_ten_seconds(as_it_came),
+        clock_error_m=_ten_seconds(clock_right),
+        clock_trajectory=trajectory_error(clock_right),
         judgements=tuple(_judgement(name, models[name], pieces, first) for name, pieces in judged.items()),
     )
 
@@ -122,6 +124,11 @@ def _stretches(
             own = _refit(model, other, approach) if known else model
             pieces.append(judge_stretch(half, own, approach, refitted=known))
     return pieces
+
+
+def _cut(recordings: Sequence[Recording], fitted: set[str]) -> list[Recording]:
+    """Return the recordings as models see them, those that were fitted on in halves: errors grow with the length."""
+    return [half for r in recordings for half in (_halves(r) if r.name in fitted else (r,))]
 
 
 def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: Sequence[Judged]) -> Judgement:
@@ -159,7 +166,8 @@ def _patterns(pieces: Sequence[Judged]) -> list[Failure]:
 
 def _notes(model: MotionModel, pieces: Sequence[Judged]) -> tuple[str, ...]:
     notes = []
-    random = [effect.name for effect in model.effects if effect.kind == "noise"]
+    motion = pieces[0].problem.motions[0]
+    random = [effect.name for effect in model.effects if effect.kind == "noise" and not effect.gains(motion)]
     if random:
         notes.append(f"corruption draws {', '.join(random)}, but what is expected here does not count it")
     k = model.noise.coefficients

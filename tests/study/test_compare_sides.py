@@ -1,0 +1,43 @@
+"""What `compare` puts side by side is measured on the same stretches, and its notes name only what is not counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.study.judge.compare import compare
+
+PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
+RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
+
+
+@pytest.fixture(scope="module")
+def run():
+    steps = wander(3, 240.0)
+    return recording(steps, noisy_path(steps, PLANTED, 3), seed=3)
+
+
+def test_a_model_without_effects_has_the_path_errors_of_the_odometry_though_it_is_judged_in_halves(run):
+    fitted_here = replace(RIGHT, source={"recordings": [run.name]})
+    found = compare([run], {"own": fitted_here})
+    assert found.judgements[0].trajectory == found.clock_trajectory
+    assert found.judgements[0].ten_second_error_m == found.clock_error_m
+    whole = compare([run], {"other's": RIGHT})
+    # a path twice as long drifts farther: the two are not to be compared
+    assert whole.clock_trajectory.ate_origin_m != found.clock_trajectory.ate_origin_m
+
+
+def test_notes_name_the_random_effects_that_are_not_counted_and_no_others(run):
+    wandering = effect_from_values("gauss_markov", {"sigma": 0.01, "tau": 5.0})
+    tails = effect_from_values("heavy_tails", {})
+    counted = compare([run], {"m": replace(RIGHT, effects=(wandering,))}).judgements[0]
+    assert not any("does not count" in note for note in counted.notes)
+    left_out = compare([run], {"m": replace(RIGHT, effects=(wandering, tails))}).judgements[0]
+    note = next(note for note in left_out.notes if "does not count" in note)
+    assert "heavy_tails" in note
+    assert "gauss_markov" not in note
