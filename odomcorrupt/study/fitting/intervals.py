@@ -46,7 +46,10 @@ class Interval:
 
 
 def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
-    """Return the interval of every coefficient that the law and the drive know; columns are those of the fit."""
+    """Return the interval of every coefficient that the law knows, in its order; columns are those of the fit.
+
+    One that the drive never asked for, such as noise of turns where nothing turned, has no bounds.
+    """
     task = NoiseTask(
         fitted.problem.nodes,
         fitted.pieces,
@@ -61,7 +64,8 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
         best = float(free[position])
         low, high = (_edge(task, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
         found.append(Interval(NAMES[index], float(getattr(fitted.noise.coefficients, NAMES[index])), low, high))
-    return found
+    found += [Interval(NAMES[index], 0.0, 0.0, float("inf")) for index in fitted.pieces.unseen]
+    return sorted(found, key=lambda interval: NAMES.index(interval.name))
 
 
 def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:

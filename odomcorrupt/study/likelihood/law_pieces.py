@@ -44,6 +44,8 @@ class LawPieces:
         self._degree = law.degree
         self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]
         """Which coefficients do anything under this law and on this drive."""
+        self.unseen = [i for i in range(len(NAMES)) if i not in self.active and rows(i, on=_PROBE).any()]
+        """Which do something under this law, but not on this drive."""
         self._single = {i: nodes.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
         self._pairs: list[tuple[int, int, Array]] = []
         for i, j in combinations(self.active, 2) if law.degree == 2 else ():

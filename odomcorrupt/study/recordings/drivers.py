@@ -104,7 +104,8 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     rough = np.diff(step, n=2, axis=0)[moving]
     square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
     own_noise = square.mean(axis=0) / 6.0
-    bias = own_noise / (step**2).mean(axis=0) * (grid[1] - grid[0]) / node_s
+    # a drive that never turns has no noise of turns either
+    bias = own_noise / np.maximum((step**2).mean(axis=0), 1e-30) * (grid[1] - grid[0]) / node_s
     noisy = bias > _BIAS
     if noisy.any():
         noisy &= _plainly_own(recording, moving, grid)

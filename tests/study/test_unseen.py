@@ -1,0 +1,29 @@
+"""What a drive does not show is said to be unknown, not left out and not zero."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.report.fitted import fit_text
+from odomcorrupt.study.fitting.robot import fit_robot
+
+
+def test_noise_of_turns_is_not_identifiable_where_nothing_turned():
+    drive = wander(8, 120.0)
+    straight = replace(drive, dtheta_rad=np.zeros(len(drive)))
+    run = recording(straight, noisy_path(straight, Coefficients(0.0, 0.0, 0.03, 0.0), 8), seed=8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = fit_robot([run], [], law_name="diffusion")
+    known = {interval.name: interval.identifiable for interval in found.intervals}
+    assert list(known) == ["rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"]
+    assert not known["rot_rot"]
+    assert not known["trans_rot"]
+    assert known["trans_trans"]
+    lines = [line for line in fit_text(found).splitlines() if line.strip().startswith("rot_rot")]
+    assert "not identifiable from this drive" in lines[0]
