@@ -41,7 +41,8 @@ def counts_of(path):
 
 def judge(whole, saved, first, count):
     """Hold what was saved against the whole bag: of messages, only those of one chunk are missing."""
-    missing = [place for place, message in enumerate(whole) if message not in saved]
+    there = set(saved)
+    missing = [place for place, message in enumerate(whole) if message not in there]
     assert set(missing) <= set(range(first, first + count))
     assert len(missing) > 0
 

@@ -173,12 +173,7 @@ def test_json_has_no_number_that_is_none(rich, poor, ladder):
 
 @pytest.mark.parametrize(
     "draw",
-    [
-        *(lambda one=one: draw_unknown([one]) for one in UNKNOWNS),
-        lambda: draw_unknown(UNKNOWNS),
-        lambda: draw_plan(PLAN),
-        lambda: draw_plan(SPINS),
-    ],
+    [lambda: draw_unknown(UNKNOWNS[:3]), lambda: draw_unknown(UNKNOWNS[3:]), lambda: draw_plan(SPINS)],
 )
 def test_a_picture_is_the_same_file_every_time(draw):
     first = rendered(draw(), "svg")
@@ -275,6 +270,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, 
     monkeypatch.setattr("odomcorrupt.study.fitting.robot.fit_robot", lambda *_args, **_named: fitted)
     monkeypatch.setattr("odomcorrupt.study.judge.compare.compare", lambda _runs, models: asked.append(models) or ladder)
     monkeypatch.setattr("odomcorrupt.study.judge.ladder.compare", lambda _runs, _models: ladder)
+    monkeypatch.setattr("odomcorrupt.report.found_html.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
@@ -284,7 +280,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, 
     assert all(f"wrote {name}" in err for name in files.values())
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
-    assert "odomcorrupt sim.bag noisy.bag --model robot.toml" in unescape((tmp_path / "all.html").read_text())
+    assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json"]) == 0
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert told["comparison"]["models"][0]["name"] == ladder.judgements[0].name
