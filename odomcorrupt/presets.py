@@ -45,17 +45,17 @@ PRESETS: Mapping[str, Preset] = {
         ),
         Preset(
             "optitrack-diff-drive",
-            Noise("diffusion", Coefficients(0.0084, 0.0071, 0.0023, 0.00074, 0.0021)),
+            Noise("diffusion", Coefficients(0.0084, 0.0068, 0.0023, 0.00089, 0.0015)),
             "fitted to seven runs of a small differential drive under OptiTrack (OptiOdom, Sousa et al. 2022)",
         ),
         Preset(
             "optitrack-tricycle",
-            Noise("diffusion", Coefficients(0.026, 0.028, 0.0065, 0.0027, 0.0043)),
+            Noise("diffusion", Coefficients(0.026, 0.028, 0.0063, 0.003, 0.0021)),
             "fitted to two runs of a tricycle under OptiTrack (OptiOdom, Sousa et al. 2022)",
         ),
         Preset(
             "mrclam-create",
-            Noise("diffusion", Coefficients(0.097, 0.023, 0.014, 0.027, 0.0048)),
+            Noise("diffusion", Coefficients(0.094, 0.023, 0.014, 0.026, 0.0045)),
             "fitted to three runs of iRobot Creates; odometry is their commands (UTIAS MRCLAM 6, Leung et al. 2011)",
         ),
     )
