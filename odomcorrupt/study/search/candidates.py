@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["HARM", "Candidate", "library", "next_effect"]
+__all__ = ["HARM", "Candidate", "library", "next_effect", "price"]
 
 LEVEL = 0.01
 """Probability of naming any effect on data without one."""
@@ -122,10 +122,10 @@ def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
 
 
 def _evidence(score: Score, trials: int, count: int) -> float:
-    return 0.5 * score.statistic / score.inflation - _price(score.effect, trials, count)
+    return 0.5 * score.statistic / score.inflation - price(score.effect, trials, count)
 
 
-def _price(effect: Effect, trials: int, count: int) -> float:
+def price(effect: Effect, trials: int, count: int) -> float:
     """Return the nats an effect must gain: (k/2) ln K for its parameters, and what looking about gains by chance."""
     return 0.5 * len(parameters(effect)) * float(np.log(count)) + float(np.log(trials))
 
@@ -163,7 +163,7 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
         weights=fitted.noise.weights,
         random=fitted.random,
     )
-    gain = again.log_likelihood - fitted.log_likelihood - _price(score.effect, trials, len(problem.nodes))
+    gain = again.log_likelihood - fitted.log_likelihood - price(score.effect, trials, len(problem.nodes))
     before, after = ten_second_error(fitted), ten_second_error(again)
     refused = ""
     if gain <= 0.0:

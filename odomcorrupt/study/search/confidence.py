@@ -4,11 +4,11 @@ With g the nats that a name gains and g_i those of its rivals (all less what the
 nats that curves over speed, time, heading and so on still gain when everything named is believed, and w those of
 gains that were named as wandering, the odds against the name are
 
-    sum_i exp(T (g_i - g))  +  exp(-T g)  +  ELSE + (LEFT u + WANDER w) / g
+    sum_i exp(T (g_i - g))  +  exp(-T g)  +  exp(-T m)  +  ELSE + (LEFT u + WANDER w) / g
 
-rivals, nothing at all, and something else: a cause that is in no library is explained by a known one in part only,
-and what is left of it shows, as a curve or as noise that remembers. `calibrated` alone turns odds into the
-probability that is told.
+rivals, nothing at all, a law of one driver (m: by how many nats the name explains more), and something else: a cause
+that is in no library is explained by a known one in part only, and what is left of it shows, as a curve or as noise
+that remembers. `calibrated` alone turns odds into the probability that is told.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class Evidence:
 
     own : what it gains, less what its parameters gain by chance
     rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
+    margin : by how much the final model prefers it to the best law of one driver, prices paid
     left : what the plainest unknown dependence still gains in the end
     wandering : what gains that were named as wandering do
     """
@@ -50,6 +51,7 @@ class Evidence:
     rivals: tuple[float, ...] = ()
     left: float = 0.0
     wandering: float = 0.0
+    margin: float = inf
 
 
 def confidence(evidence: Evidence) -> float:
@@ -64,7 +66,8 @@ def odds_against(evidence: Evidence) -> float:
     rivals = sum(exp(min(TEMPER * (g - evidence.own), 700.0)) for g in evidence.rivals if isfinite(g))
     nothing = exp(-min(TEMPER * evidence.own, 700.0))
     rest = LEFT * max(evidence.left, 0.0) + WANDER * max(evidence.wandering, 0.0)
-    return rivals + nothing + ELSE + rest / evidence.own
+    law = exp(-min(max(TEMPER * evidence.margin, -700.0), 700.0))
+    return rivals + nothing + law + ELSE + rest / evidence.own
 
 
 def calibrated(odds: float) -> float:
@@ -79,4 +82,5 @@ def evidence_of(look: Round, learned: Learned) -> Evidence:
     rivals = tuple(c.gain for c in look.candidates[1:] if not c.refused)
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
-    return Evidence(look.candidates[0].gain, rivals, left, wandering)
+    margin = learned.margins.get(look.added or "", inf)
+    return Evidence(look.candidates[0].gain, rivals, left, wandering, margin)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.search.laws import Law
     from odomcorrupt.study.search.score import ColumnScore
 
-__all__ = ["ScoredLaw", "best_laws", "law_price"]
+__all__ = ["ScoredLaw", "best_laws", "law_price", "most_nats"]
 
 _KINDS = (len(VALUES) + 2) * sum(len(moves_of(channel)) for channel in CHANNELS)
 """Drivers times channels times what moves: any of these might have come first."""
@@ -46,6 +46,7 @@ class ScoredLaw:
 
     price : nats that it must gain, see `law_price`
     nats : log likelihood it gains, less that
+    p : probability of such a score anywhere among the laws without any dependence
     """
 
     law: Law
@@ -54,6 +55,7 @@ class ScoredLaw:
     score: ColumnScore
     price: float
     nats: float
+    p: float
 
     @property
     def effect(self) -> UserEffect:
@@ -84,22 +86,33 @@ def best_laws(fit: Fit, believed: Array) -> list[ScoredLaw]:
         Columns of what is believed already.
 
     """
-    motions = fit.problem.motions
-    tried = _quick(fit, believed, laws(motions)) + _quick_waves(fit, believed)
-    tried.sort(key=lambda t: (t[0].driver, t[1], -t[3]))
-    chosen = [next(group) for _, group in groupby(tried, key=lambda t: (t[0].driver, t[1]))]
-    chosen = [t for t in chosen if t[3] > _LEAST_NATS]
-    if not chosen:
-        return []
-    groups = [exact_columns(fit, law, channel, move) for law, channel, move, _ in chosen]
     found = []
-    for (law, channel, move, _), score in zip(chosen, score_columns(fit, groups, believed), strict=True):
-        price = law_price(law, len(fit.problem.nodes))
-        nats = 0.5 * score.statistic / score.inflation - price
-        chance = score.p * 2.0 * law.trials * _KINDS / len(chosen)
-        if score.separable and nats > 0.0 and chance < _LEVEL and score.held_out_nats > score.held_out_error:
-            found.append(ScoredLaw(law, channel, move, score, price, nats))
+    for law in _likeliest(fit, believed):
+        score, nats = law.score, 0.5 * law.score.statistic / law.score.inflation - law.price
+        if score.separable and nats > 0.0 and law.p < _LEVEL and score.held_out_nats > score.held_out_error:
+            found.append(replace(law, nats=nats))
     return sorted(found, key=lambda s: s.nats, reverse=True)
+
+
+def most_nats(fit: Fit, believed: Array) -> float:
+    """Return what the best of all laws gains less its price, without gates; 0 where none is worth a look."""
+    return max((law.nats for law in _likeliest(fit, believed)), default=0.0)
+
+
+def _likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
+    """Return the best law of each driver and channel, scored exactly."""
+    tried = _quick(fit, believed, laws(fit.problem.motions)) + _quick_waves(fit, believed)
+    tried.sort(key=lambda t: (t[0].driver, t[1], -t[3]))
+    best = [next(group) for _, group in groupby(tried, key=lambda t: (t[0].driver, t[1]))]
+    chosen = [t for t in best if t[3] > _LEAST_NATS]
+    groups = [exact_columns(fit, law, channel, move) for law, channel, move, _ in chosen]
+    scores = score_columns(fit, groups, believed) if groups else []
+    found = []
+    for (law, channel, move, _), score in zip(chosen, scores, strict=True):
+        price = law_price(law, len(fit.problem.nodes))
+        p = score.p * 2.0 * law.trials * _KINDS / len(chosen)
+        found.append(ScoredLaw(law, channel, move, score, price, 0.5 * score.statistic - price, p))
+    return found
 
 
 def exact_columns(fit: Fit, law: Law, channel: str, move: str) -> Array:

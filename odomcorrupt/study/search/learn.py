@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.approach import choose_approach
@@ -24,10 +22,11 @@ from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
 from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
+from odomcorrupt.study.search.rivals import CHALLENGE_NATS, better_law, law_margin, put_back
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
@@ -87,6 +86,7 @@ class Learned:
     noise : what encoders did, and wandering gains that were named and believed
     unknown : what no known effect explains
     laws : those of them whose laws are believed: the final fit has them
+    margins : by how many nats each known effect that was added explains more than the best law would instead
     fit : the final fit
     error_m : its position error after 10 s on the fitted data
     """
@@ -96,6 +96,7 @@ class Learned:
     noise: tuple[RandomGain, ...]
     unknown: tuple[Unknown, ...]
     laws: tuple[Unknown, ...]
+    margins: Mapping[str, float]
     fit: Fit
     error_m: float
 
@@ -137,6 +138,8 @@ def learn(
             continue
         if best is None and len(laws) < _MOST_LAWS:
             law, lawful = _believable(fitted, clocks, unknown)
+            if lawful is None:
+                law, lawful = _challenged(fitted, clocks, {r.added for r in rounds})
             if law is not None and lawful is not None:
                 laws.append(law)
                 rounds.append(Round(fitted, tuple(candidates), None, law))
@@ -158,8 +161,10 @@ def learn(
     fitted = _without_idlers(fitted, clocks, given)
     kept = {effect.name for effect in fitted.effects}
     believed_laws = tuple(one for one in laws if one.law is not None and one.law.effect.name in kept)
+    added = {r.added for r in rounds}
+    margins = {e.name: law_margin(fitted, e, clocks.free) for e in fitted.effects if e.name in added}
     return Learned(
-        clocks, tuple(rounds), tuple(noise), (*laws, *unknown), believed_laws, fitted, ten_second_error(fitted)
+        clocks, tuple(rounds), tuple(noise), (*laws, *unknown), believed_laws, margins, fitted, ten_second_error(fitted)
     )
 
 
@@ -168,12 +173,10 @@ def _reshaped(fitted: Fit, clocks: Clocks, name: str) -> Fit:
     (effect,) = (e for e in fitted.effects if e.name == name)
     if all(p.amplitude for p in parameters(effect)):
         return fitted
+    bare, believed = put_back(fitted, effect, clocks.free)
+    still = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
+    moved = best_member(bare, [still, *type(effect).scan(fitted.problem.motions)], believed)
     others = [e for e in fitted.effects if e is not effect]
-    problem, own = fitted.problem, amplitudes(effect)
-    explained = problem.columns(effect) @ np.array([getattr(effect, p.name) for p in own])
-    still = replace(effect, **{p.name: p.identity for p in own})  # type: ignore[type-var]  # effects are dataclasses
-    believed = believed_columns(replace(problem, effects=tuple(others)), clocks.free)
-    moved = best_member(fitted, [still, *type(effect).scan(problem.motions)], believed, explained)
     again = _again(fitted, clocks, [*others, moved], random=fitted.random)
     return again if again.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted
 
@@ -194,6 +197,24 @@ def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> tupl
         again = _again(fitted, clocks, (*fitted.effects, one.law.effect), random=fitted.random)
         gains = again.log_likelihood - fitted.log_likelihood > one.law.price
         return (one, again) if gains and ten_second_error(again) <= HARM * ten_second_error(fitted) else (None, None)
+    return None, None
+
+
+def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Unknown | None, Fit | None]:
+    """Return a law that explains plainly more than a known effect which was added, and the fit with it instead."""
+    for effect in fitted.effects:
+        found = better_law(fitted, effect, clocks.free) if effect.name in added else None
+        if found is None:
+            continue
+        one, worth = found
+        law = one.law
+        others = [e for e in fitted.effects if e is not effect]
+        if law is None or law.effect.name in {e.name for e in others}:
+            continue
+        again = _again(fitted, clocks, (*others, law.effect), random=fitted.random)
+        gain = again.log_likelihood - fitted.log_likelihood - law.price + worth
+        if gain > CHALLENGE_NATS and ten_second_error(again) <= HARM * ten_second_error(fitted):
+            return one, again
     return None, None
 
 

@@ -28,7 +28,7 @@ _STARTS, _PLAIN = 4, 60.0
 """From how many members the search goes on where the best explains so much (chi-square): hills have neighbours."""
 
 
-def best_member(fit: Fit, family: Sequence[Effect], believed: Array, more: Array | None = None) -> Effect:
+def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
     """Return the shape that explains most of what is left.
 
     A parameter that is a word keeps its first one, unless another explains plainly more.
@@ -39,13 +39,11 @@ def best_member(fit: Fit, family: Sequence[Effect], believed: Array, more: Array
     family : the shapes, at their identities
     believed : (K, 3, q)
         Columns of what is believed beside.
-    more : (K, 3)
-        What the fit has explained already, to be explained anew.
 
     """
     if len(family) == 1 and not choices(family[0]):
         return family[0]
-    gain = _gain_on(fit, believed, more)
+    gain = _gain_on(fit, believed)
     ranked = sorted(((gain(member), i, member) for i, member in enumerate(family)), reverse=True, key=itemgetter(0))
     most, _, plain = ranked[0]
     refined = [_refined(start, gain) for start in _starts([m for _, _, m in ranked], most)]
@@ -54,10 +52,10 @@ def best_member(fit: Fit, family: Sequence[Effect], believed: Array, more: Array
     return max(words, key=itemgetter(0))[1]
 
 
-def _gain_on(fit: Fit, believed: Array, more: Array | None) -> Callable[[Effect], float]:
+def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
     """Return the chi-square that an effect explains of what the believed columns leave."""
     whiten = fit.noise.whitener.whiten
-    r = fit.noise.innovations if more is None else fit.noise.innovations + whiten(more)
+    r = fit.noise.innovations
     basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
     r = r - basis @ (basis.T @ r)
 

@@ -71,7 +71,7 @@ def unknown_dependences(fit: Fit, believed: Array) -> list[Unknown]:
         seen = score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > 0.0
         if law is not None and per == ("rad" if law.move == "omega" else "m"):
             most = max(nats, law.nats) if seen else law.nats
-            p = min(score.p, law.score.p) if seen else law.score.p
+            p = min(score.p, law.p) if seen else law.p
             found.append(_unknown(driver, channel, per, where, score, p, most, law))
         elif seen and law is None:
             found.append(_unknown(driver, channel, per, where, score, score.p, nats, None))

@@ -1,0 +1,67 @@
+"""Whether a known effect that was believed is really what the data say, or only the nearest name to a law of its own.
+
+The effect is put back into the residual, whitened as the model with it says, and every law tries to explain it better.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.fitting.gauss_newton import believed_columns
+from odomcorrupt.study.search.candidates import price
+from odomcorrupt.study.search.law_scores import most_nats
+from odomcorrupt.study.search.score import score_columns
+from odomcorrupt.study.search.unknown import unknown_dependences
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.unknown import Unknown
+
+__all__ = ["CHALLENGE_NATS", "better_law", "law_margin", "put_back"]
+
+CHALLENGE_NATS = 8.0
+"""By how much a law has to explain more than a known effect, both less their prices: names are the likelier before."""
+
+
+def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Fit, Array]:
+    """Return the fit with what one effect explains back in its innovations, and the columns of what else is believed.
+
+    To first order, and with the noise as it is with the effect.
+    """
+    explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
+    noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
+    others = tuple(e for e in fit.effects if e is not effect)
+    return replace(fit, noise=noise), believed_columns(replace(fit.problem, effects=others), free_clocks)
+
+
+def law_margin(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> float:
+    """Return by how many nats an effect of the fit explains more than the best law would, both less their prices."""
+    bare, believed = put_back(fit, effect, free_clocks)
+    return _own_nats(fit, bare, effect, believed)[0] - most_nats(bare, believed)
+
+
+def better_law(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Unknown, float] | None:
+    """Return the dependence that explains plainly more than an effect of the fit, and the effect's price; or None."""
+    bare, believed = put_back(fit, effect, free_clocks)
+    nats, worth = _own_nats(fit, bare, effect, believed)
+    if most_nats(bare, believed) < nats + CHALLENGE_NATS:
+        return None
+    for one in unknown_dependences(bare, believed):
+        if one.law is not None and 0.5 * one.law.score.statistic - one.law.price > nats + CHALLENGE_NATS:
+            return one, worth
+    return None
+
+
+def _own_nats(fit: Fit, bare: Fit, effect: Effect, believed: Array) -> tuple[float, float]:
+    """Return what an effect gains less its price, and the price."""
+    (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
+    worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
+    return 0.5 * own.statistic - worth, worth
