@@ -135,7 +135,9 @@ def falls_sentence(comparison: Comparison) -> str:
 
 
 def _trajectory_lines(comparison: Comparison) -> list[str]:
-    lines = ["whole paths, each model's effects taken out (ATE, RPE as evo has them, RMS):"]
+    cut = len(comparison.judgements[0].pieces) > len(comparison.recordings)
+    which = "paths, in halves" if cut else "whole paths"
+    lines = [f"{which}, each model's effects taken out (ATE, RPE as evo has them, RMS):"]
     steps: list[tuple[str, TrajectoryError]] = [("odometry, clock right", comparison.clock_trajectory)]
     steps += [(j.name, j.trajectory) for j in comparison.judgements]
     for name, e in steps:

@@ -10,6 +10,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.study.judge.compare import compare
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
@@ -28,6 +29,8 @@ def test_a_model_without_effects_has_the_path_errors_of_the_odometry_though_it_i
     assert found.judgements[0].trajectory == found.clock_trajectory
     assert found.judgements[0].ten_second_error_m == found.clock_error_m
     whole = compare([run], {"other's": RIGHT})
+    assert "paths, in halves" in comparison_text(found)
+    assert "whole paths" in comparison_text(whole)
     # a path twice as long drifts farther: the two are not to be compared
     assert whole.clock_trajectory.ate_origin_m != found.clock_trajectory.ate_origin_m
 
