@@ -39,6 +39,7 @@ def told(learned: Learned) -> dict[str, Any]:
         "looks": looks,
         "noise": [[gain.effect.name, gain.nats] for gain in learned.noise],
         "unknown": [[u.driver, u.channel, u.nats, u.expression] for u in learned.unknown],
+        "laws": [[u.driver, u.channel] for u in learned.laws],
         "found": values,
         "nodes": len(learned.fit.problem.nodes),
     }

@@ -72,9 +72,14 @@ def _errors(learned: Learned, judged: Recording, floor: Recording) -> dict[str, 
 
 
 def _offered(learned: Learned, judged: Recording) -> float | None:
-    """Return the 10 s error when the first offered expression is added, too; None where none is offered."""
+    """Return the 10 s error when the first offered expression is added, too; None where none is offered.
+
+    A law that is believed has been added already.
+    """
     if not learned.unknown:
         return None
+    if learned.unknown[0] in learned.laws:
+        return ten_second_error([judged], learned.fit.effects, learned.fit.problem.clocks[0])
     try:
         effect = user_effect("offered", learned.unknown[0].expression, {})
         return ten_second_error([judged], (*learned.fit.effects, effect), learned.fit.problem.clocks[0])

@@ -57,7 +57,7 @@ def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
         *(falls([r for r in excited if r["case"]["size"] == s], f"{s}") for s in ("strong", "medium", "weak")),
         falls(good["single"], "one cause, all"),
         falls(good["mixtures"], "two causes"),
-        falls(good["outside"], "outside causes, known effects alone"),
+        falls(good["outside"], "outside causes, with the laws believed"),
         falls(good["controls"], "nothing wrong"),
     ])  # fmt: skip
     lines += ["## Causes outside the library", "", *outside(arm["outside"])]
