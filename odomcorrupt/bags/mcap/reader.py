@@ -173,7 +173,7 @@ class McapReader:
         try:
             while opcode not in _ENDS:
                 what = f"record at byte {source.position}"
-                if self._recover and not stands_behind(source, last):
+                if self._recover and not (stands_behind(source, last) if opcode == CHUNK else stands_here(source)):
                     self.losses.append(f"{self.name}: {what} is none: the bag is truncated or damaged")
                     if not next_record(source, last):
                         return

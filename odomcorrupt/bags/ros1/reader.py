@@ -160,16 +160,18 @@ class Ros1Reader:
 
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
-        last = source.position
+        last, op = source.position, BAG_HEADER
         while self._recover and not source.at_end():
-            if not stands_behind(source, last):
+            if not (stands_behind(source, last) if op == CHUNK else stands_here(source)):
                 self.losses.append(
                     f"{self.name}: record at byte {source.position} is none: the bag is truncated or damaged"
                 )
                 if not next_record(source, last):
                     return
             last = source.position
-            yield read_head(source, whole=False)
+            head = read_head(source, whole=False)
+            op = head.op
+            yield head
         if self._recover:
             self._stated = self._seen
             return
