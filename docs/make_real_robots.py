@@ -23,6 +23,7 @@ from odomcorrupt.errors import EffectError
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.pose import between, wrap
 from odomcorrupt.report.figure import BLACK, RED, SKY, drawing, new_figure
+from odomcorrupt.report.found import dependence
 from odomcorrupt.report.sentences import sentence
 from odomcorrupt.report.tables import value_text
 from odomcorrupt.study.fitting.robot import RobotFit, fit_robot
@@ -45,14 +46,24 @@ FEWEST = 5
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A robot, the recordings it is learned on and the one it is judged on; the same: first half, second half."""
+    """A robot, the recordings it is learned on and the one it is judged on; the same: first half, second half.
+
+    remark : what a person knows of it that explains why a model of its odometry fails
+    """
 
     key: str
     title: str
     learned_on: tuple[str, ...]
     judged_on: str
     track_m: float | None = None
+    remark: str = ""
 
+
+COMMANDS = (
+    "Its odometry is the velocity that was commanded, and no wheel was asked: what lies between the two (the motors' "
+    "delay and slow answer, speeds that the drive rounds or cannot reach) differs from command to command and is no "
+    "effect of this library. Encoders would show it; a law of the command, as named above, stands in for it."
+)
 
 ROBOTS = (
     Robot(
@@ -71,9 +82,27 @@ ROBOTS = (
     Robot(
         "mecanum", "Mecanum, motion capture (Politecnico di Milano)", ("polimi_mecanum_bag1",), "polimi_mecanum_bag2"
     ),
-    Robot("create1", "iRobot Create 1, commanded velocities (MRCLAM)", ("mrclam6_robot1",), "mrclam6_robot1"),
-    Robot("create2", "iRobot Create 2, commanded velocities (MRCLAM)", ("mrclam6_robot2",), "mrclam6_robot2"),
-    Robot("create3", "iRobot Create 3, commanded velocities (MRCLAM)", ("mrclam6_robot3",), "mrclam6_robot3"),
+    Robot(
+        "create1",
+        "iRobot Create 1, commanded velocities (MRCLAM)",
+        ("mrclam6_robot1",),
+        "mrclam6_robot1",
+        remark=COMMANDS,
+    ),
+    Robot(
+        "create2",
+        "iRobot Create 2, commanded velocities (MRCLAM)",
+        ("mrclam6_robot2",),
+        "mrclam6_robot2",
+        remark=COMMANDS,
+    ),
+    Robot(
+        "create3",
+        "iRobot Create 3, commanded velocities (MRCLAM)",
+        ("mrclam6_robot3",),
+        "mrclam6_robot3",
+        remark=COMMANDS,
+    ),
     Robot("mower", "Lawn mower, RTK GPS without headings (CMU plaza)", ("plaza1",), "plaza1"),
 )
 
@@ -163,7 +192,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
     for label, values in rows(fits, comparison.judgements, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
     last = comparison.judgements[-1]
-    lines += ["", *verdict(last, clouds[last.name], judging), *remarks]
+    lines += ["", *verdict(robot, last, clouds[last.name], judging), *remarks]
     picture = HERE / "images" / f"real_{robot.key}.png"
     draw(clouds, picture)
     return [*lines, "", f"![{robot.title}](images/{picture.name})", ""]
@@ -198,8 +227,10 @@ def cloud_cover(paths: Replay, judgement: Judgement, length_m: float) -> Covered
 
 
 def truth_text(fit: RobotFit) -> str:
-    """Return how noisy the truth is."""
+    """Return how noisy the truth is; without headings, what stands for their noise means nothing."""
     truth = fit.model.setup.truth or TruthNoise()
+    if not fit.fit.problem.headings:
+        return f"{truth.xy_m * 1e3:.2g} mm, no headings, {truth.wander * 1e3:.2g} mm/√s"
     return f"{truth.xy_m * 1e3:.2g} mm, {np.degrees(truth.yaw_rad):.2g} deg, {truth.wander * 1e3:.2g} mm/√s"
 
 
@@ -212,7 +243,7 @@ def effects_text(fit: RobotFit) -> str:
     return "; ".join(texts) or "none"
 
 
-def verdict(judgement: Judgement, paths: Replay, judging: Recording) -> list[str]:
+def verdict(robot: Robot, judgement: Judgement, paths: Replay, judging: Recording) -> list[str]:
     """Say whether the measured odometry is covered; where not, what is left of it and what would explain it."""
     found = [c for length in LENGTHS_M if (c := cloud_cover(paths, judgement, length)) is not None]
     # a right model falls this low in one of twenty
@@ -227,12 +258,13 @@ def verdict(judgement: Judgement, paths: Replay, judging: Recording) -> list[str
     lines += [f"- {sentence(f)}" for f in rates[:4]]
     own = learn([judging])
     names = [*own.added, *(gain.effect.name for gain in own.noise)]
-    drivers = [f"{u.channel} error follows {u.driver.replace('_', ' ')}" for u in own.unknown[:3]]
+    unknown = [dependence(u) for u in own.unknown[:3]]
+    known = f"**What would explain it**, learned on the judged run itself: {', '.join(names) or 'no known effect'}"
     return [
         *lines,
         "",
-        f"Learned on the judged run itself: {', '.join(names) or 'no known effect'}"
-        + (f"; not explained by any known effect: {', '.join(drivers)}." if drivers else "."),
+        known + (f"; and what no known effect explains: {', '.join(unknown)}." if unknown else "."),
+        *(("", robot.remark) if robot.remark else ()),
     ]
 
 
