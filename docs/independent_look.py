@@ -44,16 +44,17 @@ VERDICT = """
   b share what little tells them apart and a plain look scatters from run to run; the clock, which drifts, moves it
   again. The fits of the four runs agree within their errors, and with the formulas of Borenstein and Feng on the same
   runs (`python benchmarks/umbmark.py`).
-- **Lawn mower: the fit is right.** In 30 stretches the truth falls behind, by 6.6 m of 1861 m in all. A plain k spreads
-  that loss over the whole drive (0.9978 over 1.5 s, 0.9963 over 20 s); the fit sets the stretches apart and finds
-  wheels of nearly their nominal size, 0.9993. Between those stretches half of the half-seconds agree to 0.3 mm along, so no
-  normal law is right for both. Nodes lie 2 s apart for a truth of positions alone, and the cloud then holds what it
-  should over 5 m; over 1 and 2 m its middle is still too wide, and the NEES tells of the stretches.
-- **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two columns):
-  a single k only says how much of the drive was straight. The fit weighs straights more, because the noise is smaller
-  there; the plain look weighs what is fast. `learn` says so in its own words: the along error depends on the yaw rate,
-  no known effect explains it, and where a simple law of it gains enough, the model has that (`along_over_yaw_rate`
-  above: the 10 s error of the other half falls by a quarter and by two fifths). The odometry is the velocity command here, and no wheel was asked.
+- **Lawn mower: the fit is right.** In 30 stretches the truth falls behind, by 6.6 m of 1861 m in all. A plain k
+  spreads that loss over the whole drive (0.9978 over 1.5 s, 0.9963 over 20 s); the fit sets the stretches apart and
+  finds wheels of nearly their nominal size, 0.9993. Between those stretches half of the half-seconds agree to 0.3 mm
+  along, so no normal law is right for both. Nodes lie 2 s apart for a truth of positions alone, and the cloud then
+  holds what it should over 5 m; over 1 and 2 m its middle is still too wide, and the NEES tells of the stretches.
+- **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two
+  columns): a single k only says how much of the drive was straight. The fit weighs straights more, because the noise
+  is smaller there; the plain look weighs what is fast. `learn` says so in its own words: the along error depends on
+  the yaw rate, no known effect explains it, and where a simple law of it gains enough, the model has that
+  (`along_over_yaw_rate` above: the 10 s error of the other half falls by a quarter and by two fifths). The odometry is
+  the velocity command here, and no wheel was asked.
 """
 
 
