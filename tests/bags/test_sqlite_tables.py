@@ -82,3 +82,14 @@ def test_metadata_that_is_none_is_told_in_a_line(tmp_path):
         open_reader(tmp_path / "in")
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
+
+
+def test_a_file_of_more_than_two_gigabytes_is_read(tmp_path):
+    path = tmp_path / "in.db3"
+    shutil.copyfile(OFFICE_DB, path)
+    with path.open("r+b") as stream:
+        # a hole: sqlite3 reads as many pages as the header tells of
+        stream.truncate((1 << 31) + (1 << 20))
+    with open_reader(path) as reader, open_reader(OFFICE_DB) as whole:
+        found, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
+    assert found == everything

@@ -20,6 +20,8 @@ __all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "
 
 MAGIC: Final = b"SQLite format 3\0"
 _LEAST_BYTES = 1 << 20
+_MOST_BYTES = (1 << 31) - 1
+"""More is no limit to sqlite3, and too large a number."""
 _LONGEST = 200
 """Characters of a reason that are told."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
@@ -88,7 +90,7 @@ def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
     connection = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
     # No message is larger than its file, whatever it claims.
     size = path.stat().st_size + (path.with_name(path.name + "-wal").stat().st_size if has_log(path) else 0)
-    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, _LEAST_BYTES))
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_BYTES), _MOST_BYTES))
     if not whole:
         # With this sqlite reads what there is of a file that was cut; nothing is ever written.
         connection.execute("PRAGMA writable_schema = ON")
