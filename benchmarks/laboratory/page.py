@@ -79,14 +79,14 @@ def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
         lines += ["## What broke", ""]
         lines += [f"- {row['key']}: {row['failed'].strip().splitlines()[-1]}" for row in broken]
     if before:
-        lines += ["", *_first_run(before)]
+        lines += ["", *_run_before(before)]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _first_run(rows: list[dict[str, Any]]) -> list[str]:
+def _run_before(rows: list[dict[str, Any]]) -> list[str]:
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     ran = ", ".join(f"{name} {len(own)}" for name, own in arm.items())
-    lines = ["## The first run", "", f"Of the program before it was mended, see the protocol. It ran: {ran}.", ""]
+    lines = ["## The run before", "", f"Of the program before it was mended, see the protocol. It ran: {ran}.", ""]
     lines += ["Nothing wrong, motion capture:", "", *controls(arm["controls"], "at most 2 in 200")]
     lines += ["Nothing wrong, RTK:", "", *controls(arm["rtk"], "at most 1 in 30")]
     lines += ["One systematic cause:", "", *single(arm["single"]), "Not right:", "", *misses(arm["single"])]

@@ -119,7 +119,7 @@ def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
 
 def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_], speed: Array) -> list[str]:
     """Compare twists with the poses' own rates, in the body and in the odom frame."""
-    finite: NDArray[np.bool_] = np.isfinite(twist).all(axis=1)
+    finite = np.asarray(np.isfinite(twist).all(axis=1), dtype=np.bool_)
     numberless = [] if finite.all() else [f"{np.count_nonzero(~finite)} twists are not numbers"]
     return numberless + _misfits(twist, xyt, dt, good & (speed > MOVING) & finite[1:])
 

@@ -14,7 +14,7 @@ from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.gauss_newton import fit
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search.candidates import _price, library, next_effect
+from odomcorrupt.study.search.candidates import library, next_effect, price
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.score import score_tests
@@ -121,7 +121,7 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)
     assert charged.refused
-    assert _price(family[0], len(family), 1000) == pytest.approx(_price(family[0], 1, 1000) + np.log(len(family)))
+    assert price(family[0], len(family), 1000) == pytest.approx(price(family[0], 1, 1000) + np.log(len(family)))
 
 
 def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes():
