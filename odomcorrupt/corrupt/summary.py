@@ -84,7 +84,8 @@ def model_words(model: MotionModel, origin: str) -> str:
 
 def _effect(effect: Effect) -> str:
     values = [f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect)]
-    values += [f"{word} {getattr(effect, word)}" for word in choices(effect)]
+    # a heading from the wheels goes without saying
+    values += [f"{word} {getattr(effect, word)}" for word in choices(effect) if getattr(effect, word) != "wheels"]
     return f"{effect.name} ({', '.join(values)})"
 
 

@@ -44,12 +44,17 @@ def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
     if len(family) == 1 and not choices(family[0]):
         return family[0]
     gain = _gain_on(fit, believed)
-    ranked = sorted(((gain(member), i, member) for i, member in enumerate(family)), reverse=True, key=itemgetter(0))
-    most, _, plain = ranked[0]
-    refined = [_refined(start, gain) for start in _starts([m for _, _, m in ranked], most)]
-    most, plain = max(refined, key=itemgetter(0))
-    words = [(most, plain), *((gain(other) - UNUSUAL_NATS, other) for other in _other_words(plain))]
-    return max(words, key=itemgetter(0))[1]
+    usual = _best_of(family, gain)
+    unusual = [_best_of(others, gain) for others in zip(*map(_other_words, family), strict=True)]
+    # where a word matters, it matters to the place, too: each has the whole family
+    return max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))[1]
+
+
+def _best_of(family: Sequence[Effect], gain: Callable[[Effect], float]) -> tuple[float, Effect]:
+    """Return the gain and the member of the highest hill."""
+    ranked = sorted(((gain(member), member) for member in family), reverse=True, key=itemgetter(0))
+    starts = _starts([member for _, member in ranked], ranked[0][0])
+    return max((_refined(start, gain) for start in starts), key=itemgetter(0))
 
 
 def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
