@@ -116,7 +116,7 @@ def require_level(codec: str, level: int | None) -> None:
     if level is None:
         return
     if codec not in _LEVELS:
-        raise BagError(f"level {level}: without compression there is none; leave --level out")
+        raise BagError(f"level {level}: without compression there is none; leave --level out, or give --compression")
     lowest, highest = _LEVELS[codec]
     if not lowest <= level <= highest:
         raise BagError(f"level {level}: {codec} has levels {lowest} to {highest}")
@@ -127,8 +127,7 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
 
     Independent blocks of 64 KB are what LZ4 packs and unpacks fastest: larger or linked ones go through its own buffer.
     """
-    if codec != "none":
-        require_level(codec, level)
+    require_level(codec, level)
     if codec == "zstd":
         return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
     if codec == "lz4":

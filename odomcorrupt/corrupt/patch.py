@@ -178,8 +178,12 @@ def _poses(block: Block, target: Target) -> SpatialPoses:
 
 
 def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
-    """Move poses, those alone that the correction does move: the others keep their bits; return what they become."""
+    """Move poses, those alone that the correction does move and that are numbers; return what they become.
+
+    The others keep their bits.
+    """
     moved = _nonzero(correction_xyt)
+    moved &= np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.quat_xyzw).all(axis=1)
     if not moved.any():
         return poses
     act = from_left if target.side == "left" else from_right

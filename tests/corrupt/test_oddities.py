@@ -90,6 +90,9 @@ def test_oddities_are_counted_and_told(command, odd, tmp_path, capsys):
     assert before.shape == after.shape
     assert np.isnan(after).any(axis=1).sum() == np.isnan(before).any(axis=1).sum() == 1
     assert np.nanmax(np.abs(after - before)) < 20.0
+    # all of it is left alone, not only the coordinate that is no number
+    left = np.isnan(before).any(axis=1)
+    assert np.array_equal(after[left], before[left], equal_nan=True)
 
 
 def test_a_batch_makes_the_same_bytes_of_them(odd, tmp_path, capsys):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
-from odomcorrupt.bags.codecs import compress
+from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.directory import Directory
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
@@ -58,6 +58,7 @@ class Packed(NamedTuple):
 def packed(codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:
     """Compress a chunk's records, and sum them where that was not done before."""
     crc = zlib.crc32(data.data) if crc is None else crc
+    require_level(codec, level)
     return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
 
 
