@@ -36,10 +36,16 @@ FRAMES = {
 @pytest.mark.parametrize("pack", [compress, compress_for_ros1])
 @pytest.mark.parametrize("size", [0, 1, 300_000])
 def test_what_is_compressed_comes_back_writable(codec, pack, size):
-    for level in (None, 3):
+    for level in (None, 3) if codec != "none" else (None,):
         out = decompress(codec, memoryview(pack(codec, DATA[:size], level)), size, "chunk", Shelf())
         np.testing.assert_array_equal(out, DATA[:size])
         assert out.flags.writeable
+
+
+def test_what_is_not_compressed_has_no_level():
+    for pack in (compress, compress_for_ros1):
+        with pytest.raises(BagError, match="without compression there is none"):
+            pack("none", DATA, 3)
 
 
 @pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
