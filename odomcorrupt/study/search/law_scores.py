@@ -14,7 +14,7 @@ import numpy as np
 
 from odomcorrupt.study.search.laws import CHANNELS, MOVES, VALUES, laws, moves_of
 from odomcorrupt.study.search.periodic import waves
-from odomcorrupt.study.search.score import score_columns
+from odomcorrupt.study.search.score import left_over, score_columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -126,9 +126,7 @@ def exact_columns(fit: Fit, law: Law, channel: str, move: str) -> Array:
 def _quick(fit: Fit, believed: Array, tried: Sequence[Law]) -> list[tuple[Law, str, str, float]]:
     """Return every law, channel and move with the nats it gains, about, less its price."""
     motions, nodes = fit.problem.motions, fit.problem.nodes
-    whiten, r = fit.noise.whitener.whiten, fit.noise.innovations
-    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
-    r = r - basis @ (basis.T @ r)
+    whiten, left = fit.noise.whitener.whiten, left_over(fit, believed)
     seen = _sampled(nodes, motions)
     values = np.stack([part(seen) for law in tried for part in law.parts], axis=1)
     first = np.concatenate(([0], np.cumsum([len(law.parts) for law in tried]))).astype(np.int64)
@@ -141,8 +139,7 @@ def _quick(fit: Fit, believed: Array, tried: Sequence[Law]) -> list[tuple[Law, s
             mean = means["omega" if move == "omega" else "v"]
             white = whiten(plain[:, :, None] * mean[:, None, :])
             own = np.einsum("ij,ij->j", white, white)
-            white -= basis @ (basis.T @ white)
-            gains = _gains(white, own, r, first)
+            gains = _gains(left.of(white), own, left.residual, first)
             found += [(law, channel, move, float(g)) for law, g in zip(tried, gains - price, strict=True)]
     return found
 
@@ -181,10 +178,8 @@ def _means(values: Array, weight: Array, count: int) -> Array:
 
 
 def _quick_waves(fit: Fit, believed: Array) -> list[tuple[Law, str, str, float]]:
-    found = []
-    for law, channel, nats in waves(fit, believed):
-        found.append((law, channel, "v", nats - law_price(law, len(fit.problem.nodes))))
-    return found
+    count = len(fit.problem.nodes)
+    return [(law, channel, "v", nats - law_price(law, count)) for law, channel, nats in waves(fit, believed)]
 
 
 def _joined(motions: Sequence[Motion], move: str) -> Array:

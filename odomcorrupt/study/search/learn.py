@@ -137,13 +137,12 @@ def learn(
             fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
             continue
         if best is None and len(laws) < _MOST_LAWS:
-            law, lawful = _believable(fitted, clocks, unknown)
-            if lawful is None:
-                law, lawful = _challenged(fitted, clocks, {r.added for r in rounds})
-            if law is not None and lawful is not None:
+            lawful = _believable(fitted, clocks, unknown) or _challenged(fitted, clocks, {r.added for r in rounds})
+            if lawful is not None:
+                law, with_law = lawful
                 laws.append(law)
                 rounds.append(Round(fitted, tuple(candidates), None, law))
-                fitted = _without_idlers(lawful, clocks, {e.name for e in start})
+                fitted = _without_idlers(with_law, clocks, {e.name for e in start})
                 noise, fitted = _without_idle_noise(noise, fitted, clocks)
                 continue
         full = len([r for r in rounds if r.added is not None]) >= most
@@ -188,19 +187,19 @@ def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGa
     return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None
 
 
-def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> tuple[Unknown | None, Fit | None]:
-    """Return the plainest dependence with a law, and the fit with it, where it gains and does not spoil the path."""
+def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> tuple[Unknown, Fit] | None:
+    """Return the plainest dependence with a law, and the fit with it, if it gains and does not spoil the path."""
     have = {effect.name for effect in fitted.effects}
     for one in unknown:
         if one.law is None or one.law.effect.name in have:
             continue
         again = _again(fitted, clocks, (*fitted.effects, one.law.effect), random=fitted.random)
         gains = again.log_likelihood - fitted.log_likelihood > one.law.price
-        return (one, again) if gains and ten_second_error(again) <= HARM * ten_second_error(fitted) else (None, None)
-    return None, None
+        return (one, again) if gains and ten_second_error(again) <= HARM * ten_second_error(fitted) else None
+    return None
 
 
-def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Unknown | None, Fit | None]:
+def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Unknown, Fit] | None:
     """Return a law that explains plainly more than a known effect which was added, and the fit with it instead."""
     for effect in fitted.effects:
         found = better_law(fitted, effect, clocks.free) if effect.name in added else None
@@ -215,7 +214,7 @@ def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Un
         gain = again.log_likelihood - fitted.log_likelihood - law.price + worth
         if gain > CHALLENGE_NATS and ten_second_error(again) <= HARM * ten_second_error(fitted):
             return one, again
-    return None, None
+    return None
 
 
 def _without_idle_noise(noise: list[RandomGain], fitted: Fit, clocks: Clocks) -> tuple[list[RandomGain], Fit]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,17 +60,13 @@ def _best_of(family: Sequence[Effect], gain: Callable[[Effect], float]) -> tuple
 
 def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
     """Return the chi-square that an effect explains of what the believed columns leave."""
-    whiten = fit.noise.whitener.whiten
-    r = fit.noise.innovations
-    basis = np.linalg.qr(whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
-    r = r - basis @ (basis.T @ r)
+    left = left_over(fit, believed)
 
     def gain(effect: Effect) -> float:
-        column = whiten(fit.problem.columns(effect))
-        column = column - basis @ (basis.T @ column)
+        column = left.of(fit.noise.whitener.whiten(fit.problem.columns(effect)))
         if not column.any():
             return 0.0
-        return float((column @ np.linalg.lstsq(column, r, rcond=None)[0]) @ r)
+        return float((column @ np.linalg.lstsq(column, left.residual, rcond=None)[0]) @ left.residual)
 
     return gain
 

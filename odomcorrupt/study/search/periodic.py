@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from odomcorrupt.study.search.laws import CHANNELS, Law
+from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -31,9 +32,8 @@ _TRIED = 3
 def waves(fit: Fit, believed: Array) -> list[tuple[Law, str, float]]:
     """Return the likeliest waves with their channels and the nats each gains, exactly."""
     problem, whitener = fit.problem, fit.noise.whitener
-    r = fit.noise.innovations
-    basis = np.linalg.qr(whitener.whiten(believed))[0] if believed.shape[2] else np.zeros((len(r), 0))
-    r = r - basis @ (basis.T @ r)
+    left = left_over(fit, believed)
+    r = left.residual
     back, info = lapack.dtbtrs(whitener.factor, r[:, None], uplo="L", trans="T")
     if info != 0:
         return []
@@ -44,8 +44,7 @@ def waves(fit: Fit, believed: Array) -> list[tuple[Law, str, float]]:
         for wavelength_m in _likeliest(fit, pull, channel, way):
             law = _wave(text, way, wavelength_m)
             columns = [whitener.whiten(_column(fit, part, channel)) for part in law.parts]
-            white = np.stack(columns, axis=1)
-            white -= basis @ (basis.T @ white)
+            white = left.of(np.stack(columns, axis=1))
             theta = np.linalg.lstsq(white, r, rcond=None)[0]
             found.append((law, channel, float(0.5 * (white @ theta) @ r)))
     return found

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from odomcorrupt.study.fitting.random_process import processes, rooted, unit_column
+from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -63,15 +64,11 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
 
 def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
-    whiten = fit.noise.whitener.whiten
-    white, r = whiten(design), fit.noise.innovations
     if process.tau is None:
         # a walk starts anywhere: the constant is not its business
         believed = np.concatenate((believed, unit_column(fit.problem, process)[:, :, None]), axis=2)
-    if believed.shape[2]:
-        basis = np.linalg.qr(whiten(believed))[0]
-        white = white - basis @ (basis.T @ white)
-        r = r - basis @ (basis.T @ r)
+    left = left_over(fit, believed)
+    white, r = left.of(fit.noise.whitener.whiten(design)), left.residual
     strength, vectors = eigh(white.T @ white)
     strength = np.maximum(strength, 0.0)
     score = (vectors.T @ (white.T @ r)) ** 2

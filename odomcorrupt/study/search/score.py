@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["ColumnScore", "Score", "block_of", "score_columns", "score_tests"]
+__all__ = ["ColumnScore", "Score", "block_of", "left_over", "score_columns", "score_tests"]
 
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
@@ -60,6 +60,31 @@ class Score(ColumnScore):
     effect: Effect
 
 
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What the believed columns leave of whitened data.
+
+    basis : (3 K, q) orthonormal, spanning the believed columns
+    residual : (3 K,) what is left of the fit's innovations
+    """
+
+    basis: Array
+    residual: Array
+
+    def of(self, white: Array) -> Array:
+        """Return what is left of whitened columns (3 K, c)."""
+        rest: Array = white - self.basis @ (self.basis.T @ white)
+        return rest
+
+
+def left_over(fit: Fit, believed: Array) -> Left:
+    """Return what the believed columns (K, 3, q) leave."""
+    r = fit.noise.innovations
+    white = fit.noise.whitener.whiten(believed) if believed.shape[2] else np.zeros((len(r), 0))
+    basis = np.linalg.qr(white)[0] if white.shape[1] else white
+    return Left(basis, r - basis @ (basis.T @ r))
+
+
 def block_of(fit: Fit) -> NDArray[np.int64]:
     """Return the block (K,) each interval belongs to: stretches of time, never across runs, about 15 s each."""
     nodes, run = fit.problem.nodes, fit.problem.run
@@ -93,16 +118,12 @@ def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list
 
 def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[ColumnScore]:
     """Test a family of groups of columns (K, 3, p), each beside what is believed (K, 3, q)."""
-    whiten = fit.noise.whitener.whiten
-    r = fit.noise.innovations
-    known = whiten(believed) if believed.shape[2] else np.zeros((len(r), 0))
-    basis = np.linalg.qr(known)[0] if known.shape[1] else known
-    r = r - basis @ (basis.T @ r)
+    left = left_over(fit, believed)
     block = np.repeat(block_of(fit), 3)
     tests = []
     for group in groups:
-        raw = whiten(group)
-        tests.append(_test(r, raw - basis @ (basis.T @ raw), raw, block))
+        raw = fit.noise.whitener.whiten(group)
+        tests.append(_test(left.residual, left.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
     # the family's common opinion on how much scores vary between blocks
     weights = np.array([t.dof for t in usable])
