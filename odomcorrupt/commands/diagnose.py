@@ -69,6 +69,10 @@ def command(
     added = [effect for effect in learned.added if effect not in known]
     words += [w for effect in added for w in ("--add", effect)]
     following = f"odomcorrupt fit {shlex.join(words)} -o robot.toml" if added else ""
+    if learned.laws:
+        # what is added holds beside a law only, and `learn` alone writes laws
+        words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
+        following = f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     begin = Path(name).name if name else "without effects"
     ladder = ladder_comparison(learned, runs, begin) if as_json or report is not None or learned.added else None
     if ladder is not None and as_json:

@@ -82,6 +82,6 @@ def _noise(gain: RandomGain) -> str:
 
 def _unknown(unknown: Unknown, *, believed: bool) -> str:
     what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
-    then = "the model has" if believed else "to try"
+    then = "believed and fitted" if believed else "to try"
     lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(unknown.expression)}</code></p>"]
     return _card("unknown", "unknown", lines)

@@ -47,7 +47,7 @@ def found_text(learned: Learned, advice: Advice) -> str:
 
 def _unknown_lines(unknown: Unknown, *, believed: bool) -> list[str]:
     finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
-    return [finding, f"  {'the model has' if believed else 'to try'}: {unknown.expression}"]
+    return [finding, f"  {'believed and fitted' if believed else 'to try'}: {unknown.expression}"]
 
 
 def dependence(unknown: Unknown) -> str:

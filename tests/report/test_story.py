@@ -106,7 +106,7 @@ def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     assert "  + unequal_wheels" in text
     assert "noise: gauss_markov (yaw), sigma 2 %, tau 4 s: the gain of travel or turn wanders" in text
     assert "unknown: the yaw error depends on speed (40 nats), and no known effect explains it" in text
-    assert f"the model has: {UNKNOWNS[0].expression}" in text
+    assert f"believed and fitted: {UNKNOWNS[0].expression}" in text
     assert f"to try: {UNKNOWNS[1].expression}" in text
     assert "the yaw error per radian turned depends on yaw rate" in text
     assert "nan" not in text
@@ -236,7 +236,8 @@ def found(monkeypatch, rich):
     monkeypatch.setattr("odomcorrupt.study.advice.advise.advise", lambda _learned: ADVICE)
 
 
-def test_diagnose_says_in_the_terminal_what_to_type_next(found, case, tmp_path, capsys):
+def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: replace(rich, laws=()))
     words = ["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--drive", str(tmp_path / "next.mcap")]
     assert run(words) == 0
     out, err = capsys.readouterr()
@@ -246,6 +247,13 @@ def test_diagnose_says_in_the_terminal_what_to_type_next(found, case, tmp_path, 
     assert f"wrote {tmp_path / 'next.mcap'}: " in err
     assert run(words) == 1
     assert "--overwrite" in capsys.readouterr().err
+
+
+def test_where_a_law_is_believed_learn_comes_next_because_it_alone_writes_laws(found, case, capsys):
+    assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m)]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith(f"next: odomcorrupt learn {case.bag} ")
+    assert last.endswith(f"--track {case.recording.track_m:g} -o robot.toml")
 
 
 @pytest.mark.parametrize(
