@@ -128,10 +128,11 @@ def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -
         raise ModelError(f"[[effect]] {name}: the library has an effect of that name; give the expression another one")
     if not isinstance(text, str):
         raise ModelError(f'[[effect]] {name}: expression: {text!r}; write text, as in "yaw += k * v"')
-    numbers = {key: value for key, value in item.items() if key not in ("name", "expression")}
+    words = {"heading": str(item["heading"])} if "heading" in item else {}
+    numbers = {key: value for key, value in item.items() if key not in ("name", "expression", *words)}
     values = {key: _measured(value, f"{name}.{key}", errors) for key, value in numbers.items()}
     units = {key: str(value.get("unit", "")) for key, value in numbers.items() if isinstance(value, dict)}
-    return user_effect(name, text, values, units)
+    return user_effect(name, text, values, units, words)
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:

@@ -28,6 +28,7 @@ def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click pa
       expression = "yaw += k * v * abs(omega)"
       k = 0.01
     channels    along, across (m/s), yaw (rad/s); several statements with ; between
+    wheels      left, right, wheels (m/s of the rim): v, a, x and y are then the wheel's own
     variables   v, vy, omega, a, alpha, t, x, y, theta, distance, pi, and your parameters
     functions   sin cos tan exp log sqrt tanh abs sign atan2 hypot min max where(a > b, yes, no)
     """  # noqa: D301 - click wants a real backspace

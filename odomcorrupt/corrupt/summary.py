@@ -85,7 +85,8 @@ def model_words(model: MotionModel, origin: str) -> str:
 def _effect(effect: Effect) -> str:
     values = [f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect)]
     # a heading from the wheels goes without saying
-    values += [f"{word} {getattr(effect, word)}" for word in choices(effect) if getattr(effect, word) != "wheels"]
+    said = ((word, getattr(effect, word), options[0]) for word, options in choices(effect).items())
+    values += [f"{word} {value}" for word, value, usual in said if value != usual]
     return f"{effect.name} ({', '.join(values)})"
 
 

@@ -2,9 +2,10 @@
 
     yaw += k * v * abs(omega); along += -c * where(a > 0, a, 0) * abs(v)
 
-Statements add a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s). There are numbers,
-the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`; no attributes,
-no items, no calls of anything else. Size and depth are bounded, and so are exponents.
+Statements add a rate to truth minus odometry, along (m/s), across (m/s, to the left) or yaw (rad/s), or to the rim
+speed (m/s) of the left wheel, the right one or both wheels, each of which is then shown its own motion. There are
+numbers, the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`; no
+attributes, no items, no calls of anything else. Size and depth are bounded, and so are exponents.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from odomcorrupt.effects.affine import affine, vanishes
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.pose import Array
 
     Term = Callable[[Mapping[str, Array]], Array]
 
-__all__ = ["CHANNELS", "FUNCTIONS", "TRUTH_VARIABLES", "VARIABLES", "Expression", "parse_expression"]
+__all__ = ["CHANNELS", "FUNCTIONS", "SIDES", "TRUTH_VARIABLES", "VARIABLES", "Expression", "parse_expression"]
 
 CHANNELS = ("along", "across", "yaw")
+SIDES = ("left", "right", "wheels")
+"""What may be added to besides: the rim speeds of single wheels, or of both."""
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
 """What is read from the true motion; the rest is the odometry's."""
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
@@ -85,20 +88,25 @@ class Expression:
     """A parsed text.
 
     text : as it was written
-    terms : the channel (0 along, 1 across, 2 yaw) and the function of each statement
+    terms : what each statement adds to, of `CHANNELS` and `SIDES`, and its function
     names : all variables and parameters that it reads
     linear : parameters that f is affine in
     vanishes : whether f is zero where all of these are
     """
 
     text: str
-    terms: tuple[tuple[int, Term], ...]
+    terms: tuple[tuple[str, Term], ...]
     names: frozenset[str]
     linear: frozenset[str]
     vanishes: bool
 
-    def rates(self, values: Mapping[str, Array]) -> Array:
-        """Return f (n, 3) from the values of its names, arrays (n,) or single numbers.
+    @property
+    def by_wheel(self) -> bool:
+        """Whether it adds to single wheels."""
+        return any(target in SIDES for target, _ in self.terms)
+
+    def added_to(self, targets: Sequence[str], values: Mapping[str, Array]) -> Array:
+        """Return what is added (n,) to these, from the values of its names, arrays (n,) or single numbers.
 
         Raises
         ------
@@ -106,11 +114,12 @@ class Expression:
             Where the result is not a finite number.
 
         """
-        f = np.zeros((len(values["v"]), 3))
+        total = np.zeros(len(values["v"]))
         with np.errstate(all="ignore"):  # told below
-            for channel, term in self.terms:
-                f[:, channel] += term(values)
-        bad = ~np.isfinite(f).all(axis=1)
+            for target, term in self.terms:
+                if target in targets:
+                    total += term(values)
+        bad = ~np.isfinite(total)
         if bad.any():
             i = int(np.argmax(bad))
             place = ", ".join(f"{name} = {values[name][i]:g}" for name in VARIABLES if name in self.names)
@@ -118,7 +127,7 @@ class Expression:
                 f"expression {self.text!r}: not a finite number where {place or 'it is evaluated'}; guard it with "
                 "max(), abs() or where()"
             )
-        return f
+        return total
 
 
 def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
@@ -164,13 +173,14 @@ class _Reader:
         text = self._text if len(self._text) <= 80 else f"{self._text[:77]}..."
         return EffectError(f"expression {text!r}: {why}")
 
-    def statement(self, node: ast.stmt) -> tuple[int, Term]:
+    def statement(self, node: ast.stmt) -> tuple[str, Term]:
+        targets = (*CHANNELS, *SIDES)
         if not (isinstance(node, ast.AugAssign) and isinstance(node.op, ast.Add) and isinstance(node.target, ast.Name)):
-            raise self.wrong("each statement must add to one of along, across, yaw, as in yaw += k * v")
-        if node.target.id not in CHANNELS:
-            raise self.wrong(f"{node.target.id!r} cannot be added to; there are {', '.join(CHANNELS)}")
+            raise self.wrong(f"each statement must add to one of {', '.join(targets)}, as in yaw += k * v")
+        if node.target.id not in targets:
+            raise self.wrong(f"{node.target.id!r} cannot be added to; there are {', '.join(targets)}")
         self.statements.append(node)
-        return CHANNELS.index(node.target.id), self._term(node.value, 0)
+        return node.target.id, self._term(node.value, 0)
 
     def _term(self, node: ast.expr, depth: int) -> Term:  # noqa: PLR0911 - one for each kind of term
         self._nodes += 1

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
-from odomcorrupt.effects.wheels import heading_choice, turning
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, turning, wheel_motions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from odomcorrupt.pose import Array
 
 _MOST_DISCS = 400
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
@@ -20,14 +22,18 @@ _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8
 
 @dataclass(frozen=True, slots=True)
 class RegionSlip(Effect):
-    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside."""
+    """f = -slip (v, vy, omega) inside a disc of the truth frame, 0 outside; or each wheel as it is on the disc itself.
+
+    At its edge one wheel slips before the other, and the robot turns.
+    """
 
     name: ClassVar[str] = "region_slip"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the wheels slip on one patch of the floor"
     reads_truth: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
-        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro",
+        equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro; "
+        "contact = wheels: f_wheel = -slip u of each wheel that is inside",
         typical="1 to 10 % at a carpet's edge, on wet floor, on a ramp (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("scale_drift", "wheel_scale", "slope", "slip_burst"),
@@ -39,6 +45,9 @@ class RegionSlip(Effect):
     y: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
     radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)
     heading: str = heading_choice()
+    contact: str = choice(
+        "what has to be on the disc to slip: the middle of the robot, or each wheel", "body", "wheels"
+    )
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
@@ -71,7 +80,15 @@ class RegionSlip(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a scale error that depends on the place."""
-        inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
-        slip = np.where(inside, -self.slip, 0.0)
+        if self.contact == "wheels":
+            track_m = needed_track_m(self.name, motion.track_m)
+            rims = Rims(*(self._ratio(wheel) * wheel.v for wheel in wheel_motions(motion, track_m)))
+            return TwistError(body_of(rims, track_m, self.heading), state)
+        slip = self._ratio(motion)
         yaw = turning(self.heading, slip * motion.omega)
         return TwistError(stacked(slip * motion.v, slip * motion.vy, yaw, motion.v), state)
+
+    def _ratio(self, motion: Motion) -> Array:
+        """Return the part (n,) of the way that is gained: below zero inside the disc, 0 outside."""
+        inside = (motion.x - self.x) ** 2 + (motion.y - self.y) ** 2 <= self.radius**2
+        return np.where(inside, -self.slip, 0.0)

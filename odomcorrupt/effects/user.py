@@ -10,16 +10,28 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, check_bounds, parameter, parameters
+from odomcorrupt.effects.effect import (
+    About,
+    Effect,
+    Motion,
+    State,
+    TwistError,
+    check_bounds,
+    choices,
+    parameter,
+    parameters,
+)
 from odomcorrupt.effects.expression import (
     CHANNELS,
     CONSTANTS,
     FUNCTIONS,
+    SIDES,
     TRUTH_VARIABLES,
     VARIABLES,
     Expression,
     parse_expression,
 )
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, wheel_motions
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
@@ -28,7 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["UserEffect", "user_effect"]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
-_TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, "name", "expression"}
+_TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
 _FAR = 1e9
 """Nobody knows what is physically possible for a user's parameter; this keeps it a number."""
 
@@ -46,24 +58,42 @@ class UserEffect(Effect):
         return super().acts or not self.expression.vanishes
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: the expression."""
-        values = {name: getattr(motion, "t_s" if name == "t" else name) for name in VARIABLES}
-        values |= {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
-        return TwistError(self.expression.rates(values), state)
+        """Return f: the expression; what single wheels do, put together again."""
+        own = {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
+        body = _shown(motion) | own
+        f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
+        if self.expression.by_wheel:
+            track_m = needed_track_m(self.name, motion.track_m)
+            right, left = (_shown(wheel) | own for wheel in wheel_motions(motion, track_m))
+            rims = Rims(
+                self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)
+            )
+            f += body_of(rims, track_m, getattr(self, "heading", "wheels"))
+        return TwistError(f, state)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how to make it again: its class has no place in any module."""
         own = parameters(self)
         values = {p.name: getattr(self, p.name) for p in own}
-        return user_effect, (self.name, self.expression.text, values, {p.name: p.unit for p in own})
+        words = {word: getattr(self, word) for word in choices(self)}
+        return user_effect, (self.name, self.expression.text, values, {p.name: p.unit for p in own}, words)
+
+
+def _shown(motion: Motion) -> dict[str, Any]:
+    return {name: getattr(motion, "t_s" if name == "t" else name) for name in VARIABLES}
 
 
 def user_effect(
-    name: str, text: str, values: Mapping[str, float], units: Mapping[str, str] | None = None
+    name: str,
+    text: str,
+    values: Mapping[str, float],
+    units: Mapping[str, str] | None = None,
+    words: Mapping[str, str] | None = None,
 ) -> UserEffect:
     """Return the effect of an expression, with the values of its parameters.
 
     A parameter that f is affine in is an amplitude, 0 where it does nothing; any other is a shape, which a fit holds.
+    One that adds to single wheels has a word, heading, like the library's effects of wheels.
 
     Raises
     ------
@@ -78,12 +108,17 @@ def user_effect(
         if word in _TAKEN:
             raise EffectError(f"effect {name}: the parameter {word!r} has the name of something else; call it k")
     units = units or {}
-    linear = parse_expression(text, tuple(values)).linear
+    expression = parse_expression(text, tuple(values))
+    linear, words = expression.linear, words or {}
+    if words and not expression.by_wheel:
+        raise EffectError(
+            f"effect {name}: {next(iter(words))} is for what adds to {', '.join(SIDES)}, wheels that is; leave it out"
+        )
     facts = tuple(
         (key, units.get(key, ""), key in linear, 0.0 if key in linear else float(value), _magnitude(value))
         for key, value in values.items()
     )
-    effect = _class_of(name, text, facts)(**values)
+    effect = _class_of(name, text, facts)(**values, **words)
     check_bounds(effect)
     return effect
 
@@ -96,7 +131,7 @@ def _magnitude(value: float) -> float:
 def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, float], ...]) -> type[UserEffect]:
     """Return the class of an expression; the same again for the same facts, so that equal effects are equal."""
     expression = parse_expression(text, tuple(key for key, *_ in facts))
-    fields = [
+    fields: list[tuple[str, type, Any]] = [
         (
             key,
             float,
@@ -106,12 +141,15 @@ def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, fl
         )
         for key, unit, amplitude, identity, typical in facts
     ]
+    if expression.by_wheel:
+        fields.append(("heading", str, heading_choice()))
     namespace = {
         "name": name,
         "kind": "effect",
         "summary": "an effect of the user's own",
         "about": About(text, "", "the model file", (), ""),
         "reads_truth": not expression.names.isdisjoint(TRUTH_VARIABLES),
+        "needs_track": expression.by_wheel,
         "expression": expression,
         "__doc__": f"f: {text}",
     }

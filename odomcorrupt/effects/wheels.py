@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.effect import choice, stacked
+from odomcorrupt.effects.effect import Motion, choice, stacked
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from odomcorrupt.pose import Array
 
-__all__ = ["Rims", "body_of", "heading_choice", "needed_track_m", "rims_of", "turning"]
+__all__ = ["Rims", "body_of", "heading_choice", "needed_track_m", "rims_of", "turning", "wheel_motions"]
 
 
 def heading_choice() -> Any:
@@ -52,3 +53,25 @@ def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
     """Return what the odometry does, (n, 3), where the wheels do this."""
     yaw = turning(heading, (rims.right - rims.left) / track_m)
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
+
+
+def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:
+    """Return the motion of the right wheel and of the left one: its rim speed, its acceleration and its place.
+
+    Turn, time and distance are the body's.
+    """
+    right, left = (_at_wheel(motion, 0.5 * track_m * side) for side in (1.0, -1.0))
+    return right, left
+
+
+def _at_wheel(motion: Motion, arm_m: float) -> Motion:
+    """Return the motion so far to the right of the middle."""
+    ahead = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [arm_m, 0.0, 0.0]]) + np.eye(3)  # what turns moves on, too
+    return replace(
+        motion,
+        v=motion.v + arm_m * motion.omega,
+        acceleration=motion.acceleration @ ahead,
+        x=motion.x + arm_m * np.sin(motion.theta),
+        y=motion.y - arm_m * np.cos(motion.theta),
+        trail=None if motion.trail is None else motion.trail @ ahead,
+    )

@@ -55,6 +55,9 @@ def dependence(unknown: Unknown) -> str:
     driver = unknown.driver.replace("_", " ")
     if unknown.wavelength_m is not None:
         return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
+    if unknown.wheels:
+        whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
+        return f"the error {whose} depends on {driver}"
     per = " per radian turned" if unknown.per == "rad" else ""
     return f"the {unknown.channel} error{per} depends on {driver}"
 

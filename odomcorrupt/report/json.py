@@ -143,6 +143,7 @@ def _unknown(unknown: Unknown, *, believed: bool) -> dict[str, Any]:
             "nats": _number(unknown.nats),
             "per": unknown.per,
             "wavelength_m": unknown.wavelength_m,
+            "wheels": unknown.wheels,
         },
         "expression": unknown.expression,
         "in_model": believed,

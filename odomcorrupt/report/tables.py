@@ -68,9 +68,12 @@ def _candidate_line(candidate: Candidate) -> str:
 
 def words_text(effect: Effect) -> str:
     """Return those parameters of an effect that are words, and not the usual ones: " (heading gyro)", or ""."""
-    said = [f"{word} {getattr(effect, word)}" for word, options in choices(effect).items()]
-    usual = [f"{word} {options[0]}" for word, options in choices(effect).items()]
-    return f" ({', '.join(said)})" if said != usual else ""
+    said = [
+        f"{word} {getattr(effect, word)}"
+        for word, (usual, *_) in choices(effect).items()
+        if getattr(effect, word) != usual
+    ]
+    return f" ({', '.join(said)})" if said else ""
 
 
 def ladder_text(learned: Learned) -> str:

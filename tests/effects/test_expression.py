@@ -50,6 +50,52 @@ def test_an_expression_means_what_it_says(text, column, expected):
     assert not np.delete(f, column, axis=1).any()
 
 
+def test_what_is_added_to_wheels_is_shown_the_wheels_own_motion():
+    drive = motion(np.linspace(-0.5, 0.7, 50), np.linspace(-1.0, 1.0, 50), track=0.4, heading=0.3)
+    right_v, left_v = drive.v + 0.2 * drive.omega, drive.v - 0.2 * drive.omega
+
+    def f(text, **words):
+        return error_of(user_effect("mine", text, {"k": 0.3}, words=words), drive)
+
+    right, left, both = (f(f"{side} += k * v * abs(v)") for side in ("right", "left", "wheels"))
+    assert right[:, 0] == pytest.approx(0.15 * right_v * np.abs(right_v))
+    assert right[:, 2] == pytest.approx(0.3 * right_v * np.abs(right_v) / 0.4)
+    assert left[:, 0] == pytest.approx(0.15 * left_v * np.abs(left_v))
+    assert left[:, 2] == pytest.approx(-0.3 * left_v * np.abs(left_v) / 0.4)
+    assert both == pytest.approx(right + left)
+    assert not both[:, 1].any()
+    # a wheel that makes way as the other does not speeds up by itself
+    hurry = f("right += k * a")
+    assert hurry[:, 0] == pytest.approx(0.15 * (drive.a + 0.2 * drive.alpha))
+    # facing east, the right wheel lies to the south
+    assert f("right += k * y")[:, 0] == pytest.approx(0.15 * (drive.y - 0.2 * np.cos(drive.theta)))
+    assert f("left += k * x")[:, 0] == pytest.approx(0.15 * (drive.x - 0.2 * np.sin(drive.theta)))
+    # a gyro does not notice
+    assert f("wheels += k * v", heading="gyro") == pytest.approx(both_without_yaw(f("wheels += k * v")))
+
+
+def both_without_yaw(f):
+    return f * [1.0, 1.0, 0.0]
+
+
+def test_wheels_need_a_track_and_only_they_have_a_word_for_the_heading():
+    bare = motion(np.linspace(-0.5, 0.7, 50), np.linspace(-1.0, 1.0, 50))
+    with pytest.raises(EffectError, match="give it in metres with --track"):
+        error_of(user_effect("mine", "left += k * v", {"k": 0.1}), bare)
+    with pytest.raises(EffectError, match="heading is for what adds to left, right, wheels"):
+        user_effect("mine", "yaw += k * v", {"k": 0.1}, words={"heading": "gyro"})
+    with pytest.raises(EffectError, match="write wheels or gyro"):
+        user_effect("mine", "left += k * v", {"k": 0.1}, words={"heading": "compass"})
+
+
+def test_an_effect_of_wheels_comes_back_from_a_model_file_and_from_a_pickle():
+    text = HEAD + 'name = "flat"\nexpression = "left += k * v"\nheading = "gyro"\nk = 0.02\n[robot]\ntrack = 0.4\n'
+    (effect,) = parse_model(text).effects
+    assert effect.heading == "gyro"
+    assert parse_model(format_model(parse_model(text))).effects == (effect,)
+    assert pickle.loads(pickle.dumps(effect)) == effect  # noqa: S301 - our own
+
+
 def test_statements_add_up():
     _, once = rates("yaw += k * v; along += c * omega; yaw += 2 * k * v", k=0.1, c=0.2)
     drive, lines = rates("\n  yaw += 3 * k * v\n  along += c * omega\n", k=0.1, c=0.2)

@@ -28,6 +28,7 @@ from odomcorrupt.study.advice.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.advice.plan import plan_of
 from odomcorrupt.study.fitting.robot import fit_robot
 from odomcorrupt.study.judge.ladder import ladder_comparison
+from odomcorrupt.study.search.actions import Action
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.random_gain import RandomGain
 from odomcorrupt.study.search.unknown import Unknown
@@ -62,7 +63,9 @@ def unknown(channel, driver, *, per="m", wavelength_m=None):
         "heading": np.arange(3.0),
     }.get(driver, np.linspace(-1.0, 1.0, 9))
     curve = 0.01 * np.sin(np.arange(len(centres)))
-    law = None if wavelength_m is None else SimpleNamespace(law=SimpleNamespace(wavelength_m=wavelength_m))
+    law = None
+    if wavelength_m is not None:
+        law = SimpleNamespace(law=SimpleNamespace(wavelength_m=wavelength_m), action=Action(channel, "v"))
     expression = f"{channel} += v * (0.01 * {driver})"
     return Unknown(channel, driver, per, centres, curve, np.full(len(centres), 0.002), 1e-6, 40.0, law, expression)
 

@@ -11,7 +11,8 @@ from odomcorrupt.motion import error_of
 from odomcorrupt.simulate import simulate, simulate_without
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.search.laws import CHANNELS, MOVES, laws, moves_of
+from odomcorrupt.study.search.actions import MOVES, every_action, views
+from odomcorrupt.study.search.laws import laws
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.unknown import unknown_dependences
 
@@ -37,19 +38,52 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
 def test_every_law_says_in_its_expression_what_it_computes():
     _, fitted = _fitted(73, None)
     (motion,) = fitted.problem.motions
-    checked = 0
+    seen, checked = views(motion), set()
     for law in laws([motion])[::6]:
         values = (0.3, -0.2)[: len(law.parts)]
-        for channel, move in ((c, m) for c in CHANNELS for m in moves_of(c)):
-            expected = MOVES[move](motion) * sum(k * part(motion) for k, part in zip(values, law.parts, strict=True))
-            f = error_of(law.effect(channel, move, values), motion)
+        for action in (a for a in every_action() if a.reach in law.reaches):
+            expected = np.zeros((len(motion), 3))
+            for view, unit in action.parts(motion.track_m):
+                rate = sum(k * part(seen[view]) for k, part in zip(values, law.parts, strict=True))
+                expected -= (MOVES[action.move](seen[view]) * rate)[:, None] * unit
+            f = error_of(law.effect(action, values), motion)
             # thresholds are written with four digits: a sample may fall between
-            differs = np.abs(f[:, CHANNELS.index(channel)] - expected) > 1e-3 * np.abs(expected).max() + 1e-12
-            assert differs.mean() < 0.01, law.text
-            written = user_effect("written", law.expression(channel, move, values), {})
+            differs = np.abs(f - expected).max(axis=1) > 1e-3 * np.abs(expected).max() + 1e-12
+            assert differs.mean() < 0.01, (law.text, action)
+            words = {"heading": action.heading} if action.by_wheel else {}
+            written = user_effect("written", law.expression(action, values), {}, words=words)
             assert np.allclose(error_of(written, motion), f, atol=1e-9)
-            checked += 1
-    assert checked > 400
+            checked.add((law.text, action))
+    assert len(checked) > 500
+    assert {action for _, action in checked} == set(every_action())
+
+
+def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
+    run = simulate(79, "wet_strip", duration_s=300.0)
+    recording = as_recording(run)
+    fitted = fit([recording], approach=choose_approach([recording]))
+    found = unknown_dependences(fitted, believed_columns(fitted.problem, [(False, False)]))[0]
+    assert (found.driver, found.wheels) == ("position", "wheels")
+    strip = run.answer["parameters"]
+    away = np.exp(-1j * strip["direction"]) * (
+        run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
+    )
+    angle, middle, half = found.law.law.shape
+    found_away = np.cos(angle) * run.truth_xyt[:, 0] + np.sin(angle) * run.truth_xyt[:, 1] - middle
+    wet = np.abs(away.imag) < 0.5 * strip["width"]
+    assert 0.02 < wet.mean() < 0.8
+    assert np.mean(wet == (np.abs(found_away) < half)) > 0.97
+    assert found.law.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
+
+
+@pytest.mark.slow
+def test_on_a_patch_where_one_wheel_slips_before_the_other_the_region_says_so():
+    run = simulate(80, "wet_patch", duration_s=400.0)
+    learned = learn([as_recording(run)])
+    (patch,) = learned.fit.effects
+    assert (patch.name, patch.contact) == ("region_slip", "wheels")
+    assert patch.radius == pytest.approx(run.answer["parameters"]["radius"], rel=0.1)
+    assert patch.slip == pytest.approx(run.answer["parameters"]["slip"], rel=0.1)
 
 
 def test_nothing_is_found_where_nothing_is_wrong():

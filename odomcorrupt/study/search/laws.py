@@ -1,13 +1,13 @@
 """Laws of the unknown: simple functions of one driver that an error may follow where no known effect explains it.
 
-A law is a rate of one channel: what moves (travel, its size, or turn) times a function of the driver, with one number
-free, or two where a direction is meant. Thresholds, places and moments are families, and whoever chooses among many
-pays for it.
+A law is a rate: what moves (travel, its size, or turn) times a function of the driver, with one number free, or two
+where a direction is meant. Where it acts, on a channel of the body or on wheels, is said apart. Thresholds, places and
+moments are families, and whoever chooses among many pays for it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -21,19 +21,14 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.effects.user import UserEffect
     from odomcorrupt.pose import Array
+    from odomcorrupt.study.search.actions import Action
 
     Of = Callable[[Motion], Array]
 
-__all__ = ["CHANNELS", "MOVES", "NUMBERS", "VALUES", "Law", "laws", "moves_of"]
+__all__ = ["NUMBERS", "VALUES", "Law", "laws"]
 
-CHANNELS = ("along", "across", "yaw")
 NUMBERS = ("k", "m")
 """What the free numbers of a law are called."""
-MOVES: dict[str, Of] = {
-    "v": lambda m: m.v,
-    "abs(v)": lambda m: np.abs(m.v),
-    "omega": lambda m: m.omega,
-}
 VALUES: dict[str, tuple[str, Of]] = {
     "speed": ("abs(v)", lambda m: np.abs(m.v)),
     "yaw_rate": ("abs(omega)", lambda m: np.abs(m.omega)),
@@ -44,11 +39,15 @@ VALUES: dict[str, tuple[str, Of]] = {
 }
 _SIGNED = ("acceleration", "yaw_acceleration", "time")
 """Drivers of which what lies below a threshold is as likely to matter as what lies above."""
+_OF_WHEELS = ("speed", "acceleration", "time")
+"""Drivers that a wheel has of its own; and time, which may load one side."""
 _CUTS = np.linspace(0.05, 0.95, 19)
 _PLACES = 7
 _RADII_M = (0.8, 1.3, 2.0)
 _STRIPS = 6
 _HALF_WIDTHS_M = (0.4, 0.8)
+_REFINING = 2
+"""By how much each number of a shape that may be refined multiplies what a law was chosen from."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +58,9 @@ class Law:
     parts : what each number multiplies, of a motion of n intervals (n,)
     trials : how many of its family are tried
     wavelength_m : of a wave over the way, else 0
+    reaches : what it may act on, of "body", "one" wheel and "both"; not where the library has that effect
+    shape, steps : numbers of a shape that may be refined, and how far to look
+    remade : returns the law with another shape
     """
 
     driver: str
@@ -66,32 +68,45 @@ class Law:
     parts: tuple[Of, ...]
     trials: int = 1
     wavelength_m: float = 0.0
+    reaches: tuple[str, ...] = ("body",)
+    shape: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+    remade: Callable[[tuple[float, ...]], Law] | None = field(default=None, compare=False)
 
-    def effect(self, channel: str, move: str, values: Sequence[float]) -> UserEffect:
+    def effect(self, action: Action, values: Sequence[float]) -> UserEffect:
         """Return the law as an effect with these values."""
         named = dict(zip(NUMBERS, map(float, values), strict=False))
-        return user_effect(f"{channel}_over_{self.driver}", f"{channel} += {move} * ({self.text})", named)
+        words = {"heading": action.heading} if action.by_wheel else {}
+        text = f"{action.target} += {action.move} * ({self.text})"
+        return user_effect(f"{action.target}_over_{self.driver}", text, named, words=words)
 
-    def expression(self, channel: str, move: str, values: Sequence[float]) -> str:
+    def expression(self, action: Action, values: Sequence[float]) -> str:
         """Return the expression with its numbers filled in, ready to be edited."""
         text = self.text
         for name, value in zip(NUMBERS, values, strict=False):
             text = text.replace(f"{name} *", f"{float(value):.4g} *")
-        return f"{channel} += {move} * ({text})"
+        return f"{action.target} += {action.move} * ({text})"
 
-
-def moves_of(channel: str) -> tuple[str, ...]:
-    """Return what may move an error of a channel: travel, and for the heading turn, too."""
-    return tuple(name for name in MOVES if channel == "yaw" or name != "omega")
+    def neighbours(self, scale: float) -> Iterator[Law]:
+        """Yield the laws with one number of the shape a step of this scale up or down."""
+        if self.remade is None:
+            return
+        for i, step in enumerate(self.steps):
+            for sign in (-1.0, 1.0):
+                shape = list(self.shape)
+                shape[i] += sign * scale * step
+                yield self.remade(tuple(shape))
 
 
 def laws(motions: Sequence[Motion]) -> list[Law]:
     """Return every law that is tried on these motions."""
     found = [*_headings(), *_discs(motions), *_strips(motions)]
     for driver, (text, value) in VALUES.items():
-        found.append(Law(driver, f"k * {text}", (value,)))
+        found.append(
+            Law(driver, f"k * {text}", (value,), reaches=("body", "one") if driver in _OF_WHEELS else ("body",))
+        )
         if driver != "distance":  # that is time, by another name
-            found += _steps(driver, text, value, motions)
+            found += _thresholds(driver, motions)
     return found
 
 
@@ -100,25 +115,51 @@ def _headings() -> Iterator[Law]:
         yield Law("heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2)
 
 
-def _steps(driver: str, text: str, value: Of, motions: Sequence[Motion]) -> Iterator[Law]:
+def _thresholds(driver: str, motions: Sequence[Motion]) -> Iterator[Law]:
     """Yield thresholds of a driver, spread evenly over what it was while the robot moved."""
+    value = VALUES[driver][1]
     seen = np.concatenate([value(m)[(np.abs(m.v) > 0.02) | (np.abs(m.omega) > 0.02)] for m in motions])
     if len(seen) == 0:
         return
     cuts = np.unique(np.quantile(seen, _CUTS))
-    both = driver in _SIGNED
-    for cut in cuts:
-        trials = len(cuts) * (2 if both else 1)
-        yield Law(driver, f"k * where({text} > {cut:.4g}, 1, 0)", (_above(value, cut),), trials)
-        if both:
-            yield Law(driver, f"k * where({text} < {cut:.4g}, 1, 0)", (_below(value, cut),), trials)
+    ways = (True, False) if driver in _SIGNED else (True,)
+    for above, (i, cut) in product(ways, enumerate(cuts)):
+        gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
+        yield _threshold(driver, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above)
+
+
+def _threshold(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, above: bool) -> Law:
+    text, value = VALUES[driver]
+    (cut,) = shape
+    return Law(
+        driver,
+        f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
+        ((_above if above else _below)(value, cut),),
+        trials * _REFINING,
+        reaches=("body", "one", "both") if driver in _OF_WHEELS else ("body",),
+        shape=shape,
+        steps=steps,
+        remade=lambda moved: _threshold(driver, trials, moved, steps, above=above),
+    )
 
 
 def _discs(motions: Sequence[Motion]) -> Iterator[Law]:
     xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
     for x, y, radius in product(xs, ys, _RADII_M):
-        text = f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)"
-        yield Law("position", text, (_within(x, y, radius),), 2 * _PLACES**2 * len(_RADII_M))
+        yield _disc((float(x), float(y), radius))
+
+
+def _disc(shape: tuple[float, ...]) -> Law:
+    x, y, radius = shape[0], shape[1], max(shape[2], 0.1)
+    return Law(
+        "position",
+        f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
+        (_within(x, y, radius),),
+        2 * _PLACES**2 * len(_RADII_M) * _REFINING**3,
+        shape=shape,
+        steps=(0.4, 0.4, 0.3),
+        remade=_disc,
+    )
 
 
 def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
@@ -126,8 +167,22 @@ def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
         c, s = np.cos(angle), np.sin(angle)
         middles = _spread(np.concatenate([c * m.x + s * m.y for m in motions]))
         for middle, half in product(middles, _HALF_WIDTHS_M):
-            text = f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)"
-            yield Law("position", text, (_band(c, s, middle, half),), 2 * _STRIPS * _PLACES * len(_HALF_WIDTHS_M))
+            yield _strip((float(angle), float(middle), half))
+
+
+def _strip(shape: tuple[float, ...]) -> Law:
+    angle, middle, half = shape[0], shape[1], max(shape[2], 0.05)
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    return Law(
+        "position",
+        f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)",
+        (_band(c, s, middle, half),),
+        2 * _STRIPS * _PLACES * len(_HALF_WIDTHS_M) * _REFINING**3,
+        reaches=("body", "both"),
+        shape=shape,
+        steps=(0.2, 0.4, 0.2),
+        remade=_strip,
+    )
 
 
 def _less(value: float) -> str:

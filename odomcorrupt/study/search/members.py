@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.errors import EffectError
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
@@ -22,17 +23,20 @@ __all__ = ["UNUSUAL_NATS", "best_member"]
 
 UNUSUAL_NATS = 4.0
 """What a word other than the usual one, a heading from a gyro, has to explain on top."""
-_REFINEMENTS = (0.4, 0.2, 0.1)
+_REFINEMENTS = (0.4, 0.2, 0.1, 0.05, 0.02)
 """Steps of shapes, in parts of their typical sizes."""
 _WORTH_NATS = 0.2
 _STARTS, _PLAIN = 4, 60.0
-"""From how many members the search goes on where the best explains so much (chi-square): hills have neighbours."""
+"""From how many members the search goes on where the best explains so much (chi-square): hills have neighbours.
+What explains less does not show its finer features either."""
 
 
 def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
     """Return the shape that explains most of what is left.
 
-    A parameter that is a word keeps its first one, unless another explains plainly more.
+    A parameter that is a word keeps its first one, unless another explains plainly more. Where the heading comes from
+    matters to the place as well, and each source has the whole family; other words are tried where the best one stands,
+    if it explains plainly.
 
     Parameters
     ----------
@@ -46,9 +50,13 @@ def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
         return family[0]
     gain = _gain_on(fit, believed)
     usual = _best_of(family, gain)
-    unusual = [_best_of(others, gain) for others in zip(*map(_other_words, family), strict=True)]
-    # where a word matters, it matters to the place, too: each has the whole family
-    return max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))[1]
+    unusual = [
+        _best_of(others, gain) for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
+    ]
+    most, best = max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))
+    words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
+    touches = [_refined(other, gain) for other in _said_otherwise(best, words)]
+    return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
 
 
 def _best_of(family: Sequence[Effect], gain: Callable[[Effect], float]) -> tuple[float, Effect]:
@@ -63,7 +71,10 @@ def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
     left = left_over(fit, believed)
 
     def gain(effect: Effect) -> float:
-        column = left.of(fit.noise.whitener.whiten(fit.problem.columns(effect)))
+        try:
+            column = left.of(fit.noise.whitener.whiten(fit.problem.columns(effect)))
+        except EffectError:  # it acts on single wheels, and nobody knows where they are
+            return 0.0
         if not column.any():
             return 0.0
         return float((column @ np.linalg.lstsq(column, left.residual, rcond=None)[0]) @ left.residual)
@@ -101,11 +112,11 @@ def _refined(effect: Effect, gain: Callable[[Effect], float]) -> tuple[float, Ef
     return most, best
 
 
-def _other_words(effect: Effect) -> list[Effect]:
-    """Return the effect with each of its words replaced by each other one that it may be."""
-    words = [(word, option) for word, options in choices(effect).items() for option in options]
+def _said_otherwise(effect: Effect, words: Sequence[str]) -> list[Effect]:
+    """Return the effect with each of these words of its replaced by each other one that it may be."""
+    options = [(word, option) for word in words for option in choices(effect).get(word, ())]
     return [
         replace(effect, **{word: option})  # type: ignore[type-var]  # effects are dataclasses
-        for word, option in words
+        for word, option in options
         if getattr(effect, word) != option
     ]

@@ -12,7 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import lapack
 
-from odomcorrupt.study.search.laws import CHANNELS, Law
+from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.study.search.actions import Action
+from odomcorrupt.study.search.laws import Law
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
@@ -29,8 +31,8 @@ _GRID_M = 0.02
 _TRIED = 3
 
 
-def waves(fit: Fit, believed: Array) -> list[tuple[Law, str, float]]:
-    """Return the likeliest waves with their channels and the nats each gains, exactly."""
+def waves(fit: Fit, believed: Array) -> list[tuple[Law, Action, float]]:
+    """Return the likeliest waves, what they act on, and the nats each gains, exactly."""
     problem, whitener = fit.problem, fit.noise.whitener
     left = left_over(fit, believed)
     r = left.residual
@@ -46,7 +48,7 @@ def waves(fit: Fit, believed: Array) -> list[tuple[Law, str, float]]:
             columns = [whitener.whiten(_column(fit, part, channel)) for part in law.parts]
             white = left.of(np.stack(columns, axis=1))
             theta = np.linalg.lstsq(white, r, rcond=None)[0]
-            found.append((law, channel, float(0.5 * (white @ theta) @ r)))
+            found.append((law, Action(channel, "v"), float(0.5 * (white @ theta) @ r)))
     return found
 
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.study.search.actions import MOVES
 from odomcorrupt.study.search.curves import curve_drivers
 from odomcorrupt.study.search.law_scores import best_laws
-from odomcorrupt.study.search.laws import CHANNELS, MOVES
 from odomcorrupt.study.search.score import score_columns
 
 if TYPE_CHECKING:
@@ -56,6 +57,11 @@ class Unknown:
     expression: str
 
     @property
+    def wheels(self) -> str:
+        """Which wheels have the error, where its law acts on these: "left", "right" or "wheels"; else ""."""
+        return self.law.action.target if self.law is not None and self.law.action.by_wheel else ""
+
+    @property
     def wavelength_m(self) -> float | None:
         """Of an error that comes back with the way: after how much of it, m."""
         return self.law.law.wavelength_m or None if self.law is not None else None
@@ -63,13 +69,13 @@ class Unknown:
 
 def unknown_dependences(fit: Fit, believed: Array) -> list[Unknown]:
     """Return the dependences that nothing believed explains, the plainest first; usually none."""
-    laws = {(found.law.driver, found.channel): found for found in best_laws(fit, believed)}
+    laws = {(found.law.driver, found.action.channel): found for found in best_laws(fit, believed)}
     found = []
     for (driver, channel, per), where, score in _curves(fit, believed):
         law = laws.get((driver, channel))
         nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
         seen = score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > 0.0
-        if law is not None and per == ("rad" if law.move == "omega" else "m"):
+        if law is not None and per == law.action.per:
             most = max(nats, law.nats) if seen else law.nats
             p = min(score.p, law.p) if seen else law.p
             found.append(_unknown(driver, channel, per, where, score, p, most, law))

@@ -1,0 +1,143 @@
+"""A quick look at a thousand laws: each is averaged over every interval between nodes, from a few of its increments."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.study.search.actions import MOVES, actions_on, views
+from odomcorrupt.study.search.laws import laws
+from odomcorrupt.study.search.score import left_over
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.pose import Array
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.likelihood.nodes import Nodes
+    from odomcorrupt.study.search.actions import Action
+    from odomcorrupt.study.search.laws import Law
+
+__all__ = ["QuickLook", "Tried"]
+
+_SAMPLES = 5
+"""Increments of each interval that are looked at."""
+_SCALES = (1.0, 0.5, 0.25, 0.125)
+_MOST_STEPS = 12
+_WORTH_NATS = 0.1
+
+
+class Tried(NamedTuple):
+    """A law, where it acts, and about how many nats it gains."""
+
+    law: Law
+    action: Action
+    nats: float
+
+
+class QuickLook:
+    """What laws would explain of what the believed columns (K, 3, q) leave, about."""
+
+    def __init__(self, fit: Fit, believed: Array) -> None:
+        self._whiten, self._left = fit.noise.whitener.whiten, left_over(fit, believed)
+        self._motions, self._nodes = fit.problem.motions, fit.problem.nodes
+        self._seen = views(_sampled(self._nodes, self._motions))
+        self._units: dict[Action, list[tuple[str, Array]]] = {}
+
+    def everything(self) -> list[Tried]:
+        """Return every law on everything that it may act on."""
+        every = laws(self._motions)
+        means: dict[tuple[str, str, str], Array] = {}
+        found: list[Tried] = []
+        for action in actions_on(self._motions):
+            mine = [law for law in every if action.reach in law.reaches]
+            weighed_by = "omega" if action.move == "omega" else "v"
+            here = []
+            for view, _ in self._of(action):
+                key = (view, action.reach, weighed_by)
+                if key not in means:
+                    means[key] = self._means(mine, view, weighed_by)
+                here.append(means[key])
+            found += [Tried(law, action, g) for law, g in zip(mine, self._gains(mine, action, here), strict=True)]
+        return found
+
+    def refined(self, tried: Tried) -> Tried:
+        """Return the law of the best shape in the neighbourhood."""
+        best = tried
+        for scale in _SCALES:
+            for _ in range(_MOST_STEPS):
+                others = list(best.law.neighbours(scale))
+                if not others:
+                    return best
+                here = [self._means(others, view, best.action.move) for view, _ in self._of(best.action)]
+                gains = self._gains(others, best.action, here)
+                i = int(np.argmax(gains))
+                if gains[i] <= best.nats + _WORTH_NATS:
+                    break
+                best = Tried(others[i], best.action, gains[i])
+        return best
+
+    def _of(self, action: Action) -> list[tuple[str, Array]]:
+        """Return the views of an action, and what (K, 3) a unit of error there does to the residuals of an interval."""
+        if action not in self._units:
+            every = [views(m) for m in self._motions]
+            self._units[action] = [
+                (
+                    view,
+                    self._nodes.column(
+                        np.concatenate([MOVES[action.move](v[view]) * v[view].dt_s for v in every])[:, None] * unit
+                    ),
+                )
+                for view, unit in action.parts(self._motions[0].track_m)
+            ]
+        return self._units[action]
+
+    def _means(self, tried: Sequence[Law], view: str, move: str) -> Array:
+        """Return the means (K, J) of the laws' parts over the intervals, weighted by how far each sample moves."""
+        seen, count = self._seen[view], len(self._nodes)
+        values = np.stack([part(seen) for law in tried for part in law.parts], axis=1)
+        weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        means: Array = np.einsum("ks,ksj->kj", weight, values.reshape(count, -1, values.shape[1]))
+        return means
+
+    def _gains(self, tried: Sequence[Law], action: Action, means: Sequence[Array]) -> list[float]:
+        """Return half the chi-square that each law explains, from its means on each view."""
+        columns = sum(
+            unit[:, :, None] * mean[:, None, :] for (_, unit), mean in zip(self._of(action), means, strict=True)
+        )
+        raw = self._whiten(np.asarray(columns))
+        own = np.einsum("ij,ij->j", raw, raw)
+        first = np.concatenate(([0], np.cumsum([len(law.parts) for law in tried]))).astype(np.int64)
+        gains: list[float] = _chi_squares(self._left.of(raw), own, self._left.residual, first).tolist()
+        return gains
+
+
+def _chi_squares(white: Array, own: Array, r: Array, first: NDArray[np.int64]) -> Array:
+    """Return half the chi-square of each group of one or two neighbouring columns."""
+    score, length = white.T @ r, np.einsum("ij,ij->j", white, white)
+    kept = length > 1e-3 * np.maximum(own, 1e-300)
+    single = np.where(kept, score**2 / np.maximum(length, 1e-300), 0.0)
+    gains: Array = 0.5 * np.add.reduceat(single, first[:-1])
+    for i in np.flatnonzero(np.diff(first) == 2):
+        pair = slice(first[i], first[i] + 2)
+        normal = white[:, pair].T @ white[:, pair]
+        if kept[pair].all() and np.linalg.cond(normal) < 1e6:
+            gains[i] = 0.5 * score[pair] @ np.linalg.solve(normal, score[pair])
+    return gains
+
+
+def _sampled(nodes: Nodes, motions: Sequence[Motion]) -> Motion:
+    """Return `_SAMPLES` increments of every interval, evenly spread, as one motion."""
+    last = np.append(nodes.first[1:], len(nodes.source)) - 1
+    steps = np.linspace(nodes.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
+    chosen = nodes.source[steps]
+    first = motions[0]
+    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
+    arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in motions])[chosen] for n in names}
+    return replace(first, **arrays)
