@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.advice.choices import Choice, open_choices
+from odomcorrupt.study.advice.clocks import clock_choices, unseen_clocks
 from odomcorrupt.study.advice.drives import Drives, most_useful
 from odomcorrupt.study.advice.untestable import Limit, Untestable, is_untestable, limits, shows, untestable, untried
 
@@ -31,14 +32,17 @@ def advise(learned: Learned) -> Advice:
     drives = Drives(learned)
     choices, gains = [], []
     for look in learned.rounds:
-        found, told = open_choices(drives, look)
-        choices += found
-        gains += told
+        for asked in (open_choices, clock_choices):
+            found, told = asked(drives, look)
+            choices += found
+            gains += told
     last = learned.rounds[-1]
     named = {name for choice in choices for name in choice.names}
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
-    hidden = [untestable(drives, c) for c in refused] + untried(learned)
-    if not gains:
-        gains = [shows(drives, c) for c, u in zip(refused, hidden, strict=False) if u.plan is not None]
-    best = most_useful(drives, gains) if gains else None
+    hidden = [untestable(drives, c) for c in refused]
+    shown = [shows(drives, c) for c, u in zip(refused, hidden, strict=True) if u.plan is not None]
+    clocks = [one for one in unseen_clocks(drives) if one.told.effect not in named]
+    hidden += [one.told for one in clocks] + untried(learned)
+    shown += [one.shows for one in clocks if one.told.plan is not None]
+    best = most_useful(drives, gains or shown, shown if gains else ()) if gains or shown else None
     return Advice(tuple(choices), tuple(hidden), tuple(limits(last)), best)

@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
-from odomcorrupt.study.advice.drives import best_plan, missing_motion
+from odomcorrupt.effects.effect import choices
+from odomcorrupt.study.advice.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.advice.information import separation
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.advice.drives import Drives
+    from odomcorrupt.study.advice.drives import Drives, Gain
     from odomcorrupt.study.advice.information import Field
     from odomcorrupt.study.advice.plan import Plan
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Round
 
-__all__ = ["Choice", "open_choices"]
+__all__ = ["TOO_FEW_NATS", "Choice", "open_choices"]
 
-_TOO_FEW_NATS = 3.0
+TOO_FEW_NATS = 3.0
 """Less than this from ten minutes of the best drive: no drive is worth it."""
 
 
@@ -42,7 +43,7 @@ class Choice:
     hint: str = ""
 
 
-def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Callable[[Field | None], float]]]:
+def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
     """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
     if not look.alternatives or look.added is None:
         return [], []
@@ -54,7 +55,7 @@ def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Callab
     for name in names:
         gain = _telling(drives, rivals[look.added], rivals[name])
         plan, nats = best_plan(drives, gain)
-        if nats < _TOO_FEW_NATS:
+        if nats < TOO_FEW_NATS:
             found.append(Choice((look.added, name), "", None, nats))
             continue
         found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
@@ -66,18 +67,29 @@ def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Callab
     return found, told
 
 
-def _telling(drives: Drives, one: Candidate, other: Candidate) -> Callable[[Field | None], float]:
+def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
     """Return what tells how many nats a drive adds to the choice between two, whichever of them is true."""
     a, b = (_as_fitted(c) for c in (one, other))
     beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
     inflation = max(one.score.inflation, other.score.inflation)
+    pairs = [pair for x in _guises(drives, a, beside) for y in _guises(drives, b, beside) for pair in ((x, y), (y, x))]
 
-    def nats(drive: Field | None) -> float:
-        fields = [drives.recorded] if drive is None else [drives.recorded, drive]
-        return min(separation(a, b, beside, fields), separation(b, a, beside, fields)) / inflation
+    def nats(*drive: Field) -> float:
+        fields = [drives.recorded, *drive]
+        return min(separation(x, y, beside, fields) for x, y in pairs) / inflation
 
-    known = nats(None)
+    known = nats()
     return lambda drive: nats(drive) - known
+
+
+def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
+    """Return an effect with every source of the heading that these data leave open, its own first.
+
+    A straight does not say whether the wheels or a gyro give the heading; what a turn would tell hangs on it.
+    """
+    words = choices(effect).get("heading", ())
+    others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]
+    return [effect, *(o for o in others if separation(effect, o, beside, [drives.recorded]) < ENOUGH_NATS)]
 
 
 def _as_fitted(candidate: Candidate) -> Effect:

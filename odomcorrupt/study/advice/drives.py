@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -19,25 +19,34 @@ if TYPE_CHECKING:
     from odomcorrupt.study.advice.plan import Plan
     from odomcorrupt.study.search.learn import Learned
 
-__all__ = ["ENOUGH_NATS", "Drives", "best_plan", "missing_motion", "most_useful"]
+__all__ = ["ENOUGH_NATS", "Drives", "Gain", "best_plan", "missing_motion", "most_useful"]
 
+Gain: TypeAlias = "Callable[[Field], float]"
+"""What a planned drive adds to the answer of one question, nats."""
 ENOUGH_NATS = 10.0
 """A drive that is expected to favour the right one by this much settles the matter."""
 _SHORT_S, _LONG_S = 180.0, 600.0
 _TELLING = 0.3
 """A lack is a reason if filling it tells at least this part of what the best drive tells."""
+_BESIDE = 0.2
+"""What questions that come second weigh together, where those that come first weigh 1."""
 
 
 @dataclass(slots=True)
 class Drives:
-    """Recorded and planned drives; a plan is laid out when it is first asked for."""
+    """Recorded and planned drives; a plan is laid out when it is first asked for.
+
+    with_clocks : the recorded drives, both numbers of all their clocks free
+    """
 
     learned: Learned
     recorded: Field = field(init=False)
+    with_clocks: Field = field(init=False)
     _planned: dict[tuple[str, float], tuple[Plan, Field]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.recorded = recorded_field(self.learned.fit, self.learned.clocks.free)
+        self.with_clocks = replace(self.recorded, clocks=self.recorded.problem.clock_columns())
 
     def planned(self, name: str, duration_s: float) -> tuple[Plan, Field]:
         """Return a manoeuvre as this robot would drive it."""
@@ -49,12 +58,9 @@ class Drives:
         return self._planned[key]
 
 
-def best_plan(drives: Drives, gain: Callable[[Field | None], float]) -> tuple[Plan, float]:
+def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
     """Return the manoeuvre that tells most in a few minutes, made longer where that is not enough."""
-    tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES]
-    # a long drive must be worth its time
-    worth = [gain(f) * min(1.0, _SHORT_S / plan.duration_s) for plan, f in tried]
-    plan, drive = tried[int(np.argmax(worth))]
+    plan, drive = _worthiest(drives, lambda planned: _share(gain(planned)))
     nats = gain(drive)
     if nats < ENOUGH_NATS and plan.duration_s < _LONG_S:
         plan, drive = drives.planned(plan.manoeuvre.name, _LONG_S)
@@ -62,16 +68,43 @@ def best_plan(drives: Drives, gain: Callable[[Field | None], float]) -> tuple[Pl
     return plan, nats
 
 
-def most_useful(drives: Drives, gains: Sequence[Callable[[Field | None], float]]) -> Plan:
-    """Return the plan that settles most questions: a second nat counts for less than the first of another."""
+def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = ()) -> Plan:
+    """Return the plan that settles most questions: nats beyond what settles one count for little.
 
-    def settled(drive: Field | None) -> float:
-        return ENOUGH_NATS * float(np.mean([np.log1p(max(gain(drive), 0.0) / ENOUGH_NATS) for gain in gains]))
+    first : what matters
+    beside : what is answered on the way, if a plan that does so settles the first as well
+    """
+    if len(first) == 1 and not beside:
+        return best_plan(drives, first[0])[0]
 
-    return best_plan(drives, settled if len(gains) > 1 else gains[0])[0]
+    def settled(drive: Field) -> float:
+        shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
+        return float(np.dot(shares, (1.0, _BESIDE)[: len(shares)]))
+
+    def answered(drive: Field) -> int:
+        return sum(gain(drive) >= ENOUGH_NATS for gain in first)
+
+    plan, drive = _worthiest(drives, settled)
+    if plan.duration_s < _LONG_S:
+        longer, field_ = drives.planned(plan.manoeuvre.name, _LONG_S)
+        if answered(field_) > answered(drive):
+            return longer
+    return plan
 
 
-def missing_motion(drives: Drives, gain: Callable[[Field | None], float], best_nats: float) -> str:
+def _share(nats: float) -> float:
+    """Return the part (0 to 1) of a question that so many nats answer."""
+    return max(nats, 0.0) / (max(nats, 0.0) + ENOUGH_NATS)
+
+
+def _worthiest(drives: Drives, worth: Gain) -> tuple[Plan, Field]:
+    """Return the manoeuvre that is worth most in a few minutes; one that takes longer must be worth its time."""
+    tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES]
+    worths = [worth(f) * min(1.0, _SHORT_S / plan.duration_s) for plan, f in tried]
+    return tried[int(np.argmax(worths))]
+
+
+def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
     """Return what the drives lacked that would have told, the most telling first; "" if nothing of that kind."""
     found = []
     for why, names in lacks_of(excitation(drives.learned.fit.problem.motions)):

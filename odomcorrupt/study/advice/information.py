@@ -8,7 +8,7 @@ stays known, and a clock belongs to one drive alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.fitting.problem import Problem
     from odomcorrupt.study.likelihood.whitener import Whitener
 
-__all__ = ["Field", "planned_field", "recorded_field", "separation", "sizes"]
+__all__ = ["Field", "clock_errors", "planned_field", "recorded_field", "separation", "sizes"]
+
+_NOTHING_LEFT = 1e-4
+"""A column of which only this part is left beside others is not known at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +47,24 @@ class Field:
     problem: Problem
     whitener: Whitener
     clocks: Array
+    _known: dict[Effect | None, Array] = field(init=False, default_factory=dict, repr=False)
+    """Whitened columns that were asked for before: the same few are, again and again. None: the clock's."""
 
     def white(self, effects: Sequence[Effect]) -> Array:
         """Return whitened columns (3 K, p) of the amplitudes of some effects."""
-        parts = [self.problem.columns(effect) for effect in effects if amplitudes(effect)]
-        if not parts:
-            return np.zeros((3 * len(self.problem.nodes), 0))
-        return self.whitener.whiten(np.concatenate(parts, axis=2))
+        parts = [self._white(effect) for effect in effects if amplitudes(effect)]
+        return np.concatenate([np.zeros((3 * len(self.problem.nodes), 0)), *parts], axis=1)
 
     def white_clocks(self) -> Array:
         """Return whitened columns (3 K, c) of its clock."""
-        if not self.clocks.shape[2]:
-            return np.zeros((3 * len(self.problem.nodes), 0))
-        return self.whitener.whiten(self.clocks)
+        return self._white(None)
+
+    def _white(self, effect: Effect | None) -> Array:
+        if effect not in self._known:
+            columns = self.clocks if effect is None else self.problem.columns(effect)
+            empty = np.zeros((3 * len(self.problem.nodes), 0))
+            self._known[effect] = self.whitener.whiten(columns) if columns.shape[2] else empty
+        return self._known[effect]
 
 
 def recorded_field(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> Field:
@@ -75,13 +83,14 @@ def planned_field(fit: Fit, plan: Plan) -> Field:
     return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
 
 
-def separation(one: Effect, other: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
+def separation(one: Effect, other: Effect | None, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
     """Return the nats by which the drives together are expected to favour `one`, were it true as it stands.
 
+    other : None where the rival is the drives' clocks
     beside : effects that are free beside both
     """
     away = np.array([getattr(one, p.name) - p.identity for p in amplitudes(one)])
-    signal, rest = _stacked((one,), (other, *beside), fields)
+    signal, rest = _stacked((one,), beside if other is None else (other, *beside), fields)
     return 0.5 * float(np.sum(_without(rest, signal @ away) ** 2))
 
 
@@ -97,9 +106,35 @@ def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> 
     return errors
 
 
-def _stacked(own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field]) -> tuple[Array, Array]:
+def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Array:
+    """Return the standard errors (2,) of the clock of a drive that has all its clocks free: offset, s, and rate.
+
+    That of the offset holds for a clock of the right rate. Of several runs in the field, the best known clock counts.
+
+    beside : effects that are free beside it, and known from the `others` as well
+    """
+    fields = [drive, *others]
+    known = [field.white_clocks() * (field is not drive) for field in fields]
+    _, rest = _stacked((), beside, fields, known)
+    pairs = drive.white_clocks()
+    signal = np.zeros((len(rest), pairs.shape[1]))
+    signal[: len(pairs)] = pairs
+    left = _without(rest, signal)
+    best = np.full(2, np.inf)
+    for run in range(pairs.shape[1] // 2):
+        offset, rate = left[:, 2 * run], left[:, 2 * run + 1]
+        apart = rate - offset * float(offset @ rate) / max(float(offset @ offset), 1e-300)
+        for number, (column, whole) in enumerate(((offset, pairs[:, 2 * run]), (apart, pairs[:, 2 * run + 1]))):
+            if np.linalg.norm(column) > _NOTHING_LEFT * np.linalg.norm(whole):
+                best[number] = min(best[number], 1.0 / float(np.linalg.norm(column)))
+    return best
+
+
+def _stacked(
+    own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field], clocks: Sequence[Array] | None = None
+) -> tuple[Array, Array]:
     """Return columns of `own` and of the rest, drives on top of each other, clocks beside each other."""
-    clocks = [field.white_clocks() for field in fields]
+    clocks = [field.white_clocks() for field in fields] if clocks is None else clocks
     height = sum(len(c) for c in clocks)
     apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
     row = column = 0

@@ -13,20 +13,18 @@ from odomcorrupt.study.advice.drives import best_plan, missing_motion
 from odomcorrupt.study.advice.information import sizes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.advice.drives import Drives
+    from odomcorrupt.study.advice.drives import Drives, Gain
     from odomcorrupt.study.advice.information import Field
     from odomcorrupt.study.advice.plan import Plan
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Learned, Round
 
-__all__ = ["SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
+__all__ = ["HIDDEN", "SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
 
 SEEN = 4.2
 """An effect this many standard errors large is found nearly always."""
-_HIDDEN = 4.0
+HIDDEN = 4.0
 """What makes the standard error of an effect this many times larger hides it."""
 _MONSTROUS = 5.0
 """Where only so many times the usual size of an effect would have been seen, it was not put to the test."""
@@ -81,15 +79,14 @@ def untestable(drives: Drives, candidate: Candidate) -> Untestable:
     return Untestable(effect.name, why, plan)
 
 
-def shows(drives: Drives, candidate: Candidate) -> Callable[[Field | None], float]:
+def shows(drives: Drives, candidate: Candidate) -> Gain:
     """Return what tells how many nats the typical size of an effect is worth after a drive."""
     effect = candidate.score.effect
     beside = _beside(drives, effect)
     typical = np.array([p.typical for p in amplitudes(effect)])
 
-    def nats(drive: Field | None) -> float:
-        fields = [drives.recorded] if drive is None else [drives.recorded, drive]
-        return float(np.min(0.5 * (typical / sizes(effect, beside, fields)) ** 2))
+    def nats(drive: Field) -> float:
+        return float(np.min(0.5 * (typical / sizes(effect, beside, [drives.recorded, drive])) ** 2))
 
     return nats
 
@@ -101,7 +98,7 @@ def _masks(drives: Drives, effect: Effect) -> list[str]:
     found = []
     for e in beside:
         others = [o for o in beside if o is not e]
-        if float(np.max(sizes(effect, others, [drives.recorded]))) * _HIDDEN < now:
+        if float(np.max(sizes(effect, others, [drives.recorded]))) * HIDDEN < now:
             found.append(e.name)
     return found
 
