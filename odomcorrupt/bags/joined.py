@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["joined"]
 
-_ENOUGH_MESSAGES = 10_000
+_ENOUGH_MESSAGES = 20_000
 """More at once would save no more time."""
 
 

@@ -159,10 +159,11 @@ def _matches(
     # by words, of which the last one may reach back: eight bytes are compared as quickly as one
     width = template.mask.size
     step = 8 if width >= 8 else 1
+    heads = windows(data, width)[starts[candidates]].view(np.uint8)
     for begin in (*range(0, width - step, step), width - step):
         mask = template.mask[begin : begin + step].view(f"u{step}")[0]
         if mask:
-            words = windows(data, step)[starts[candidates] + begin].view(f"u{step}")
+            words: NDArray[np.uint64] = np.ndarray((heads.size // width,), f"u{step}", heads, begin, (width,))
             same[candidates] &= (words & mask) == template.structure[begin : begin + step].view(f"u{step}")[0]
     return same
 

@@ -152,10 +152,12 @@ class Output:
                 view = memoryview(piece)
                 if self.summing:
                     self.crc = zlib.crc32(view, self.crc)
-                self.position += len(view)
-                # An unbuffered stdout may take a part only.
+                # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
+                # may take a part only.
                 while view:
-                    view = view[stream.write(view[:_PIECE_BYTES]) :]
+                    done = stream.write(view[: _PIECE_BYTES - self.position % _PIECE_BYTES])
+                    self.position += done
+                    view = view[done:]
         except OSError as error:
             raise self._failed(error) from error
 

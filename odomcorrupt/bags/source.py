@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Source"]
 
-_BUFFER_BYTES = 1 << 18
+_BUFFER_BYTES = 1 << 16
+"""What is read ahead: small records want some, and of a large one as much is copied twice."""
 _TRUSTED_BYTES = 1 << 24
 """How much a pipe's claim of a length is allocated at once; beyond, memory grows with the bytes that really come."""
 

@@ -153,11 +153,17 @@ class Driver:
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw)))
-        self.zero_stamps += int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
-        return Arrivals(stamps_or_log_ns(block, layout, number), time_ns[layout.rows], xyt)
+        stamps_ns = gather_stamps_ns(block, layout, item)
+        self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))
+        return Arrivals(_or_log_ns(stamps_ns, block, layout), time_ns[layout.rows], xyt)
 
 
 def stamps_or_log_ns(block: Block, layout: Layout, number: int) -> NDArray[np.int64]:
     """Return header stamps (n,), log times where a stamp is zero."""
-    stamps_ns = gather_stamps_ns(block, layout, layout.items[number])
+    return _or_log_ns(gather_stamps_ns(block, layout, layout.items[number]), block, layout)
+
+
+def _or_log_ns(stamps_ns: NDArray[np.int64], block: Block, layout: Layout) -> NDArray[np.int64]:
+    if stamps_ns.all():
+        return stamps_ns
     return np.where(stamps_ns == 0, block.table["log_ns"][layout.rows], stamps_ns)

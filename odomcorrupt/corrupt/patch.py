@@ -12,7 +12,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter
 from odomcorrupt.corrupt.correction import Correction
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.rigid import SpatialPoses, from_left, from_right
+from odomcorrupt.corrupt.rigid import SpatialPoses, finite_rows, from_left, from_right
 from odomcorrupt.corrupt.targets import ODOMETRY, plain
 from odomcorrupt.corrupt.twist import TopicTwist, TwistChange
 from odomcorrupt.corrupt.wander import wanders
@@ -139,7 +139,7 @@ class Patcher:
 
     def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
         added = change.added
-        moved = change.known & _nonzero(added) & np.isfinite(added).all(axis=1)
+        moved = change.known & _nonzero(added) & finite_rows(added)
         if moved.any():
             twist = gather(block, target.layout, target.item, "twist")
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
@@ -182,8 +182,7 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
 
     The others keep their bits.
     """
-    moved = _nonzero(correction_xyt)
-    moved &= np.isfinite(poses.position).all(axis=1) & np.isfinite(poses.quat_xyzw).all(axis=1)
+    moved = _nonzero(correction_xyt) & finite_rows(poses.position) & finite_rows(poses.quat_xyzw)
     if not moved.any():
         return poses
     act = from_left if target.side == "left" else from_right

@@ -10,9 +10,11 @@ import numpy as np
 from odomcorrupt.pose import rotate
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.pose import Array
 
-__all__ = ["SpatialPoses", "from_left", "from_right", "inverted"]
+__all__ = ["SpatialPoses", "finite_rows", "from_left", "from_right", "inverted"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +23,13 @@ class SpatialPoses:
 
     position: Array
     quat_xyzw: Array
+
+
+def finite_rows(values: Array) -> NDArray[np.bool_]:
+    """Tell which rows (n,) of values (n, k) are numbers throughout: nearly always all, and that is quickly asked."""
+    finite: NDArray[np.bool_] = np.isfinite(values)
+    rows: NDArray[np.bool_] = np.ones(len(values), dtype=bool) if finite.all() else finite.all(axis=1)
+    return rows
 
 
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:

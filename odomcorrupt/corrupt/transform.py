@@ -187,11 +187,11 @@ class Transform:
         return _Held(block, parts, time_ns)
 
     def _add(self, new: Arrivals) -> None:
-        near = (np.abs(new.xyt[:, :2]) < FAR_M).all(axis=1)
-        finite = np.flatnonzero(near & np.isfinite(new.xyt[:, 2]))
-        if len(finite) < len(new):
-            self.unusable += len(new) - len(finite)
-            new = new.take(finite)
+        # of a heading that only asks whether it is a number
+        if not (np.abs(new.xyt) < FAR_M).all():
+            usable = np.flatnonzero((np.abs(new.xyt) < FAR_M).all(axis=1))
+            self.unusable += len(new) - len(usable)
+            new = new.take(usable)
         if self._first_ns is None and len(new):
             self._first_ns = int(new.stamps_ns[0])
         for ended in self.order.add(new):
