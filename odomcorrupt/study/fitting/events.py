@@ -6,19 +6,29 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.wheels import rims_of
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
 __all__ = ["Event", "events", "slip_bursts"]
 
 _FEWEST = 6
-_LEVEL = 1e-3
+_LEVEL = 0.02
+"""Chance that so many ordinary steps that are large by chance would all lose way: six of six is less."""
+_ODD = 2e-4
+"""Chance of an ordinary step that stands out."""
+_LASTS = 0.5
+_PLAIN = 2.0
+"""How much more one wheel has lost than the other where it is plain which one slipped."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +37,9 @@ class Event:
 
     start_s, end_s : since the recording's origin
     along_m, yaw_rad : by how much odometry goes farther (forwards) and turns more to the left than the truth
-    slip : the part of the way that was lost, positive where the truth falls behind
+    slip : the part of the way that was lost, positive where the truth falls behind; of the wheel that lost more, where
+        the track is known; 0 where it cannot be told
+    lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
     """
 
     recording: str
@@ -36,28 +48,65 @@ class Event:
     along_m: float
     yaw_rad: float
     slip: float
+    lasting: bool
 
 
 def events(fit: Fit) -> list[Event]:
-    """Return the flagged stretches in order of time, neighbours taken together."""
+    """Return the stretches that a robust fit flagged in order of time, neighbours taken together."""
+    return _told(fit, np.flatnonzero(fit.noise.weights > 1.0))
+
+
+def odd_steps(fit: Fit) -> list[Event]:
+    """Return the stretches that stand out: the flagged ones, or where they were too many to set apart, the same ones.
+
+    The fit is plain then and its noise is as wide as they are, so most of the others say what is usual.
+    """
+    if (fit.noise.weights > 1.0).any():
+        return events(fit)
+    innovations = fit.noise.innovations.reshape(-1, 3)[:, : 3 if fit.problem.headings else 2]
+    usual = 1.4826 * np.median(np.abs(innovations), axis=0) + 1e-12
+    return _told(fit, np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1])))
+
+
+def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
-    flagged = np.flatnonzero(fit.noise.weights > 1.0)
     groups = np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else []
+    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
     found = []
     for group in groups:
-        along = float(nodes.residual[group, 0].sum())
-        way = float(nodes.odometry_step[group, 0].sum())
+        residual, step = nodes.residual[group], nodes.odometry_step[group]
+        apart = np.linalg.norm(residual.sum(axis=0) / usual)
+        most = float(np.linalg.norm(residual / usual, axis=1).max())
         found.append(
             Event(
                 recording=problem.recordings[int(problem.run[group[0]])].name,
                 start_s=float(nodes.start_s[group[0]]),
                 end_s=float(nodes.end_s[group[-1]]),
-                along_m=along,
-                yaw_rad=float(nodes.residual[group, 2].sum()),
-                slip=along / way if abs(way) > 1e-3 else 0.0,
+                along_m=float(residual[:, 0].sum()),
+                yaw_rad=float(residual[:, 2].sum()),
+                slip=_slip(
+                    residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
+                ),
+                lasting=bool(apart > _LASTS * most),
             )
         )
     return found
+
+
+def _slip(lost: Array, way: Array, track_m: float | None) -> float:
+    """Return the part of its way that a wheel lost, from what the odometry went and turned too far, and in all."""
+    if track_m is None:
+        return _part(float(lost[0]), float(way[0]))
+    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(way[0], way[2], track_m)
+    more, less = sorted((0, 1), key=lambda wheel: -abs(lost_by[wheel]))
+    against_each_other = gone.right * gone.left < 0.0
+    if against_each_other and abs(lost_by[more]) < _PLAIN * abs(lost_by[less]):
+        return 0.0
+    return _part(float(lost_by[more]), float(gone[more]))
+
+
+def _part(lost: float, way: float) -> float:
+    return lost / way if abs(way) > 1e-3 else 0.0
 
 
 def slip_bursts(fit: Fit) -> Effect | None:
@@ -65,7 +114,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
 
     Outliers of the truth and tails of the noise go either way.
     """
-    slips = np.array([event.slip for event in events(fit) if event.slip != 0.0])
+    slips = np.array([event.slip for event in odd_steps(fit) if event.lasting and event.slip != 0.0])
     if len(slips) < _FEWEST:
         return None
     behind = int(np.sum(slips > 0.0))

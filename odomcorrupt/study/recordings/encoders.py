@@ -32,11 +32,12 @@ _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth can tell."""
 _LATTICE = 0.9
 _RESTLESS = 0.05
+_STILL_M = 1e-6
 
 
 def encoder_effects(recording: Recording) -> list[Effect]:
     """Return lost increments and coarse ticks where the odometry shows them, with their parameters."""
-    step = _tick(recording, recording.track_m) if recording.track_m is not None else None
+    step = _tick(recording)
     if step is not None:
         # coarse ticks stand still between two counts: nothing is lost there
         return [effect_from_values("quantization", {"step": step})]
@@ -73,20 +74,33 @@ def _lost(recording: Recording) -> tuple[NDArray[np.bool_], int]:
     return lost, max(int(moving.sum() + lost.sum()), 1)
 
 
-def _tick(recording: Recording, track_m: float) -> float | None:
-    """Return the wheel travel of a tick, where the increments of both wheels lie on a lattice."""
+def _tick(recording: Recording) -> float | None:
+    """Return the wheel travel of a tick, where the increments lie on a lattice.
+
+    Those of both wheels, where they tell the heading, too; or those of the robot, which goes half a tick with each.
+    """
     steps = increments(recording.odometry.xyt)
-    turn = steps.dtheta_rad * track_m / 2.0
-    lattices, wheels = [], []
-    for travel in (steps.ds_m + turn, steps.ds_m - turn):
-        moved = travel[np.abs(travel) > 1e-6][:1500]
+    found = None
+    if recording.track_m is not None:
+        turn = steps.dtheta_rad * recording.track_m / 2.0
+        found = _lattice((steps.ds_m + turn, steps.ds_m - turn))
+    if found is None:
+        half = _lattice((steps.ds_m,))
+        found = 2.0 * half if half is not None else None
+    return found
+
+
+def _lattice(travels: Sequence[Array]) -> float | None:
+    """Return the coarsest step that all travels (n,) are multiples of, if there is one that they change by."""
+    lattices = []
+    for travel in travels:
+        moved = travel[np.abs(travel) > _STILL_M][:1500]
         if len(moved) < 200:
             return None
         # a wheel that has moved at all has moved by a tick: coarser lattices than that only seem to fit small numbers
         possible = np.quantile(np.abs(moved), 0.05) > 0.5 * _STEPS_M
-        wheels.append(moved)
         lattices.append(np.where(possible, _regularity(moved), 0.0))
-    common = np.minimum(*lattices)
+    common = np.min(lattices, axis=0)
     on = np.flatnonzero(common > _LATTICE)
     if not len(on):
         return None
@@ -95,10 +109,16 @@ def _tick(recording: Recording, track_m: float) -> float | None:
     near = on[_STEPS_M[on] > 0.9 * _STEPS_M[last]]
     step = float(_STEPS_M[near[np.argmax(common[near])]])
     # a robot that keeps one speed goes the same way every time, without ticks: with them, counts come and go
-    restless = min(float(np.mean(np.abs(np.diff(moved)) > 0.5 * step)) for moved in wheels)
+    restless = min(_restless(travel, step) for travel in travels)
     return step if restless > _RESTLESS else None
+
+
+def _restless(travel: Array, step: float) -> float:
+    """Return how often travel (n,) changes by a step, of all the times that it moves."""
+    moving = (np.abs(travel[1:]) > _STILL_M) | (np.abs(travel[:-1]) > _STILL_M)
+    return float(np.mean(np.abs(np.diff(travel))[moving] > 0.5 * step))
 
 
 def _regularity(travel: Array) -> Array:
     """Return how much travel (n,) clusters at multiples of each step: 1 for a lattice, about 0 for none."""
-    return np.array([abs(np.mean(np.exp(2j * np.pi * travel / step))) for step in _STEPS_M])
+    return np.array([np.mean(np.cos(2.0 * np.pi * travel / step)) for step in _STEPS_M])

@@ -17,6 +17,7 @@ from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.events import slip_bursts
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
+from odomcorrupt.study.fitting.tails import heavy_tails
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
 from odomcorrupt.study.search.heading import with_one_heading
@@ -155,6 +156,8 @@ def learn(
     bursts = slip_bursts(fitted)
     if bursts is not None:
         noise.append(RandomGain(bursts, _PLAIN_NATS))
+    elif not noise and (tails := heavy_tails(fitted)) is not None:
+        noise.append(RandomGain(*tails))
     given = {e.name for e in start}
     fitted = with_one_heading(fitted, given, lambda said: _again(fitted, clocks, said, random=fitted.random))
     fitted = _without_idlers(fitted, clocks, given)

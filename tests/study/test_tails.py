@@ -1,0 +1,98 @@
+"""Heavy tails, bursts and ticks: told apart from each other, and from a truth that jumps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden import as_recording
+from scipy.stats import t as student
+
+from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.events import events, slip_bursts
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.fitting.tails import heavy_tails, log_density_of_sums
+from odomcorrupt.study.recordings.encoders import encoder_effects
+from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.study.search.learn import learn
+
+
+def fitted(recording):
+    return fit([recording], approach=choose_approach([recording]))
+
+
+@pytest.mark.parametrize("inverse_dof", [0.05, 0.2, 0.4])
+def test_a_single_draw_has_the_density_of_students_t(inverse_dof):
+    dof = 1.0 / inverse_dof
+    width = np.sqrt((dof - 2.0) / dof)
+    places, density = log_density_of_sums(inverse_dof, 1)
+    near = np.abs(places) < 10.0
+    assert density[near] == pytest.approx(student.logpdf(places[near] / width, dof) - np.log(width), abs=2e-3)
+
+
+def test_sums_have_the_density_that_a_count_finds():
+    rng = np.random.default_rng(5)
+    sums = (rng.standard_t(3.0, (200_000, 8)) / np.sqrt(3.0)).sum(axis=1) / np.sqrt(8.0)
+    places, density = log_density_of_sums(1.0 / 3.0, 8)
+    for low, high in ((-0.5, 0.5), (1.0, 2.0), (3.0, 6.0)):
+        share = np.mean((sums > low) & (sums < high))
+        inside = (places > low) & (places < high)
+        assert np.exp(density[inside]).sum() * (places[1] - places[0]) == pytest.approx(share, rel=0.05)
+
+
+def test_heavy_tails_of_the_librarys_own_are_named_and_normal_noise_is_not():
+    run = as_recording(simulate(301, None, duration_s=400.0))
+    noise = Noise("diffusion", Coefficients(0.02, 0.03, 0.01, 0.01))
+    shown = {}
+    for inverse_dof in (0.0, 0.45):
+        effects = (effect_from_values("heavy_tails", {"inverse_dof": inverse_dof}),)
+        knots = NoisyPath(MotionModel(noise, effects), 4).feed(run.odometry.stamps_ns, run.odometry.xyt)
+        odometry = Trajectory(run.odometry.stamps_ns, run.odometry.xyt + knots.error_xyt)
+        shown[inverse_dof] = heavy_tails(fitted(replace(run, odometry=odometry)))
+    assert shown[0.0] is None
+    effect, nats = shown[0.45]
+    assert nats > 20.0
+    # the truth's noise and the robot's own, which are normal, make it look milder
+    assert 0.2 < effect.inverse_dof <= 0.45
+
+
+def test_a_truth_that_jumps_for_a_moment_is_no_noise_of_the_odometry():
+    run = as_recording(simulate(302, None, duration_s=300.0))
+    truth = run.truth.xyt.copy()
+    truth[500::1500, 0] += 0.2
+    nodes_hit = fitted(replace(run, truth=Trajectory(run.truth.stamps_ns, truth)))
+    assert not any(event.lasting for event in events(nodes_hit))
+    assert heavy_tails(nodes_hit) is None
+    assert slip_bursts(nodes_hit) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("cause", "yaw_from", "seed"),
+    [
+        ("heavy_tails", "encoders", 303), ("heavy_tails", "encoders", 304), ("slip_burst", "encoders", 305),
+        ("slip_burst", "encoders", 306), ("slip_burst", "gyro", 307), ("quantization", "gyro", 308),
+        ("quantization", "encoders", 309),
+    ],
+)  # fmt: skip
+def test_what_odd_steps_come_from_is_named(cause, yaw_from, seed):
+    run = simulate(seed, cause, size=2.0, yaw_from=yaw_from, duration_s=600.0)
+    learned = learn([as_recording(run)])
+    assert [gain.effect.name for gain in learned.noise] == [cause]
+    # many bursts cost way on average, and that is a scale
+    assert set(learned.added) <= ({"wheel_scale"} if cause == "slip_burst" else set())
+
+
+@pytest.mark.parametrize("yaw_from", ["encoders", "gyro"])
+def test_ticks_are_seen_whatever_tells_the_heading(yaw_from):
+    run = simulate(310, "quantization", yaw_from=yaw_from, duration_s=120.0)
+    (ticks,) = encoder_effects(as_recording(run))
+    assert ticks.name == "quantization"
+    assert ticks.step == pytest.approx(run.answer["parameters"]["step"], rel=0.01)
+    assert encoder_effects(as_recording(simulate(310, None, yaw_from=yaw_from, duration_s=120.0))) == []
