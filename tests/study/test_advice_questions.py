@@ -11,7 +11,8 @@ from hidden import as_recording
 
 from odomcorrupt.simulate import Commands, simulate
 from odomcorrupt.study.advice.advise import advise
-from odomcorrupt.study.advice.drives import most_useful
+from odomcorrupt.study.advice.choices import open_choices
+from odomcorrupt.study.advice.drives import Drives, most_useful
 from odomcorrupt.study.advice.plan import STEP_S
 from odomcorrupt.study.recordings.trajectory import Trajectory
 from odomcorrupt.study.search.learn import learn
@@ -50,6 +51,8 @@ def test_a_drive_is_made_longer_where_that_answers_one_more():
     short, weak = telling(squares=100.0), telling(squares=4.0)
     assert advised(short, weak) == ("squares", 600.0)
     assert advised(short, telling(squares=1.0)) == ("squares", 180.0)
+    assert advised(beside=[short, weak]) == ("squares", 180.0)
+    assert advised(beside=[weak, weak]) == ("squares", 600.0)
 
 
 def steadily(v, omega, seconds):
@@ -93,6 +96,22 @@ def test_a_clock_that_was_not_put_to_the_test_is_told():
     assert clock.plan is not None
     mixed = advise(learn([as_recording(simulate(3, None, duration_s=120.0))]))
     assert "time_offset" not in {one.effect for one in mixed.untestable}
+
+
+def test_a_name_that_does_the_same_with_one_number_more_is_a_choice_too():
+    """On a circle, a lever arm is the same as slip or a turned mount; that it has two numbers is no evidence."""
+    route = steadily(0.5, 0.5, 120.0)
+    options = {"parameters": {"x": -0.024}, "robot_seed": 3}
+    learned = learn([on_the_way(as_recording(simulate(3, "icr_shift", route=route, duration_s=124.0, **options)))])
+    (named,) = learned.added
+    assert named in {"side_slip", "mount_yaw"}
+    look = learned.rounds[0]
+    dear = [replace(c, gain=look.candidates[0].gain - 5.0) if c.gain > 0.0 else c for c in look.candidates[1:]]
+    look = replace(look, candidates=(look.candidates[0], *dear))
+    assert look.alternatives == ()
+    choices = {choice.names: choice.plan for choice in open_choices(Drives(learned), look)[0]}
+    assert choices[named, "lever_arm"] is not None
+    assert ("lever_arm", "icr_shift") in choices
 
 
 @pytest.mark.slow

@@ -44,5 +44,5 @@ def advise(learned: Learned) -> Advice:
     clocks = [one for one in unseen_clocks(drives) if one.told.effect not in named]
     hidden += [one.told for one in clocks] + untried(learned)
     shown += [one.shows for one in clocks if one.told.plan is not None]
-    best = most_useful(drives, gains or shown, shown if gains else ()) if gains or shown else None
+    best = most_useful(drives, gains, shown) if gains or shown else None
     return Advice(tuple(choices), tuple(hidden), tuple(limits(last)), best)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import choices
+from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.study.advice.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.advice.information import separation
+from odomcorrupt.study.search.learn import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +25,9 @@ __all__ = ["TOO_FEW_NATS", "Choice", "open_choices"]
 
 TOO_FEW_NATS = 3.0
 """Less than this from ten minutes of the best drive: no drive is worth it."""
+
+_OUTDONE = "others explain it better"
+"""How a candidate is passed over that was possible by itself, but not among the few that were fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +49,47 @@ class Choice:
 
 def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
     """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
-    if not look.alternatives or look.added is None:
+    if look.added is None:
         return [], []
     kinds = registry()
-    twins = [n for n in look.alternatives if kinds[n].twin_of in (look.added, *look.alternatives)]
     rivals = {c.score.effect.name: c for c in look.candidates}
     names = [n for n in look.alternatives if n in rivals]
+    dearer = [c.score.effect.name for c in _lookalikes(drives, look) if c.score.effect.name not in names]
     found, told = [], []
-    for name in names:
+    for name in (*names, *dearer):
         gain = _telling(drives, rivals[look.added], rivals[name])
         plan, nats = best_plan(drives, gain)
+        if nats < TOO_FEW_NATS and name in dearer:
+            # a patch as large as the floor: the same thing in more words
+            continue
         if nats < TOO_FEW_NATS:
             found.append(Choice((look.added, name), "", None, nats))
             continue
         found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
         told.append(gain)
-    for twin in twins:
-        about = kinds[twin].about
-        first = str(kinds[twin].twin_of)
-        found.append(Choice((first, twin), "", None, 0.0, about.drive if about else ""))
+    said = {look.added, *(name for choice in found for name in choice.names)}
+    for twin, kind in kinds.items():
+        if kind.twin_of in said:
+            hint = kind.about.drive if kind.about else ""
+            found.append(Choice((str(kind.twin_of), twin), "", None, 0.0, hint))
     return found, told
+
+
+def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:
+    """Return what would explain this very effect on these drives, and is no alternative for its price alone.
+
+    Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart.
+    """
+    added = look.candidates[0]
+    effect = _as_fitted(added)
+    beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
+    possible = [c for c in look.candidates[1:] if c.refused in ("", _OUTDONE)]
+    return [
+        c
+        for c in possible
+        if separation(effect, c.score.effect, [e for e in beside if e.name != c.score.effect.name], [drives.recorded])
+        < ALTERNATIVE_NATS * max(added.score.inflation, c.score.inflation)
+    ]
 
 
 def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
@@ -93,7 +118,9 @@ def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Ef
 
 
 def _as_fitted(candidate: Candidate) -> Effect:
+    """Return the effect at the size that it was found to have, or would have if it were added."""
+    effect, estimate = candidate.score.effect, candidate.score.estimate
     if candidate.fit is None:
-        return candidate.score.effect
-    name = candidate.score.effect.name
-    return next(e for e in candidate.fit.effects if e.name == name)
+        sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}
+        return replace(effect, **sizes)  # type: ignore[type-var]  # effects are dataclasses
+    return next(e for e in candidate.fit.effects if e.name == effect.name)

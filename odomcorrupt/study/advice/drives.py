@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -59,37 +60,36 @@ class Drives:
 
 
 def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
-    """Return the manoeuvre that tells most in a few minutes, made longer where that is not enough."""
-    plan, drive = _worthiest(drives, lambda planned: _share(gain(planned)))
+    """Return the manoeuvre that tells most in a few minutes, or where that is not enough, in more."""
+    plan, drive = _worthiest(drives, gain)
     nats = gain(drive)
-    if nats < ENOUGH_NATS and plan.duration_s < _LONG_S:
-        plan, drive = drives.planned(plan.manoeuvre.name, _LONG_S)
-        nats = gain(drive)
+    if nats < ENOUGH_NATS:
+        told = [(gain(field_), longer) for longer, field_ in _longer(drives, plan)]
+        nats, plan = max([(nats, plan), *told], key=itemgetter(0))
     return plan, nats
 
 
 def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = ()) -> Plan:
     """Return the plan that settles most questions: nats beyond what settles one count for little.
 
-    first : what matters
+    first : what matters, and is worth a longer drive
     beside : what is answered on the way, if a plan that does so settles the first as well
     """
-    if len(first) == 1 and not beside:
-        return best_plan(drives, first[0])[0]
+    if len(first) + len(beside) == 1:
+        return best_plan(drives, (*first, *beside)[0])[0]
 
     def settled(drive: Field) -> float:
         shares = [float(np.mean([_share(gain(drive)) for gain in gains])) for gains in (first, beside) if gains]
         return float(np.dot(shares, (1.0, _BESIDE)[: len(shares)]))
 
     def answered(drive: Field) -> int:
-        return sum(gain(drive) >= ENOUGH_NATS for gain in first)
+        return sum(gain(drive) >= ENOUGH_NATS for gain in first or beside)
 
     plan, drive = _worthiest(drives, settled)
-    if plan.duration_s < _LONG_S:
-        longer, field_ = drives.planned(plan.manoeuvre.name, _LONG_S)
-        if answered(field_) > answered(drive):
-            return longer
-    return plan
+    if answered(drive) >= (len(first) or 1):
+        return plan
+    told = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
+    return max([(answered(drive), plan), *told], key=itemgetter(0))[1]
 
 
 def _share(nats: float) -> float:
@@ -98,10 +98,15 @@ def _share(nats: float) -> float:
 
 
 def _worthiest(drives: Drives, worth: Gain) -> tuple[Plan, Field]:
-    """Return the manoeuvre that is worth most in a few minutes; one that takes longer must be worth its time."""
-    tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES]
-    worths = [worth(f) * min(1.0, _SHORT_S / plan.duration_s) for plan, f in tried]
-    return tried[int(np.argmax(worths))]
+    """Return the manoeuvre that is worth most in a few minutes; a minute more must be worth its time."""
+    tried = [drives.planned(m.name, _SHORT_S) for m in MANOEUVRES if m.least_s <= _SHORT_S]
+    return max(tried, key=lambda pair: worth(pair[1]) * min(1.0, _SHORT_S / pair[0].duration_s))
+
+
+def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
+    """Return what takes longer: the same for ten minutes, and what is nothing in less."""
+    slow = [m.name for m in MANOEUVRES if m.least_s > _SHORT_S]
+    return [drives.planned(name, _LONG_S) for name in (plan.manoeuvre.name, *slow)]
 
 
 def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:

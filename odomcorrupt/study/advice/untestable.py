@@ -26,8 +26,6 @@ SEEN = 4.2
 """An effect this many standard errors large is found nearly always."""
 HIDDEN = 4.0
 """What makes the standard error of an effect this many times larger hides it."""
-_MONSTROUS = 5.0
-"""Where only so many times the usual size of an effect would have been seen, it was not put to the test."""
 _REFUSALS = ("not testable", "cannot be told")
 """How refusals begin that say something of the drive, and nothing of the effect."""
 
@@ -58,11 +56,11 @@ class Limit:
 
 
 def is_untestable(candidate: Candidate) -> bool:
-    """Whether an effect was passed over because of the drive, or only a monstrous size of it would have been seen."""
+    """Whether an effect was passed over because of the drive, or its usual size would not have been seen."""
     if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
         return True
     sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
-    return bool(candidate.refused) and any(SEEN * error > _MONSTROUS * p.typical for p, error in sizes_of)
+    return bool(candidate.refused) and any(SEEN * error > p.typical for p, error in sizes_of)
 
 
 def untestable(drives: Drives, candidate: Candidate) -> Untestable:
