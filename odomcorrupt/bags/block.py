@@ -21,7 +21,18 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["TABLE", "BagReader", "BagWriter", "Block", "Channel", "Kind", "Message", "PartContents", "PartFraming"]
+__all__ = [
+    "TABLE",
+    "BagReader",
+    "BagWriter",
+    "Block",
+    "Channel",
+    "Framing",
+    "Kind",
+    "Message",
+    "PartContents",
+    "PartFraming",
+]
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
 """What a bag is stored as."""
@@ -76,6 +87,20 @@ class Block:
     ends: tuple[int, ...] = ()
     read_crcs: tuple[int, ...] = ()
     crcs: tuple[int, ...] = ()
+
+
+class Framing:
+    """How a block stood in its file; chunks that follow each other may stand as one block."""
+
+    __slots__ = ()
+
+    def goes_on_with(self, other: object) -> bool:  # noqa: ARG002 - what can be joined says so
+        """Tell whether this and another block are chunks that are written back in the same way."""
+        return False
+
+    def joined(self, behind: list[Any], begins: list[int]) -> Framing:  # noqa: ARG002 - as above
+        """Return how this block and those behind it stand as one, in whose data they begin there."""
+        return self
 
 
 @dataclass(frozen=True, slots=True)

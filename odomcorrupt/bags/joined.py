@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block
-from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.ros1.chunk import Ros1Framing
+from odomcorrupt.bags.block import TABLE, Block, Framing
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -51,7 +49,8 @@ class _Run:
             and _address(block) == self.end
             and block.data.base is last.data.base
             and isinstance(block.data.base, np.ndarray)
-            and _alike(last.raw, block.raw)
+            and isinstance(last.raw, Framing)
+            and last.raw.goes_on_with(block.raw)
         )
 
     def block(self) -> Block:
@@ -65,20 +64,10 @@ class _Run:
         # as plain bytes: numpy is slow to see that records of the same fields can stand behind each other
         table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
-        raw = first.raw
-        if isinstance(raw, Ros1Framing):
-            starts = [block.raw.starts + begin for block, begin in zip(self.blocks, begins, strict=True)]
-            raw = Ros1Framing(raw.codec, np.concatenate(starts))
+        raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])
         crcs = tuple(crc for block in self.blocks for crc in block.read_crcs)
         crcs = crcs if len(crcs) == len(ends) else ()
         return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), read_crcs=crcs)
-
-
-def _alike(one: object, other: object) -> bool:
-    """Tell whether two blocks are chunks that are written back in the same way."""
-    if isinstance(one, Ros1Framing) and isinstance(other, Ros1Framing):
-        return one.codec == other.codec
-    return isinstance(one, McapFraming) and one == other and one.kind == "chunk"
 
 
 def _address(block: Block) -> int:

@@ -27,9 +27,8 @@ class SpatialPoses:
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:
     """Tell which rows (n,) of values (n, k) are numbers throughout: nearly always all, and that is quickly asked."""
-    finite: NDArray[np.bool_] = np.isfinite(values)
-    rows: NDArray[np.bool_] = np.ones(len(values), dtype=bool) if finite.all() else finite.all(axis=1)
-    return rows
+    finite = np.isfinite(values)
+    return np.ones(len(values), dtype=bool) if finite.all() else np.asarray(finite.all(axis=1))
 
 
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.bags.open import kind_of
 from odomcorrupt.bags.output import Output
-from odomcorrupt.bags.rosbag2.database import has_log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -23,8 +22,13 @@ _PIECE_BYTES = 1 << 16
 
 def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> bool:
     """Whether an output may be the bytes of its input: those of one file, or of a pipe, in the format asked for."""
-    if source is not None and (source.is_dir() or has_log(source)):
+    if source is not None and source.is_dir():
         return False
+    if source is not None and reader.kind == "sqlite3":
+        from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
+
+        if has_log(source):
+            return False
     one_file = target is None or reader.kind != "sqlite3" or bool(target.suffix)
     return one_file and kind_of(target, reader) == reader.kind
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block
+from odomcorrupt.bags.block import TABLE, Block, Framing
 from odomcorrupt.bags.codecs import decompress
 from odomcorrupt.bags.mcap.records import MESSAGE
 from odomcorrupt.errors import BagError
@@ -29,7 +29,7 @@ CODECS = ("none", "lz4", "zstd")
 
 
 @dataclass(frozen=True, slots=True)
-class McapFraming:
+class McapFraming(Framing):
     """How a block stood in its file.
 
     kind : "chunk"; "loose", messages outside chunks; "record", another record or a piece of a large one
@@ -40,6 +40,10 @@ class McapFraming:
     kind: Literal["chunk", "loose", "record"]
     codec: str = "none"
     opcode: int = 0
+
+    def goes_on_with(self, other: object) -> bool:
+        """Tell whether both are chunks of one compression."""
+        return self.kind == "chunk" and self == other
 
 
 @dataclass(frozen=True, slots=True)

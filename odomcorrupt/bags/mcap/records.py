@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
+from odomcorrupt.bags.magic import MCAP as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ __all__ = [
     "string",
 ]
 
-MAGIC: Final = b"\x89MCAP0\r\n"
 HEADER: Final = 0x01
 FOOTER: Final = 0x02
 SCHEMA: Final = 0x03

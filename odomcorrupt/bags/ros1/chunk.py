@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from odomcorrupt.bags.block import Framing
 from odomcorrupt.bags.codecs import decompress
 from odomcorrupt.bags.ros1.records import number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
@@ -22,7 +24,7 @@ _HEADER_LIMIT = 1 << 24
 
 
 @dataclass(frozen=True, slots=True)
-class Ros1Framing:
+class Ros1Framing(Framing):
     """How a block stood in its bag.
 
     codec : of the chunk
@@ -31,6 +33,15 @@ class Ros1Framing:
 
     codec: str
     starts: NDArray[np.int64]
+
+    def goes_on_with(self, other: object) -> bool:
+        """Tell whether both are chunks of one compression."""
+        return isinstance(other, Ros1Framing) and self.codec == other.codec
+
+    def joined(self, behind: list[Ros1Framing], begins: list[int]) -> Ros1Framing:
+        """Return how this chunk and those behind it stand as one block."""
+        moved = [one.starts + begin for one, begin in zip(behind, begins, strict=True)]
+        return Ros1Framing(self.codec, np.concatenate([self.starts, *moved]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from odomcorrupt.bags.magic import ROS1 as MAGIC
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ __all__ = [
     "parse_fields",
 ]
 
-MAGIC: Final = b"#ROSBAG V2.0\n"
 MESSAGE: Final = 0x02
 BAG_HEADER: Final = 0x03
 INDEX: Final = 0x04

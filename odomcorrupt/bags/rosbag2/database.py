@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["MAGIC", "Topic", "columns", "has_log", "read_only", "read_topics", "reported"]
+__all__ = ["Topic", "columns", "has_log", "read_only", "read_topics", "reported"]
 
-MAGIC: Final = b"SQLite format 3\0"
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
 from odomcorrupt.bags.joined import joined
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.mcap.records import MAGIC as MCAP_MAGIC
-from odomcorrupt.bags.rosbag2.database import MAGIC as SQLITE_MAGIC
 from odomcorrupt.bags.rosbag2.parts import BagFiles, find_files
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import Source
@@ -123,12 +122,12 @@ def open_part(path: Path, *, recover: bool = False) -> SqliteReader | McapReader
     source = Source.of_file(path)
     try:
         begin = source.sniff(16)
-        if begin.startswith(MCAP_MAGIC):
+        if begin.startswith(magic.MCAP):
             return McapReader(path, source, recover=recover)
     except BaseException:
         source.close()
         raise
     source.close()
-    if begin == SQLITE_MAGIC:
+    if begin == magic.SQLITE:
         return SqliteReader(path, recover=recover)
     raise BagError(f"{path}: begins with {begin[:8]!r}, which is neither sqlite3 nor MCAP")

@@ -8,6 +8,8 @@ import sqlite3
 from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Self
 
+import numpy as np
+
 from odomcorrupt.bags.block import Channel, PartContents
 from odomcorrupt.bags.output import beside
 from odomcorrupt.bags.retype import retyped
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.definition import Definition
 
 __all__ = ["SqliteWriter"]
+
+_AT_ONCE_BYTES = 1 << 30
 
 
 class SqliteWriter:
@@ -94,10 +98,12 @@ class SqliteWriter:
             raise BagError(f"{self._path}: a bag of another format cannot become sqlite3; name the output .mcap")
         changed: list[tuple[bytes, int]] = []
         data = block.data.data
-        spans = zip(block.table["offset"].tolist(), block.table["length"].tolist(), strict=True)
-        for row, before, (offset, length) in zip(framing.rows.tolist(), framing.before, spans, strict=True):
-            if before is not None and (now := data[offset : offset + length]) != before:
-                changed.append((bytes(now), row))
+        # what was not read, or is empty, cannot have changed
+        read = np.flatnonzero(block.table["length"])
+        spans = zip(block.table["offset"][read].tolist(), block.table["length"][read].tolist(), strict=True)
+        for at, row, (offset, length) in zip(read.tolist(), framing.rows[read].tolist(), spans, strict=True):
+            if (now := data[offset : offset + length].tobytes()) != framing.before[at]:
+                changed.append((now, row))
         with reported(self._path, writing=True):
             if self._reader.damaged:
                 self._insert_all(block, framing)
@@ -165,7 +171,7 @@ class SqliteWriter:
             with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)
         else:
-            shutil.copyfile(self._reader.path, self._partial)
+            _copy(self._reader.path, self._partial)
         self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
         # No journal: on any failure the whole file goes.
@@ -203,3 +209,15 @@ class SqliteWriter:
                     self._finish()
         finally:
             self._discard()
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file; where the file system can let both share their bytes (Btrfs, XFS), that costs nothing."""
+    with suppress(OSError, AttributeError), source.open("rb") as here, target.open("wb") as there:
+        size = os.fstat(here.fileno()).st_size
+        while os.copy_file_range(here.fileno(), there.fileno(), _AT_ONCE_BYTES):
+            pass
+        if os.fstat(there.fileno()).st_size == size:
+            return
+    # another file system, or a system that has no such call
+    shutil.copyfile(source, target)

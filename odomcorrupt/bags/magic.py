@@ -1,0 +1,11 @@
+"""The first bytes of every kind of bag: what a file is must be known before its format is imported."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["MCAP", "ROS1", "SQLITE"]
+
+MCAP: Final = b"\x89MCAP0\r\n"
+ROS1: Final = b"#ROSBAG V2.0\n"
+SQLITE: Final = b"SQLite format 3\0"
