@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from laboratory.advice.tables import advice_section
 from laboratory.cases import ARMS, LENGTHS
 from laboratory.samples import bodies, plants, sames
 from laboratory.tables import (
@@ -26,6 +27,7 @@ from laboratory.verdicts import is_excited
 
 __all__ = ["page"]
 
+Rows = list[dict[str, Any]]
 FINDINGS = Path(__file__).with_name("findings.md")
 """What a person has to say about the figures."""
 HEAD = """\
@@ -37,8 +39,8 @@ frozen before the run, is [benchmarks/laboratory/protocol.md](../benchmarks/labo
 """
 
 
-def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
-    """Return the whole page; `before` are the results of the run before."""
+def page(rows: Rows, before: Rows, advice: Rows) -> str:
+    """Return the whole page; `before` are the results of the run before, `advice` those of the arm of that name."""
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
@@ -70,6 +72,7 @@ def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
     lines += ["## The same drive told otherwise", "", *sames(good["invariance"])]
     lines += ["## Planted in real recordings", "", *plants(good["planted"])]
     lines += ["## A body in MuJoCo", "", *bodies(good["body"])]
+    lines += advice_section(advice)
     seconds = [row["learn_s"] for row in rows if "learn_s" in row]
     if seconds:
         times = f"median {np.median(seconds):.1f}, 90th percentile {np.quantile(seconds, 0.9):.1f}"
@@ -83,7 +86,7 @@ def page(rows: list[dict[str, Any]], before: list[dict[str, Any]]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _run_before(rows: list[dict[str, Any]]) -> list[str]:
+def _run_before(rows: Rows) -> list[str]:
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     ran = ", ".join(f"{name} {len(own)}" for name, own in arm.items())
     lines = ["## The run before", "", f"Of the program before it was mended, see the protocol. It ran: {ran}.", ""]
@@ -96,7 +99,7 @@ def _run_before(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _shams(rows: list[dict[str, Any]]) -> list[str]:
+def _shams(rows: Rows) -> list[str]:
     ratios = np.array([row["sham"]["ratio"] for row in rows if "sham" in row])
     if not len(ratios):
         return ["none ran", ""]

@@ -8,13 +8,14 @@ import time
 import traceback
 from typing import TYPE_CHECKING, Any
 
-from laboratory.ask import ask
-
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from laboratory.advice.cases import AdviceCase
     from laboratory.cases import Case
+
+    AnyCase = Case | AdviceCase
 
 __all__ = ["read_results", "run"]
 
@@ -31,10 +32,12 @@ def read_results(path: Path) -> list[dict[str, Any]]:
     return list(found.values())
 
 
-def run(cases: Sequence[Case], results: Path, *, jobs: int, minutes: float, real: Path) -> None:
-    """Run the cases that the results do not have yet; start none after so many minutes."""
+def run(
+    cases: Sequence[AnyCase], results: Path, ask: Callable[[Any], dict[str, Any]], *, jobs: int, minutes: float
+) -> None:
+    """Ask the cases that the results do not have yet; start none after so many minutes."""
     done = {row["key"] for row in read_results(results)}
-    left = [(case, str(real)) for case in cases if case.key not in done]
+    left = [(case, ask) for case in cases if case.key not in done]
     end = time.monotonic() + 60.0 * minutes
     results.parent.mkdir(parents=True, exist_ok=True)
     print(f"{len(done)} done, {len(left)} to do", flush=True)
@@ -55,11 +58,11 @@ def run(cases: Sequence[Case], results: Path, *, jobs: int, minutes: float, real
             time.sleep(0.05)
 
 
-def _one(case: Case, real: str) -> dict[str, Any]:
+def _one(case: AnyCase, ask: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
     begun = time.process_time()
     row: dict[str, Any] = {"key": case.key, "case": {s: getattr(case, s) for s in case.__slots__}}
     try:
-        row |= ask(case, real)
+        row |= ask(case)
     except Exception:  # noqa: BLE001 - a case that breaks is a result, too
         row["failed"] = traceback.format_exc(limit=-3)
     return row | {"cpu_s": time.process_time() - begun}
