@@ -72,6 +72,9 @@ class _Stretch:
             self.xyt, self.sums = self.xyt[gone:].copy(), self.sums[:, gone:].copy()
 
     def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
+        exact = self._exactly_at(stamps_ns, time_ns)
+        if exact is not None:
+            return self._told(self.xyt[exact], self.sums[:, exact], np.zeros(len(exact), dtype=bool))
         last = np.maximum(np.searchsorted(self.time_ns, time_ns + PATIENCE_NS, side="right") - 1, 0)
         oldest = np.minimum(np.searchsorted(self.time_ns, time_ns - MEMORY_NS), last)
         inside_ns = np.clip(stamps_ns, self.stamps_ns[oldest], self.stamps_ns[last])
@@ -84,8 +87,18 @@ class _Stretch:
             fraction = past_ns[between] / (self.stamps_ns[k + 1] - self.stamps_ns[k])
             xyt[between] = interpolate(self.xyt[k], self.xyt[k + 1], fraction)
             sums[:, between] += fraction * (self.sums[:, k + 1] - self.sums[:, k])
-        origin = np.repeat(self.origin_xy[:, None], len(i), axis=1)
-        return Correction(xyt, sums, origin, np.full(len(i), self.number), stamps_ns > self.stamps_ns[last])
+        return self._told(xyt, sums, stamps_ns > self.stamps_ns[last])
+
+    def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Return the knots that have all these stamps, where each message may use its own; that is the usual case."""
+        i = np.maximum(np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1, 0)
+        ahead_ns = self.time_ns[i] - time_ns
+        exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
+        return i if exact.all() else None
+
+    def _told(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
+        origin = np.repeat(self.origin_xy[:, None], len(xyt), axis=1)
+        return Correction(xyt, sums, origin, np.full(len(xyt), self.number), held)
 
 
 class Curve:

@@ -70,10 +70,10 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
         return None
     starts = np.sort(offsets.astype(np.int64))
     heads = _heads(data, starts)
-    lengths = heads["length"]
+    lengths = heads["length"].astype(np.int64)  # beyond 2^63 they are negative
     if np.any(heads["opcode"] != MESSAGE) or lengths.max() > data.size or lengths.min() < 22:
         return None
-    ends = starts + lengths.astype(np.int64) + RECORD_HEADER_BYTES
+    ends = starts + lengths + RECORD_HEADER_BYTES
     gaps = gaps_between(starts, ends, data.size)
     if gaps is None:
         return None

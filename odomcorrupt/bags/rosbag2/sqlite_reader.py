@@ -89,7 +89,8 @@ class SqliteReader:
             closing(read_only(self.readable, whole=not self._recover)) as connection,
         ):
             rows: list[int] = []
-            head: list[tuple[int, int]] = []
+            of: list[int] = []
+            times_ns: list[int] = []
             data: list[bytes | None] = []
             size = 0
             last = -(1 << 63)
@@ -104,14 +105,15 @@ class SqliteReader:
                     self.lost_rows.append(row)
                     continue
                 rows.append(row)
-                head.append((channel, log_ns))
+                of.append(channel)
+                times_ns.append(log_ns)
                 data.append(blob)
                 size += 0 if unread else len(blob)
                 if size >= _BATCH_BYTES:
-                    yield _block(rows, head, data)
-                    rows, head, data, size = [], [], [], 0
+                    yield _block(rows, of, times_ns, data)
+                    rows, of, times_ns, data, size = [], [], [], [], 0
             if rows:
-                yield _block(rows, head, data)
+                yield _block(rows, of, times_ns, data)
 
     def _lose(self, sentence: str) -> None:
         """Note what cannot be read, or give up where that was not asked for."""
@@ -141,9 +143,9 @@ class SqliteReader:
             self._whole.close()
 
 
-def _block(rows: list[int], head: list[tuple[int, int]], data: list[bytes | None]) -> Block:
+def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes | None]) -> Block:
     table = np.empty(len(rows), dtype=TABLE)
-    table["channel"], table["log_ns"] = np.array(head, dtype=np.int64).T
+    table["channel"], table["log_ns"] = of, times_ns
     table["length"] = [0 if blob is None else len(blob) for blob in data]
     table["offset"] = np.cumsum(table["length"]) - table["length"]
     joined = np.frombuffer(bytearray().join(blob for blob in data if blob is not None), dtype=np.uint8)
