@@ -58,7 +58,7 @@ def dependence(unknown: Unknown) -> str:
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
         return f"the error {whose} depends on {driver}"
-    per = " per radian turned" if unknown.per == "rad" else ""
+    per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
     return f"the {unknown.channel} error{per} depends on {driver}"
 
 

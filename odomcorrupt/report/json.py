@@ -157,6 +157,11 @@ def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str],
         "parameters": {
             p.name: {"value": getattr(effect, p.name), "standard_error": _number(error), "unit": p.unit}
             for p, error in zip(amplitudes(effect), errors, strict=True)
+        }
+        | {
+            p.name: {"value": getattr(effect, p.name), "standard_error": None, "unit": p.unit}
+            for p in parameters(effect)
+            if not p.amplitude
         },
         "words": {word: getattr(effect, word) for word in choices(effect)},
         "alternatives": list(alternatives),

@@ -22,7 +22,9 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
     "v": lambda m: m.v,
     "abs(v)": lambda m: np.abs(m.v),
     "omega": lambda m: m.omega,
+    "1": lambda m: np.ones(len(m)),
 }
+"""What an error goes with; 1 for one that grows with time."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 
 
@@ -46,7 +48,9 @@ class Action:
 
     @property
     def reach(self) -> str:
-        """Whether it acts on the "body", on "one" wheel or on "both"."""
+        """Whether it acts on the "body", on "one" wheel or on "both"; or on the heading as time goes, as a "bias"."""
+        if self.move == "1":
+            return "bias"
         if not self.by_wheel:
             return "body"
         return "both" if self.target == "wheels" else "one"
@@ -60,8 +64,12 @@ class Action:
 
     @property
     def per(self) -> str:
-        """What its error is an error per: "m" driven, or "rad" turned."""
-        return "rad" if self.move == "omega" else "m"
+        """What its error is an error per: "m" driven, "rad" turned, or "s"."""
+        return {"omega": "rad", "1": "s"}.get(self.move, "m")
+
+    def written(self, law: str) -> str:
+        """Return a law's rate in the language of expressions."""
+        return law if self.move == "1" else f"{self.move} * ({law})"
 
     def parts(self, track_m: float | None) -> list[tuple[str, Array]]:
         """Return the views it looks at, and what (3,) a unit of error there does to the odometry."""
@@ -74,7 +82,7 @@ class Action:
 
 def every_action() -> list[Action]:
     """Return all that laws are tried on."""
-    body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m != "omega"]
+    body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m in ("v", "abs(v)")]
     return [*body, Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
 
 

@@ -20,6 +20,7 @@ from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.score import Score, score_tests
+from odomcorrupt.study.search.steering import is_gain_of_turns, may_be_steering
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,6 +110,7 @@ def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
     refits, leader = 0, -np.inf
     for score in ranked:
         refused = _objection(score)
+        refused = refused or _steered(fitted, score)
         weight = _evidence(score, trials[score.effect.name], count)
         if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
@@ -144,6 +146,14 @@ def _objection(score: Score) -> str:
         return "no evidence"
     if score.held_out_nats <= score.held_out_error:
         return "does not gain on held-out blocks"
+    return ""
+
+
+def _steered(fitted: Fit, score: Score) -> str:
+    """Return why an effect may be the driver's work, or nothing."""
+    columns = fitted.problem.columns(score.effect)
+    if is_gain_of_turns(fitted, columns) and may_be_steering(fitted, columns, score.estimate):
+        return "turns no larger than the noise: it may be a driver who steers back"
     return ""
 
 

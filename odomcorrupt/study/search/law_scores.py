@@ -7,7 +7,7 @@ what is told of a law comes from its exact columns.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import groupby
+from itertools import groupby, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,6 +17,7 @@ from odomcorrupt.study.search.laws import VALUES
 from odomcorrupt.study.search.periodic import waves
 from odomcorrupt.study.search.quick_look import QuickLook, Tried
 from odomcorrupt.study.search.score import score_columns
+from odomcorrupt.study.search.steering import may_be_steering
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.user import UserEffect
@@ -31,6 +32,8 @@ __all__ = ["ScoredLaw", "best_laws", "law_price", "most_nats"]
 _KINDS = (len(VALUES) + 2) * len(every_action())
 """Drivers, and what laws act on: any of these might have come first."""
 _LEVEL = 0.01
+_MOST_STARTS = 40
+"""Laws of one driver and channel among which starts are looked for."""
 _GYRO_NATS = 4.0
 """What wheels that do not turn the odometry have to explain on top: such robots are the fewer."""
 _LEAST_NATS = 3.0
@@ -104,12 +107,17 @@ def _likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
     worth = sorted(
         ((_kind(t), t.nats - law_price(t.law, t.action, count), t) for t in tried), key=lambda w: (w[0], -w[1])
     )
-    best = [next(group) for _, group in groupby(worth, key=lambda w: w[0])]
-    chosen = [look.refined(t) for _, nats, t in best if nats > _LEAST_NATS]
+    chosen = []
+    for _, group in groupby(worth, key=lambda w: w[0]):
+        ranked = [t for _, nats, t in islice(group, _MOST_STARTS) if nats > _LEAST_NATS]
+        if ranked:
+            chosen.append(look.best_refined(ranked))
     groups = [exact_columns(fit, t.law, t.action) for t in chosen]
     scores = score_columns(fit, groups, believed) if groups else []
     found = []
-    for t, score in zip(chosen, scores, strict=True):
+    for t, score, columns in zip(chosen, scores, groups, strict=True):
+        if t.action.move == "omega" and may_be_steering(fit, columns, score.estimate):
+            continue
         price = law_price(t.law, t.action, count)
         p = score.p * 2.0 * t.law.trials * _KINDS / len(chosen)
         found.append(ScoredLaw(t.law, t.action, score, price, 0.5 * score.statistic - price, p))

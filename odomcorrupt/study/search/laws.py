@@ -41,11 +41,18 @@ _SIGNED = ("acceleration", "yaw_acceleration", "time")
 """Drivers of which what lies below a threshold is as likely to matter as what lies above."""
 _OF_WHEELS = ("speed", "acceleration", "time")
 """Drivers that a wheel has of its own; and time, which may load one side."""
+_OF_A_BIAS = ("speed", "yaw_rate", "time")
+"""Drivers that a rate of the heading may depend on which is there at rest, too: a gyro's."""
+_HINGED = ("speed", "yaw_rate", "acceleration")
+_STILL = 0.02
+"""m/s and rad/s below which a robot stands."""
+_SETTLE_S = (30.0, 80.0, 200.0)
 _CUTS = np.linspace(0.05, 0.95, 19)
 _PLACES = 7
 _RADII_M = (0.8, 1.3, 2.0)
-_STRIPS = 6
+_STRIPS = 12
 _HALF_WIDTHS_M = (0.4, 0.8)
+_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
 _REFINING = 2
 """By how much each number of a shape that may be refined multiplies what a law was chosen from."""
 
@@ -58,9 +65,10 @@ class Law:
     parts : what each number multiplies, of a motion of n intervals (n,)
     trials : how many of its family are tried
     wavelength_m : of a wave over the way, else 0
-    reaches : what it may act on, of "body", "one" wheel and "both"; not where the library has that effect
+    reaches : what it may act on, of "body", "one" wheel, "both" and a "bias"; not where the library has that effect
     shape, steps : numbers of a shape that may be refined, and how far to look
     remade : returns the law with another shape
+    kin : laws of other shapes to try where this one is good
     """
 
     driver: str
@@ -72,12 +80,13 @@ class Law:
     shape: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()
     remade: Callable[[tuple[float, ...]], Law] | None = field(default=None, compare=False)
+    kin: tuple[Law, ...] = field(default=(), compare=False)
 
     def effect(self, action: Action, values: Sequence[float]) -> UserEffect:
         """Return the law as an effect with these values."""
         named = dict(zip(NUMBERS, map(float, values), strict=False))
         words = {"heading": action.heading} if action.by_wheel else {}
-        text = f"{action.target} += {action.move} * ({self.text})"
+        text = f"{action.target} += {action.written(self.text)}"
         return user_effect(f"{action.target}_over_{self.driver}", text, named, words=words)
 
     def expression(self, action: Action, values: Sequence[float]) -> str:
@@ -85,7 +94,7 @@ class Law:
         text = self.text
         for name, value in zip(NUMBERS, values, strict=False):
             text = text.replace(f"{name} *", f"{float(value):.4g} *")
-        return f"{action.target} += {action.move} * ({text})"
+        return f"{action.target} += {action.written(text)}"
 
     def neighbours(self, scale: float) -> Iterator[Law]:
         """Yield the laws with one number of the shape a step of this scale up or down."""
@@ -100,14 +109,19 @@ class Law:
 
 def laws(motions: Sequence[Motion]) -> list[Law]:
     """Return every law that is tried on these motions."""
-    found = [*_headings(), *_discs(motions), *_strips(motions)]
+    found = [*_headings(), *_discs(motions), *_strips(motions), *_settlings(), *_at_rest()]
     for driver, (text, value) in VALUES.items():
-        found.append(
-            Law(driver, f"k * {text}", (value,), reaches=("body", "one") if driver in _OF_WHEELS else ("body",))
-        )
+        found.append(Law(driver, f"k * {text}", (value,), reaches=_reaches(driver, "one")))
         if driver != "distance":  # that is time, by another name
             found += _thresholds(driver, motions)
+        if driver in _HINGED:
+            found += _hinges(driver, motions)
     return found
+
+
+def _reaches(driver: str, *wheels: str) -> tuple[str, ...]:
+    """Return what a law of this driver may act on, wheels where they have a driver of their own."""
+    return ("body", *(wheels if driver in _OF_WHEELS else ()), *(("bias",) if driver in _OF_A_BIAS else ()))
 
 
 def _headings() -> Iterator[Law]:
@@ -117,15 +131,19 @@ def _headings() -> Iterator[Law]:
 
 def _thresholds(driver: str, motions: Sequence[Motion]) -> Iterator[Law]:
     """Yield thresholds of a driver, spread evenly over what it was while the robot moved."""
-    value = VALUES[driver][1]
-    seen = np.concatenate([value(m)[(np.abs(m.v) > 0.02) | (np.abs(m.omega) > 0.02)] for m in motions])
-    if len(seen) == 0:
-        return
-    cuts = np.unique(np.quantile(seen, _CUTS))
+    cuts = _cuts(driver, motions)
     ways = (True, False) if driver in _SIGNED else (True,)
     for above, (i, cut) in product(ways, enumerate(cuts)):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
         yield _threshold(driver, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above)
+
+
+def _cuts(driver: str, motions: Sequence[Motion]) -> Array:
+    """Return values of a driver while the robot moved, evenly spread; and of a speed, where it begins to move."""
+    value = VALUES[driver][1]
+    seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
+    cuts = np.quantile(seen, _CUTS) if len(seen) else np.zeros(0)
+    return np.unique(np.append(cuts, _STILL) if driver in ("speed", "yaw_rate") else cuts)
 
 
 def _threshold(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, above: bool) -> Law:
@@ -136,10 +154,55 @@ def _threshold(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[
         f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
         ((_above if above else _below)(value, cut),),
         trials * _REFINING,
-        reaches=("body", "one", "both") if driver in _OF_WHEELS else ("body",),
+        reaches=_reaches(driver, "one", "both"),
         shape=shape,
         steps=steps,
         remade=lambda moved: _threshold(driver, trials, moved, steps, above=above),
+    )
+
+
+def _hinges(driver: str, motions: Sequence[Motion]) -> Iterator[Law]:
+    """Yield what grows from a threshold on: grip that gives way; of what has two sides, on either."""
+    cuts = [cut for cut in _cuts(driver, motions)[1::3] if cut > 0.0]
+    two_sided = driver in _SIGNED
+    shapes = [(sign, float(cut)) for sign in ((1.0, -1.0) if two_sided else (1.0,)) for cut in (0.0, *cuts)]
+    for sign, cut in shapes:
+        if cut > 0.0 or two_sided:
+            yield _hinge(driver, len(shapes), (cut,), (0.15 * max(cuts, default=1.0),), sign=sign)
+
+
+def _hinge(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float) -> Law:
+    text, value = VALUES[driver]
+    cut = max(shape[0], 0.0)
+    return Law(
+        driver,
+        f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)",
+        (lambda m: np.maximum(sign * value(m) - cut, 0.0),),
+        trials * _REFINING,
+        reaches=_reaches(driver, "one", "both"),
+        shape=shape,
+        steps=steps,
+        remade=lambda moved: _hinge(driver, trials, moved, steps, sign=sign),
+    )
+
+
+def _settlings() -> Iterator[Law]:
+    """Yield what dies away: tyres, motors and sensors that warm up."""
+    for tau_s in _SETTLE_S:
+        yield _settling((float(np.log(tau_s)),))
+
+
+def _settling(shape: tuple[float, ...]) -> Law:
+    tau_s = float(np.exp(np.clip(shape[0], 1.0, 9.0)))
+    return Law(
+        "time",
+        f"k * exp(-t / {tau_s:.4g})",
+        (lambda m: np.exp(-m.t_s / tau_s),),
+        len(_SETTLE_S) * _REFINING,
+        reaches=_reaches("time", "one", "both"),
+        shape=shape,
+        steps=(0.5,),
+        remade=_settling,
     )
 
 
@@ -147,6 +210,13 @@ def _discs(motions: Sequence[Motion]) -> Iterator[Law]:
     xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
     for x, y, radius in product(xs, ys, _RADII_M):
         yield _disc((float(x), float(y), radius))
+
+
+def _at_rest() -> Iterator[Law]:
+    """Yield what is there while the robot stands, or does not turn."""
+    for driver in ("speed", "yaw_rate"):
+        text, value = VALUES[driver]
+        yield Law(driver, f"k * where({text} < {_STILL:.4g}, 1, 0)", (_below(value, _STILL),), reaches=("bias",))
 
 
 def _disc(shape: tuple[float, ...]) -> Law:
@@ -159,6 +229,7 @@ def _disc(shape: tuple[float, ...]) -> Law:
         shape=shape,
         steps=(0.4, 0.4, 0.3),
         remade=_disc,
+        kin=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
     )
 
 
@@ -182,6 +253,25 @@ def _strip(shape: tuple[float, ...]) -> Law:
         shape=shape,
         steps=(0.2, 0.4, 0.2),
         remade=_strip,
+    )
+
+
+def _box(shape: tuple[float, ...]) -> Law:
+    """Return a rectangle: angle of its first axis, middle, and half of either side."""
+    angle, x, y = shape[0], shape[1], shape[2]
+    half, side = max(shape[3], 0.1), max(shape[4], 0.1)
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    along, across = c * x + s * y, c * y - s * x
+    return Law(
+        "position",
+        f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(along)}) < {half:.4g}, 1, 0)"
+        f" * where(abs({c:.4g} * y - {s:.4g} * x {_less(across)}) < {side:.4g}, 1, 0)",
+        (lambda m: _band(c, s, along, half)(m) * _band(-s, c, across, side)(m),),
+        2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * _REFINING**5,
+        reaches=("body", "both"),
+        shape=(angle, x, y, half, side),
+        steps=(0.2, 0.4, 0.4, 0.4, 0.4),
+        remade=_box,
     )
 
 

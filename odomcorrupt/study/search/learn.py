@@ -7,7 +7,7 @@ effects that only stood in for it fall idle and are dropped, and the error falls
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
@@ -40,6 +40,7 @@ _MOST_NOISE = 2
 _PLAIN_NATS = 100.0
 """What is counted in the odometry itself needs no statistics."""
 _MOST_LAWS = 2
+_LAWS_TRIED = 4
 _DROP_NATS = 3.3
 _WORTH_NATS = 1.0
 """What a new shape has to gain."""
@@ -133,19 +134,20 @@ def learn(
         believed = believed_columns(fitted.problem, clocks.free)
         gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
         unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
-        if gain is not None and gain.nats > max((u.nats for u in unknown), default=0.0) + ALTERNATIVE_NATS:
+        lawful = None
+        if best is None and len(laws) < _MOST_LAWS:
+            lawful = _challenged(fitted, clocks, {r.added for r in rounds}) or _believable(fitted, clocks, unknown)
+        explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
+        if gain is not None and gain.nats > explained + ALTERNATIVE_NATS:
             noise.append(gain)
             fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
             continue
-        if best is None and len(laws) < _MOST_LAWS:
-            lawful = _believable(fitted, clocks, unknown) or _challenged(fitted, clocks, {r.added for r in rounds})
-            if lawful is not None:
-                law, with_law = lawful
-                laws.append(law)
-                rounds.append(Round(fitted, tuple(candidates), None, law))
-                fitted = _without_idlers(with_law, clocks, {e.name for e in start})
-                noise, fitted = _without_idle_noise(noise, fitted, clocks)
-                continue
+        if lawful is not None:
+            laws.append(lawful.law)
+            rounds.append(Round(fitted, tuple(candidates), None, lawful.law))
+            fitted = _without_idlers(lawful.fit, clocks, {e.name for e in start})
+            noise, fitted = _without_idle_noise(noise, fitted, clocks)
+            continue
         full = len([r for r in rounds if r.added is not None]) >= most
         rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
         if best is None or best.fit is None or full:
@@ -156,7 +158,7 @@ def learn(
     bursts = slip_bursts(fitted)
     if bursts is not None:
         noise.append(RandomGain(bursts, _PLAIN_NATS))
-    elif not noise and (tails := heavy_tails(fitted)) is not None:
+    elif not noise and not unknown and (tails := heavy_tails(fitted)) is not None:
         noise.append(RandomGain(*tails))
     given = {e.name for e in start}
     fitted = with_one_heading(fitted, given, lambda said: _again(fitted, clocks, said, random=fitted.random))
@@ -190,19 +192,27 @@ def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGa
     return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None
 
 
-def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> tuple[Unknown, Fit] | None:
-    """Return the plainest dependence with a law, and the fit with it, if it gains and does not spoil the path."""
+class _Lawful(NamedTuple):
+    """A dependence whose law may be believed, the fit with it, and the nats that it gains, prices paid."""
+
+    law: Unknown
+    fit: Fit
+    nats: float
+
+
+def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> _Lawful | None:
+    """Return the plainest dependence whose law gains and does not spoil the path, and the fit with it."""
     have = {effect.name for effect in fitted.effects}
-    for one in unknown:
-        if one.law is None or one.law.effect.name in have:
-            continue
-        again = _again(fitted, clocks, (*fitted.effects, one.law.effect), random=fitted.random)
-        gains = again.log_likelihood - fitted.log_likelihood > one.law.price
-        return (one, again) if gains and ten_second_error(again) <= HARM * ten_second_error(fitted) else None
+    lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
+    for one, law in lawful[:_LAWS_TRIED]:
+        again = _again(fitted, clocks, (*fitted.effects, law.effect), random=fitted.random)
+        gain = again.log_likelihood - fitted.log_likelihood - law.price
+        if gain > 0.0 and ten_second_error(again) <= HARM * ten_second_error(fitted):
+            return _Lawful(one, again, gain)
     return None
 
 
-def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Unknown, Fit] | None:
+def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> _Lawful | None:
     """Return a law that explains plainly more than a known effect which was added, and the fit with it instead."""
     for effect in fitted.effects:
         found = better_law(fitted, effect, clocks.free) if effect.name in added else None
@@ -216,7 +226,7 @@ def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> tuple[Un
         again = _again(fitted, clocks, (*others, law.effect), random=fitted.random)
         gain = again.log_likelihood - fitted.log_likelihood - law.price + worth
         if gain > CHALLENGE_NATS and ten_second_error(again) <= HARM * ten_second_error(fitted):
-            return one, again
+            return _Lawful(one, again, gain)
     return None
 
 

@@ -30,6 +30,10 @@ _SAMPLES = 5
 _SCALES = (1.0, 0.5, 0.25, 0.125)
 _MOST_STEPS = 12
 _WORTH_NATS = 0.1
+_STARTS, _PLACE = 4, 3
+"""From how many laws to start, of those that have so many numbers in their shape."""
+_PLAIN_NATS, _PLAIN_PART = 30.0, 0.5
+"""What a disc has to explain, and of what the best law explains, for rectangles to be worth their time."""
 
 
 class Tried(NamedTuple):
@@ -64,7 +68,31 @@ class QuickLook:
                     means[key] = self._means(mine, view, weighed_by)
                 here.append(means[key])
             found += [Tried(law, action, g) for law, g in zip(mine, self._gains(mine, action, here), strict=True)]
-        return found
+        return found + self._rectangles(found)
+
+    def _rectangles(self, found: Sequence[Tried]) -> list[Tried]:
+        """Return the best rectangle, where a disc explains much of what any law does: its kin are too many for all."""
+        disc = max((t for t in found if t.law.kin), key=lambda t: t.nats, default=None)
+        if disc is None or disc.nats < max(_PLAIN_NATS, _PLAIN_PART * max(t.nats for t in found)):
+            return []
+        actions = [disc.action, *(a for a in actions_on(self._motions) if a.reach == "both")]
+        kin = self.refined(disc).law.kin
+        tried = [Tried(law, action, self._gain(law, action)) for law in kin for action in actions]
+        return [self.refined(max(tried, key=lambda t: t.nats))]
+
+    def _gain(self, law: Law, action: Action) -> float:
+        here = [self._means([law], view, action.move) for view, _ in self._of(action)]
+        return self._gains([law], action, here)[0]
+
+    def best_refined(self, ranked: Sequence[Tried]) -> Tried:
+        """Return the best law near any of the first few; places have many hills, and start from some that differ."""
+        starts = [ranked[0]]
+        for tried in ranked[1:]:
+            if len(starts) == _STARTS or ranked[0].nats < _PLAIN_NATS or len(tried.law.shape) < _PLACE:
+                break
+            if all(_differ(tried, start) for start in starts):
+                starts.append(tried)
+        return max((self.refined(start) for start in starts), key=lambda t: t.nats)
 
     def refined(self, tried: Tried) -> Tried:
         """Return the law of the best shape in the neighbourhood."""
@@ -116,6 +144,13 @@ class QuickLook:
         first = np.concatenate(([0], np.cumsum([len(law.parts) for law in tried]))).astype(np.int64)
         gains: list[float] = _chi_squares(self._left.of(raw), own, self._left.residual, first).tolist()
         return gains
+
+
+def _differ(one: Tried, other: Tried) -> bool:
+    """Tell whether two laws stand on different hills, for all that is known of their shapes."""
+    if one.action != other.action or len(one.law.shape) != len(other.law.shape):
+        return True
+    return any(abs(a - b) > s for a, b, s in zip(one.law.shape, other.law.shape, one.law.steps, strict=True))
 
 
 def _chi_squares(white: Array, own: Array, r: Array, first: NDArray[np.int64]) -> Array:
