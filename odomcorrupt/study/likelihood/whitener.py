@@ -68,6 +68,17 @@ class Whitener:
         white: Array = solved
         return white
 
+    def pulled(self, white: Array) -> Array:
+        """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
+        rest = white
+        if self.directions is not None and self.shrink is not None:
+            rest = white - self.directions @ ((1.0 - self.shrink) * (self.directions.T @ white))
+        solved, info = lapack.dtbtrs(self.factor, rest[:, None], uplo="L", trans="T")
+        if info != 0:
+            raise FitError("the covariance of the residuals is singular")
+        back: Array = solved.reshape(-1, 3)
+        return back
+
     def log_likelihood(self, innovations: Array) -> float:
         """Return the log density in nats of whitened residuals (3 K,)."""
         n = len(innovations)

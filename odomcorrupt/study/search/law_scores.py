@@ -20,6 +20,8 @@ from odomcorrupt.study.search.score import score_columns
 from odomcorrupt.study.search.steering import may_be_steering
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.effects.user import UserEffect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.search.laws import Law
     from odomcorrupt.study.search.score import ColumnScore
 
-__all__ = ["ScoredLaw", "best_laws", "law_price", "most_nats"]
+__all__ = ["ScoredLaw", "best_laws", "law_price", "likeliest"]
 
 _KINDS = (len(VALUES) + 2) * len(every_action())
 """Drivers, and what laws act on: any of these might have come first."""
@@ -76,8 +78,18 @@ def law_price(law: Law, action: Action, count: int) -> float:
     return float(0.5 * len(law.parts) * np.log(count) + np.log(2.0 * law.trials * _KINDS)) + unusual
 
 
-def best_laws(fit: Fit, believed: Array) -> list[ScoredLaw]:
-    """Return the best law of each driver and channel that explains more than chance does, the plainest first.
+def best_laws(laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
+    """Return those of the likeliest laws that explain more than chance does, the plainest first."""
+    found = []
+    for law in laws:
+        score, nats = law.score, 0.5 * law.score.statistic / law.score.inflation - law.price
+        if score.separable and nats > 0.0 and law.p < _LEVEL and score.held_out_nats > score.held_out_error:
+            found.append(replace(law, nats=nats))
+    return sorted(found, key=lambda s: s.nats, reverse=True)
+
+
+def likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
+    """Return the best law of each driver and channel, scored exactly, whether or not chance would do as well.
 
     Parameters
     ----------
@@ -86,21 +98,6 @@ def best_laws(fit: Fit, believed: Array) -> list[ScoredLaw]:
         Columns of what is believed already.
 
     """
-    found = []
-    for law in _likeliest(fit, believed):
-        score, nats = law.score, 0.5 * law.score.statistic / law.score.inflation - law.price
-        if score.separable and nats > 0.0 and law.p < _LEVEL and score.held_out_nats > score.held_out_error:
-            found.append(replace(law, nats=nats))
-    return sorted(found, key=lambda s: s.nats, reverse=True)
-
-
-def most_nats(fit: Fit, believed: Array) -> float:
-    """Return what the best of all laws gains less its price, without gates; 0 where none is worth a look."""
-    return max((law.nats for law in _likeliest(fit, believed)), default=0.0)
-
-
-def _likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
-    """Return the best law of each driver and channel, scored exactly."""
     count = len(fit.problem.nodes)
     look = QuickLook(fit, believed)
     tried = look.everything() + [Tried(law, action, nats) for law, action, nats in waves(fit, believed)]

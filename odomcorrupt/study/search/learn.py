@@ -7,7 +7,7 @@ effects that only stood in for it fall idle and are dropped, and the error falls
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
@@ -19,11 +19,13 @@ from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.fitting.tails import heavy_tails
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
-from odomcorrupt.study.search.candidates import HARM, Candidate, next_effect
+from odomcorrupt.study.search.candidates import Candidate, next_effect, price
 from odomcorrupt.study.search.heading import with_one_heading
+from odomcorrupt.study.search.lawful import believable, challenger
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
-from odomcorrupt.study.search.rivals import CHALLENGE_NATS, better_law, law_margin, put_back
+from odomcorrupt.study.search.refit import again, without_idle_noise, without_idlers
+from odomcorrupt.study.search.rivals import CHALLENGE_NATS, Rivalry, put_back, rivalry
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
 if TYPE_CHECKING:
@@ -40,12 +42,8 @@ _MOST_NOISE = 2
 _PLAIN_NATS = 100.0
 """What is counted in the odometry itself needs no statistics."""
 _MOST_LAWS = 2
-_LAWS_TRIED = 4
-_DROP_NATS = 3.3
 _WORTH_NATS = 1.0
 """What a new shape has to gain."""
-_NOISE_PRICE = 6.0
-"""Nats that a wandering gain is worth by chance, and as much as it has to gain to be named."""
 ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
 
@@ -109,6 +107,28 @@ class Learned:
         return tuple(r.added for r in self.rounds if r.added in kept)
 
 
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """One way through the search: its looks, what was believed on it, what is left, and where it has come to."""
+
+    rounds: tuple[Round, ...]
+    noise: tuple[RandomGain, ...]
+    laws: tuple[Unknown, ...]
+    unknown: tuple[Unknown, ...]
+    fit: Fit
+    margins: Mapping[str, float]
+
+    @property
+    def price(self) -> float:
+        """Nats that its effects and laws must gain."""
+        named = {one.law.effect.name: one.law.price for one in self.laws if one.law is not None}
+        motions, count = self.fit.problem.motions, len(self.fit.problem.nodes)
+        return sum(
+            named[e.name] if e.name in named else price(e, max(len(type(e).scan(motions)), 1), count)
+            for e in self.fit.effects
+        )
+
+
 def learn(
     recordings: Sequence[Recording], start: Sequence[Effect] = (), *, law_name: str = "diffusion", most: int = _MOST
 ) -> Learned:
@@ -125,64 +145,125 @@ def learn(
         approach=approach,
         random=[e for e in start if e.name in WANDERING],
     )
-    rounds: list[Round] = []
-    noise = [RandomGain(effect, _PLAIN_NATS) for effect in encoders]
-    laws: list[Unknown] = []
-    while True:
-        candidates = next_effect(fitted, clocks.free)
-        best = candidates[0] if candidates and not candidates[0].refused else None
-        believed = believed_columns(fitted.problem, clocks.free)
-        gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
-        unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
-        lawful = None
-        if best is None and len(laws) < _MOST_LAWS:
-            lawful = _challenged(fitted, clocks, {r.added for r in rounds}) or _believable(fitted, clocks, unknown)
-        explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
-        if gain is not None and gain.nats > explained + ALTERNATIVE_NATS:
-            noise.append(gain)
-            fitted = _again(fitted, clocks, fitted.effects, random=(*fitted.random, gain.effect))
-            continue
-        if lawful is not None:
-            laws.append(lawful.law)
-            rounds.append(Round(fitted, tuple(candidates), None, lawful.law))
-            fitted = _without_idlers(lawful.fit, clocks, {e.name for e in start})
-            noise, fitted = _without_idle_noise(noise, fitted, clocks)
-            continue
-        full = len([r for r in rounds if r.added is not None]) >= most
-        rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
-        if best is None or best.fit is None or full:
-            break
-        # believe it: robust weights are taken anew, because what looked like outliers may be explained now
-        fitted = _again(best.fit, clocks, best.fit.effects, random=best.fit.random)
-        fitted = _reshaped(fitted, clocks, best.score.effect.name)
+    search = _Search(clocks.free, {e.name for e in start}, tuple(RandomGain(e, _PLAIN_NATS) for e in encoders), most)
+    way = search.from_here(fitted)
+    other = search.law_first(way)
+    if other is not None and _explains_more(other, way, clocks.free):
+        way = other
+    kept = {effect.name for effect in way.fit.effects}
+    believed_laws = tuple(one for one in way.laws if one.law is not None and one.law.effect.name in kept)
+    return Learned(
+        clocks, way.rounds, way.noise, (*way.laws, *way.unknown), believed_laws, way.margins, way.fit,
+        ten_second_error(way.fit),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """How to search: which clocks are free, what the user gave, what encoders did, and how many effects at most."""
+
+    free: Sequence[tuple[bool, bool]]
+    given: set[str]
+    encoders: tuple[RandomGain, ...]
+    most: int
+
+    def from_here(self, fitted: Fit, first: Round | None = None) -> _Way:
+        """Look, believe and look again until nothing is left; `first` is a look that has been taken already."""
+        rounds: list[Round] = [first] if first is not None else []
+        noise = list(self.encoders)
+        laws: list[Unknown] = [first.law] if first is not None and first.law is not None else []
+        tested: tuple[Fit, dict[str, Rivalry]] = (fitted, {})
+        while True:
+            candidates = next_effect(fitted, self.free)
+            best = candidates[0] if candidates and not candidates[0].refused else None
+            believed = believed_columns(fitted.problem, self.free)
+            gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
+            unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
+            lawful = None
+            if best is None:
+                tested = _tested(fitted, self.free, rounds)
+            if best is None and len(laws) < _MOST_LAWS:
+                lawful = challenger(fitted, self.free, tested[1])
+                lawful = lawful or believable(fitted, self.free, unknown)
+            explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
+            if gain is not None and gain.nats > explained + ALTERNATIVE_NATS:
+                noise.append(gain)
+                fitted = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
+                continue
+            if lawful is not None:
+                laws.append(lawful.law)
+                rounds.append(Round(fitted, tuple(candidates), None, lawful.law))
+                fitted = without_idlers(lawful.fit, self.free, self.given)
+                noise, fitted = without_idle_noise(noise, fitted, self.free)
+                continue
+            full = len([r for r in rounds if r.added is not None]) >= self.most
+            rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
+            if best is None or best.fit is None or full:
+                break
+            # believe it: robust weights are taken anew, because what looked like outliers may be explained now
+            fitted = again(best.fit, self.free, best.fit.effects)
+            fitted = _reshaped(fitted, self.free, best.score.effect.name)
+        noise += _odd(fitted, calm=not noise and not unknown)
+        fitted = with_one_heading(fitted, self.given, lambda said: again(fitted, self.free, said))
+        fitted = without_idlers(fitted, self.free, self.given)
+        if tested[0] is not fitted:
+            tested = _tested(fitted, self.free, rounds)
+        margins = {name: own.margin for name, own in tested[1].items()}
+        return _Way(tuple(rounds), tuple(noise), tuple(laws), tuple(unknown), fitted, margins)
+
+    def law_first(self, way: _Way) -> _Way | None:
+        """Return the way that begins with a law, where one explains more than the first name and names did not suffice.
+
+        Several names together may stand in for one law, and none of them then gives way to it alone.
+        """
+        first = way.rounds[0]
+        if first.added is None or not (way.laws or way.unknown or min(way.margins.values(), default=1.0) < 0.0):
+            return None
+        believed = believed_columns(first.before.problem, self.free)
+        lawful = believable(first.before, self.free, unknown_dependences(first.before, believed))
+        if lawful is None or lawful.nats < first.candidates[0].gain + CHALLENGE_NATS:
+            return None
+        return self.from_here(lawful.fit, Round(first.before, first.candidates, None, lawful.law))
+
+
+def _explains_more(one: _Way, other: _Way, free_clocks: Sequence[tuple[bool, bool]]) -> bool:
+    """Tell whether one way explains plainly more than another, whichever stretches are set apart as odd."""
+    worth = other.price - one.price
+    same = again(other.fit, free_clocks, other.fit.effects, weights=one.fit.noise.weights)
+    turned = again(one.fit, free_clocks, one.fit.effects, weights=other.fit.noise.weights)
+    return min(
+        one.fit.log_likelihood - same.log_likelihood + worth, turned.log_likelihood - other.fit.log_likelihood + worth
+    ) > CHALLENGE_NATS  # fmt: skip
+
+
+def _tested(
+    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rounds: Sequence[Round]
+) -> tuple[Fit, dict[str, Rivalry]]:
+    """Return a fit, and for each of its effects that was added how laws do in its place."""
+    added = {look.added for look in rounds}
+    return fitted, {e.name: rivalry(fitted, e, free_clocks) for e in fitted.effects if e.name in added}
+
+
+def _odd(fitted: Fit, *, calm: bool) -> list[RandomGain]:
+    """Return bursts of slip, or where nothing else is left, heavy tails."""
     bursts = slip_bursts(fitted)
     if bursts is not None:
-        noise.append(RandomGain(bursts, _PLAIN_NATS))
-    elif not noise and not unknown and (tails := heavy_tails(fitted)) is not None:
-        noise.append(RandomGain(*tails))
-    given = {e.name for e in start}
-    fitted = with_one_heading(fitted, given, lambda said: _again(fitted, clocks, said, random=fitted.random))
-    fitted = _without_idlers(fitted, clocks, given)
-    kept = {effect.name for effect in fitted.effects}
-    believed_laws = tuple(one for one in laws if one.law is not None and one.law.effect.name in kept)
-    added = {r.added for r in rounds}
-    margins = {e.name: law_margin(fitted, e, clocks.free) for e in fitted.effects if e.name in added}
-    return Learned(
-        clocks, tuple(rounds), tuple(noise), (*laws, *unknown), believed_laws, margins, fitted, ten_second_error(fitted)
-    )
+        return [RandomGain(bursts, _PLAIN_NATS)]
+    tails = heavy_tails(fitted) if calm else None
+    return [RandomGain(*tails)] if tails is not None else []
 
 
-def _reshaped(fitted: Fit, clocks: Clocks, name: str) -> Fit:
+def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) -> Fit:
     """Look for the shape of an effect anew, now that what it explains is no noise any more."""
     (effect,) = (e for e in fitted.effects if e.name == name)
     if all(p.amplitude for p in parameters(effect)):
         return fitted
-    bare, believed = put_back(fitted, effect, clocks.free)
+    bare, believed = put_back(fitted, effect, free_clocks)
     still = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
     moved = best_member(bare, [still, *type(effect).scan(fitted.problem.motions)], believed)
     others = [e for e in fitted.effects if e is not effect]
-    again = _again(fitted, clocks, [*others, moved], random=fitted.random)
-    return again if again.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted
+    shaped = again(fitted, free_clocks, [*others, moved])
+    return shaped if shaped.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted
 
 
 def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGain | None:
@@ -190,77 +271,3 @@ def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGa
     gains = random_gains(fitted, believed)
     rival = best.gain if best is not None else 0.0
     return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None
-
-
-class _Lawful(NamedTuple):
-    """A dependence whose law may be believed, the fit with it, and the nats that it gains, prices paid."""
-
-    law: Unknown
-    fit: Fit
-    nats: float
-
-
-def _believable(fitted: Fit, clocks: Clocks, unknown: Sequence[Unknown]) -> _Lawful | None:
-    """Return the plainest dependence whose law gains and does not spoil the path, and the fit with it."""
-    have = {effect.name for effect in fitted.effects}
-    lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
-    for one, law in lawful[:_LAWS_TRIED]:
-        again = _again(fitted, clocks, (*fitted.effects, law.effect), random=fitted.random)
-        gain = again.log_likelihood - fitted.log_likelihood - law.price
-        if gain > 0.0 and ten_second_error(again) <= HARM * ten_second_error(fitted):
-            return _Lawful(one, again, gain)
-    return None
-
-
-def _challenged(fitted: Fit, clocks: Clocks, added: set[str | None]) -> _Lawful | None:
-    """Return a law that explains plainly more than a known effect which was added, and the fit with it instead."""
-    for effect in fitted.effects:
-        found = better_law(fitted, effect, clocks.free) if effect.name in added else None
-        if found is None:
-            continue
-        one, worth = found
-        law = one.law
-        others = [e for e in fitted.effects if e is not effect]
-        if law is None or law.effect.name in {e.name for e in others}:
-            continue
-        again = _again(fitted, clocks, (*others, law.effect), random=fitted.random)
-        gain = again.log_likelihood - fitted.log_likelihood - law.price + worth
-        if gain > CHALLENGE_NATS and ten_second_error(again) <= HARM * ten_second_error(fitted):
-            return _Lawful(one, again, gain)
-    return None
-
-
-def _without_idle_noise(noise: list[RandomGain], fitted: Fit, clocks: Clocks) -> tuple[list[RandomGain], Fit]:
-    """Drop wandering gains that a law has made idle."""
-    if not fitted.random:
-        return noise, fitted
-    calm = _again(fitted, clocks, fitted.effects, random=())
-    if fitted.log_likelihood - calm.log_likelihood >= _DROP_NATS + _NOISE_PRICE * len(fitted.random):
-        return noise, fitted
-    return [gain for gain in noise if gain.effect.name not in WANDERING], calm
-
-
-def _again(fitted: Fit, clocks: Clocks, effects: Sequence[Effect], random: Sequence[Effect]) -> Fit:
-    """Fit the same recordings again, from where a fit has come to."""
-    problem = fitted.problem
-    return fit(
-        problem.recordings,
-        effects,
-        clocks=problem.clocks,
-        free_clocks=clocks.free,
-        approach=problem.approach,
-        start=fitted.noise.free,
-        random=random,
-    )
-
-
-def _without_idlers(fitted: Fit, clocks: Clocks, keep: set[str]) -> Fit:
-    """Drop effects that the later ones have made idle: a Wald test first, because refits cost time."""
-    while fitted.effects:
-        worth = {name: 0.5 * square for name, square in fitted.wald.items() if name not in keep}
-        idlest = min(worth, key=worth.__getitem__, default=None)
-        if idlest is None or worth[idlest] >= _DROP_NATS:
-            return fitted
-        kept = [e for e in fitted.effects if e.name != idlest]
-        fitted = _again(fitted, clocks, kept, random=fitted.random)
-    return fitted

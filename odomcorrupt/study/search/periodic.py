@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import lapack
 
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.search.actions import Action
@@ -36,10 +35,7 @@ def waves(fit: Fit, believed: Array) -> list[tuple[Law, Action, float]]:
     problem, whitener = fit.problem, fit.noise.whitener
     left = left_over(fit, believed)
     r = left.residual
-    back, info = lapack.dtbtrs(whitener.factor, r[:, None], uplo="L", trans="T")
-    if info != 0:
-        return []
-    pull = back.reshape(-1, 3)
+    pull = whitener.pulled(r)
     channel = "yaw" if problem.headings else "along"
     found = []
     for text, way in _ways(problem.motions[0].track_m):

@@ -5,7 +5,7 @@ The effect is put back into the residual, whitened as the model with it says, an
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.fitting.gauss_newton import believed_columns
 from odomcorrupt.study.search.candidates import price
-from odomcorrupt.study.search.law_scores import most_nats
+from odomcorrupt.study.search.law_scores import likeliest
 from odomcorrupt.study.search.score import score_columns
 from odomcorrupt.study.search.unknown import unknown_dependences
 
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.law_scores import ScoredLaw
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["CHALLENGE_NATS", "better_law", "law_margin", "put_back"]
+__all__ = ["CHALLENGE_NATS", "Rivalry", "put_back", "rivalry"]
 
 CHALLENGE_NATS = 8.0
 """By how much a law has to explain more than a known effect, both less their prices: names are the likelier before."""
@@ -42,26 +43,38 @@ def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]])
     return replace(fit, noise=noise), believed_columns(replace(fit.problem, effects=others), free_clocks)
 
 
-def law_margin(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> float:
-    """Return by how many nats an effect of the fit explains more than the best law would, both less their prices."""
-    bare, believed = put_back(fit, effect, free_clocks)
-    return _own_nats(fit, bare, effect, believed)[0] - most_nats(bare, believed)
+@dataclass(frozen=True, slots=True, eq=False)
+class Rivalry:
+    """A known effect of a fit against the laws that might stand in its place.
 
+    nats, price : what the effect gains less its price, and that price
+    laws : the likeliest law of each driver and channel, without gates
+    """
 
-def better_law(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Unknown, float] | None:
-    """Return the dependence that explains plainly more than an effect of the fit, and the effect's price; or None."""
-    bare, believed = put_back(fit, effect, free_clocks)
-    nats, worth = _own_nats(fit, bare, effect, believed)
-    if most_nats(bare, believed) < nats + CHALLENGE_NATS:
+    bare: Fit
+    believed: Array
+    nats: float
+    price: float
+    laws: list[ScoredLaw]
+
+    @property
+    def margin(self) -> float:
+        """By how many nats the effect explains more than the best law would, both less their prices."""
+        return self.nats - max((law.nats for law in self.laws), default=0.0)
+
+    def better_law(self) -> Unknown | None:
+        """Return the dependence that explains plainly more than the effect, or None."""
+        if self.margin > -CHALLENGE_NATS:
+            return None
+        for one in unknown_dependences(self.bare, self.believed, self.laws):
+            if one.law is not None and 0.5 * one.law.score.statistic - one.law.price > self.nats + CHALLENGE_NATS:
+                return one
         return None
-    for one in unknown_dependences(bare, believed):
-        if one.law is not None and 0.5 * one.law.score.statistic - one.law.price > nats + CHALLENGE_NATS:
-            return one, worth
-    return None
 
 
-def _own_nats(fit: Fit, bare: Fit, effect: Effect, believed: Array) -> tuple[float, float]:
-    """Return what an effect gains less its price, and the price."""
+def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> Rivalry:
+    """Put an effect of a fit to the test against every law."""
+    bare, believed = put_back(fit, effect, free_clocks)
     (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
     worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
-    return 0.5 * own.statistic - worth, worth
+    return Rivalry(bare, believed, 0.5 * own.statistic - worth, worth, likeliest(bare, believed))

@@ -16,11 +16,13 @@ import numpy as np
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.study.search.actions import MOVES
 from odomcorrupt.study.search.curves import curve_drivers
-from odomcorrupt.study.search.law_scores import best_laws
+from odomcorrupt.study.search.law_scores import best_laws, likeliest
 from odomcorrupt.study.search.score import score_columns
 from odomcorrupt.study.search.steering import hardly_turns
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.search.law_scores import ScoredLaw
@@ -70,10 +72,20 @@ class Unknown:
         return self.law.law.wavelength_m or None if self.law is not None else None
 
 
-def unknown_dependences(fit: Fit, believed: Array) -> list[Unknown]:
-    """Return the dependences that nothing believed explains, the plainest first; usually none."""
+def unknown_dependences(fit: Fit, believed: Array, likely: Sequence[ScoredLaw] | None = None) -> list[Unknown]:
+    """Return the dependences that nothing believed explains, the plainest first; usually none.
+
+    Parameters
+    ----------
+    fit : the fitted model
+    believed : (K, 3, q)
+        Columns of what is believed already.
+    likely : the likeliest laws, where they are known already
+
+    """
+    likely = likeliest(fit, believed) if likely is None else likely
     still = hardly_turns(fit)
-    laws = {(found.law.driver, found.action.channel): found for found in best_laws(fit, believed)}
+    laws = {(found.law.driver, found.action.channel): found for found in best_laws(likely)}
     found = []
     for (driver, channel, per), where, score in _curves(fit, believed):
         if channel == "yaw" and still:

@@ -1,0 +1,58 @@
+"""Laws that may be believed: where nothing known explains more, or instead of a name that only stood in for one."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.study.fitting.drift import ten_second_error
+from odomcorrupt.study.search.candidates import HARM
+from odomcorrupt.study.search.refit import again
+from odomcorrupt.study.search.rivals import CHALLENGE_NATS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.rivals import Rivalry
+    from odomcorrupt.study.search.unknown import Unknown
+
+__all__ = ["Lawful", "believable", "challenger"]
+
+_TRIED = 4
+
+
+class Lawful(NamedTuple):
+    """A dependence whose law may be believed, the fit with it, and the nats that it gains, prices paid."""
+
+    law: Unknown
+    fit: Fit
+    nats: float
+
+
+def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: Sequence[Unknown]) -> Lawful | None:
+    """Return the plainest dependence whose law gains and does not spoil the path."""
+    have = {effect.name for effect in fitted.effects}
+    lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
+    for one, law in lawful[:_TRIED]:
+        with_it = again(fitted, free_clocks, (*fitted.effects, law.effect))
+        gain = with_it.log_likelihood - fitted.log_likelihood - law.price
+        if gain > 0.0 and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
+            return Lawful(one, with_it, gain)
+    return None
+
+
+def challenger(
+    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rivalries: Mapping[str, Rivalry]
+) -> Lawful | None:
+    """Return a law that explains plainly more than a known effect which was added, believed in its place."""
+    for effect in fitted.effects:
+        one = rivalries[effect.name].better_law() if effect.name in rivalries else None
+        law = one.law if one is not None else None
+        others = [e for e in fitted.effects if e is not effect]
+        if one is None or law is None or law.effect.name in {e.name for e in others}:
+            continue
+        with_it = again(fitted, free_clocks, (*others, law.effect))
+        gain = with_it.log_likelihood - fitted.log_likelihood - law.price + rivalries[effect.name].price
+        if gain > CHALLENGE_NATS and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
+            return Lawful(one, with_it, gain)
+    return None
