@@ -30,7 +30,12 @@ BODY_SUMS = slice(9, SUMS)
 """Those of the body."""
 
 FLOOR = 1e-9
-"""Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none."""
+"""Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none.
+
+Nor would one that turned once and then drove straight: there the floor alone keeps the matrix positive, so covariances
+are written with all their digits. Rounded to those of a float32 they would pack into 16 % less, though in no less time,
+and of such drives every second matrix would be none of a covariance.
+"""
 
 
 @dataclass(frozen=True, slots=True)

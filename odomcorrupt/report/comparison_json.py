@@ -80,7 +80,7 @@ def _failure(f: Failure) -> dict[str, Any]:
         "expected": _number(f.expected),
         "amount": _number(f.amount),
         "p": math.exp(f.log_p),
-        "log_p": f.log_p,
+        "log_p": _number(f.log_p),
         "besides_the_ones_before": f.besides,
         "recording": f.recording or None,
         "span_s": None if f.span_s is None else list(f.span_s),
