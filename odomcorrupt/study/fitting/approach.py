@@ -51,7 +51,7 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
     """Return what suits the worst of the recordings."""
     noise_m = max(float(np.hypot(*truth_noise(r.truth)[:2])) / np.sqrt(2.0) for r in recordings)
     spacing_s = _COARSE_NODE_S if noise_m > _COARSE_TRUTH_M else NODE_S
-    if any(np.isnan(r.truth.xyt[:, 2]).all() for r in recordings):
+    if not all(r.headed for r in recordings):
         spacing_s = _BLIND_NODE_S
     sides = {choose_side(r, spacing_s) for r in recordings}
     return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)

@@ -83,7 +83,7 @@ class Problem:
     @property
     def headings(self) -> bool:
         """Whether the truth of every recording has headings of its own."""
-        return all(np.isfinite(r.truth.xyt[:, 2]).all() for r in self.recordings)
+        return all(r.headed for r in self.recordings)
 
     @property
     def steps(self) -> Increments:

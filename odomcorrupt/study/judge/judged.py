@@ -17,7 +17,7 @@ from odomcorrupt.study.judge.doubt import Doubt, doubt_of
 from odomcorrupt.study.judge.wander import wandering_covariance
 from odomcorrupt.study.likelihood.whitener import Whitener, interval_covariance, whitener
 from odomcorrupt.study.likelihood.windows import WindowErrors, distance_windows, window_errors
-from odomcorrupt.study.recordings.headings import UNKNOWN_RAD
+from odomcorrupt.study.recordings.headings import UNKNOWN_RAD, headed_anew
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -64,7 +64,7 @@ class Judged:
     @property
     def headed(self) -> bool:
         """Whether the truth has headings of its own."""
-        return self.recording.heading_error_rad is None
+        return self.recording.headed
 
     @property
     def covariance(self) -> Array:
@@ -94,7 +94,7 @@ def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, 
     problem = pose_problem([recording], effects, approach=approach)
     nodes = problem.nodes
     q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
-    headed = recording.heading_error_rad is None
+    headed = recording.headed
     truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
     band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in WANDERING]
@@ -103,12 +103,13 @@ def judge_stretch(recording: Recording, model: MotionModel, approach: Approach, 
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
     # what wanders over all of a run belongs to no single interval
     own += (white.log_det - band.log_det) / own.size
+    left = headed_anew(undo(recording, effects))
     as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
     return Judged(
         recording=recording,
-        left=undo(recording, effects),
+        left=left,
         model=model,
-        truth=truth if headed else replace(truth, yaw_rad=float(recording.heading_error_rad or 0.0)),
+        truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
         q=q + wandering_covariance(_noisy(model), nodes, problem.motions[0]),

@@ -105,7 +105,7 @@ def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
     for recording in recordings:
         truth, estimate = _at_truth(recording)
         aligned.append(absolute_errors(truth, aligned_rigidly(truth, estimate)))
-        if recording.heading_error_rad is None:
+        if recording.headed:
             origin.append(absolute_errors(truth, aligned_at_origin(truth, estimate)))
             motions = relative_errors(truth, estimate, RPE_M)
             shift.append(motions.translation_m)

@@ -3,6 +3,10 @@
 Around every truth sample a few metres of the odometry's path are turned onto the truth's positions; the turn gives the
 heading there. Because the odometry had a hand in it, the likelihood treats these headings as unknown (their variance is
 `UNKNOWN_RAD` squared, flat over what a linearisation can bear), and only the positions carry information.
+
+Errors at the end of a window need a heading to start from, too. There each model is given the headings that its own
+odometry, with its effects taken out, has when laid onto the positions: a model is not blamed for what the uncorrected
+odometry bends in the headings.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from odomcorrupt.study.recordings.trajectory import Trajectory
 if TYPE_CHECKING:
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["UNKNOWN_RAD", "with_headings"]
+__all__ = ["UNKNOWN_RAD", "headed_anew", "with_headings"]
 
 UNKNOWN_RAD = 0.5
 _REACH_M = 4.0
@@ -25,9 +29,16 @@ _REACH_M = 4.0
 
 def with_headings(recording: Recording) -> Recording:
     """Return the recording with headings for its truth where it has none, and how far off they may be."""
+    return _headed(recording) if np.isnan(recording.truth.xyt[:, 2]).all() else recording
+
+
+def headed_anew(recording: Recording) -> Recording:
+    """Return the recording with the headings that its odometry, as it is now, gives to a truth of positions alone."""
+    return recording if recording.heading_error_rad is None else _headed(recording)
+
+
+def _headed(recording: Recording) -> Recording:
     truth = recording.truth
-    if not np.isnan(truth.xyt[:, 2]).all():
-        return recording
     odo_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
     inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
     odometry = recording.odometry.at(np.clip(truth_s, odo_s[0], odo_s[-1]), recording.origin_ns)

@@ -81,6 +81,11 @@ class Recording:
     clock: str = ""
 
     @property
+    def headed(self) -> bool:
+        """Whether the truth measured headings: those that were given to positions are none."""
+        return self.heading_error_rad is None and bool(np.isfinite(self.truth.xyt[:, 2]).all())
+
+    @property
     def odometry_s(self) -> Array:
         """Times of the odometry (n,), seconds since the origin."""
         return self.odometry.seconds_since(self.origin_ns)
