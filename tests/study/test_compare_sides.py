@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
@@ -12,6 +13,7 @@ from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.study.judge.compare import compare
+from odomcorrupt.study.recordings.trajectory import Trajectory
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
@@ -44,3 +46,22 @@ def test_notes_name_the_random_effects_that_are_not_counted_and_no_others(run):
     note = next(note for note in left_out.notes if "does not count" in note)
     assert "heavy_tails" in note
     assert "gauss_markov" not in note
+
+
+def test_a_truth_of_positions_alone_shows_the_fall_that_headings_would_show():
+    """Headings made of the odometry are no measurement: a model refitted on half a drive must not be fitted to them."""
+    steps = wander(5, 240.0)
+    turning = replace(steps, dtheta_rad=steps.dtheta_rad + 0.004 / 50.0)
+    seen = recording(steps, noisy_path(turning, Coefficients(0.002, 0.001, 0.003, 0.001), 5), seed=5)
+    no_yaw = np.column_stack((seen.truth.xyt[:, :2], np.full(len(seen.truth), np.nan)))
+    blind = replace(seen, truth=Trajectory(seen.truth.stamps_ns, no_yaw))
+    known = {"recordings": [seen.name]}
+    plain = MotionModel(Noise("diffusion", PLANTED), source=known)
+    biased = replace(plain, effects=(effect_from_values("gyro_bias", {"bias": 0.004}),))
+    falls = []
+    for run in (seen, blind):
+        before, after = (j.ten_second_error_m for j in compare([run], {"plain": plain, "biased": biased}).judgements)
+        falls.append(after / before)
+    with_headings, positions_alone = falls
+    assert with_headings < 0.5
+    assert positions_alone == pytest.approx(with_headings, abs=0.15)
