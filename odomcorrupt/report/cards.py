@@ -32,7 +32,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
-    found += [_effect(look, learned, *own[look.added], ladder) for look in learned.rounds if look.added in own]
+    found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
     found += [_noise(gain) for gain in learned.noise]
     found += [_unknown(unknown, believed=unknown in learned.laws) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []

@@ -87,8 +87,8 @@ _UNKNOWN = "What is left when everything that was found is taken out, as a curve
 def _verdict(learned: Learned) -> str:
     parts = []
     if learned.added:
-        steps = [look for look in learned.rounds if look.added in learned.added]
-        names = [" or ".join((str(look.added), *look.alternatives)) for look in steps]
+        named = [look for look in learned.steps if look.added is not None]
+        names = [" or ".join((str(look.added), *look.alternatives)) for look in named]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")

@@ -37,9 +37,8 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found = [*_clocks_found(learned)]
-    steps = [look for look in learned.rounds if look.step is not None]
-    for place, look in enumerate(steps):
-        if look.added is not None and look.added in own:
+    for place, look in enumerate(learned.steps):
+        if look.added is not None:
             effect, spread = own[look.added]
             sure = confidence(evidence_of(look, learned))
             held_out = _held_out(ladder[place], ladder[place + 1])

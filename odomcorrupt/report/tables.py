@@ -79,7 +79,7 @@ def words_text(effect: Effect) -> str:
 def ladder_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
     lines = []
-    for look in learned.rounds:
+    for look in learned.steps:
         if look.added is not None:
             before, after = look.candidates[0].rmse
             rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""

@@ -31,7 +31,7 @@ def advise(learned: Learned) -> Advice:
     """Return what these data leave open, and the drives that would settle it."""
     drives = Drives(learned)
     choices, gains = [], []
-    for look in learned.rounds:
+    for look in learned.steps:
         for asked in (open_choices, clock_choices):
             found, told = asked(drives, look)
             choices += found

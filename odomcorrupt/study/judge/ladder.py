@@ -23,7 +23,9 @@ def ladder_comparison(learned: Learned, recordings: Sequence[Recording], first: 
     recordings : what to judge on; those of the search are cut in halves, one fitted and the other judged
     first : what the model is called that the search began with
     """
-    steps = [look for look in learned.rounds if look.step is not None]
-    fits = [*(look.before for look in steps), learned.fit]
+    steps = learned.steps
+    # what was tried on the way and left again is no step
+    before = [look.before for look in (*learned.rounds[:1], *steps[1:])] if steps else []
+    fits = [*before, learned.fit]
     names = [first, *(f"+ {look.step}" for look in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

@@ -103,8 +103,14 @@ class Learned:
     @property
     def added(self) -> tuple[str, ...]:
         """Names of what the loop added and kept, in order."""
+        return tuple(look.added for look in self.steps if look.added is not None)
+
+    @property
+    def steps(self) -> tuple[Round, ...]:
+        """Looks whose addition the final model still has; of one that left and came back, the later look."""
         kept = {effect.name for effect in self.fit.effects}
-        return tuple(r.added for r in self.rounds if r.added in kept)
+        stayed = {look.step: look for look in self.rounds if look.added in kept or look.law in self.laws}
+        return tuple(look for look in self.rounds if stayed.get(look.step) is look)
 
 
 @dataclass(frozen=True, slots=True)
