@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Unknown", "unknown_dependences"]
 
 _LEVEL = 0.01
+_OF_TURNS = ("yaw_rate", "yaw_acceleration")
 _LEAST_NATS = 4.0
 """What a curve without any law to it has to gain: drivers who answer to the noise bend curves a little, too."""
 
@@ -88,7 +89,7 @@ def unknown_dependences(fit: Fit, believed: Array, likely: Sequence[ScoredLaw] |
     laws = {(found.law.driver, found.action.channel): found for found in best_laws(likely)}
     found = []
     for (driver, channel, per), where, score in _curves(fit, believed):
-        if channel == "yaw" and still:
+        if channel == "yaw" and still and (per == "rad" or driver in _OF_TURNS):
             continue
         law = laws.get((driver, channel))
         nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
