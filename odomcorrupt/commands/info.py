@@ -6,6 +6,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
+from odomcorrupt.report.finite import finite
 
 __all__ = ["command"]
 
@@ -33,5 +34,5 @@ def command(
         seen = survey(reader, progress)
         losses = list(reader.losses)
     values = portrait(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
-    click.echo(json.dumps(values, indent=2) if as_json else portrait_text(values))
+    click.echo(json.dumps(finite(values), indent=2, allow_nan=False) if as_json else portrait_text(values))
     return report_losses(losses)

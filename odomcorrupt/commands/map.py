@@ -11,6 +11,7 @@ from odomcorrupt.commands._model import AlphaCommand, choose_model, model_option
 from odomcorrupt.commands._move import MODEL_OPTIONS
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.report.finite import finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -157,4 +158,4 @@ def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
         "added_m": added_thickness(surveys[0].thickness_m, surveys[1].thickness_m).tolist(),
         "notes": list(notes),
     }
-    return json.dumps(content, indent=1)
+    return json.dumps(finite(content), indent=1, allow_nan=False)

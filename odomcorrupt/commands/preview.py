@@ -15,6 +15,7 @@ from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_mode
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import Progress
+from odomcorrupt.report.finite import finite
 
 __all__ = ["command"]
 
@@ -67,7 +68,7 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
     )
     outlook = forecast(drive, chosen.model, paths, first_run=given["run"])
     if given["as_json"]:
-        click.echo(json.dumps(forecast_json(outlook, chosen.model, seed), indent=2))
+        click.echo(json.dumps(finite(forecast_json(outlook, chosen.model, seed)), indent=2, allow_nan=False))
     else:
         click.echo(forecast_text(outlook, chosen.model, chosen.origin, seed))
     if output is not None:

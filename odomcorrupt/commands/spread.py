@@ -10,6 +10,7 @@ import click
 
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.report.finite import finite
 
 if TYPE_CHECKING:
     from odomcorrupt.batch.spread import SpreadReport
@@ -40,7 +41,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: b
     if as_json:
         rows = [asdict(row) for row in report.rows]
         words = {"directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
-        click.echo(json.dumps({**words, "rows": rows}, indent=2))
+        click.echo(json.dumps(finite({**words, "rows": rows}), indent=2, allow_nan=False))
     else:
         click.echo(_text(report))
     if output is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.report.finite import finite
 from odomcorrupt.report.sentences import SIGNS, judgement_sentence, sentence
 
 if TYPE_CHECKING:
@@ -22,46 +23,49 @@ SCHEMA = 1
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison."""
-    return {
-        "schema": SCHEMA,
-        "signs": SIGNS,
-        "recordings": list(comparison.recordings),
-        "clocks": [
-            {"recording": name, "offset_s": clock.offset_s, "skew": clock.rate}
-            for name, clock in zip(comparison.recordings, comparison.clocks.clocks, strict=True)
-        ],
-        "raw_ten_second_error_m": _number(comparison.raw_error_m),
-        "aligned_ten_second_error_m": _number(comparison.clock_error_m),
-        "aligned_trajectory": _trajectory(comparison.clock_trajectory),
-        "models": [_judgement(j) for j in comparison.judgements],
-    }
+    told: dict[str, Any] = finite(
+        {
+            "schema": SCHEMA,
+            "signs": SIGNS,
+            "recordings": list(comparison.recordings),
+            "clocks": [
+                {"recording": name, "offset_s": clock.offset_s, "skew": clock.rate}
+                for name, clock in zip(comparison.recordings, comparison.clocks.clocks, strict=True)
+            ],
+            "raw_ten_second_error_m": comparison.raw_error_m,
+            "aligned_ten_second_error_m": comparison.clock_error_m,
+            "aligned_trajectory": _trajectory(comparison.clock_trajectory),
+            "models": [_judgement(j) for j in comparison.judgements],
+        }
+    )
+    return told
 
 
 def _judgement(j: Judgement) -> dict[str, Any]:
     return {
         "name": j.name,
         "held_out": "halves" if j.refitted else "recordings",
-        "ten_second_error_m": _number(j.ten_second_error_m),
-        "nats_per_m": _number(j.nats.per_m),
-        "nats_per_m_error": _number(j.nats.error),
-        "gain_over_first_nats_per_m": _number(j.nats.gain_per_m),
-        "gain_error": _number(j.nats.gain_error),
+        "ten_second_error_m": j.ten_second_error_m,
+        "nats_per_m": j.nats.per_m,
+        "nats_per_m_error": j.nats.error,
+        "gain_over_first_nats_per_m": j.nats.gain_per_m,
+        "gain_error": j.nats.gain_error,
         "blocks": j.nats.blocks,
         "verdict": {
             "rejected": j.verdict.rejected,
             "level": j.verdict.level,
-            "looks": [{"question": look.question, "p": _number(look.p)} for look in j.verdict.looks],
+            "looks": [{"question": look.question, "p": look.p} for look in j.verdict.looks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },
         "horizons": [_horizon(h) for h in j.horizons],
         "pit": {
-            name: {"p": pit.p, "inside_95": pit.inside, "at": _list(pit.at), "difference": _list(pit.difference),
-                   "low": _list(pit.low), "high": _list(pit.high)}
+            name: {"p": pit.p, "inside_95": pit.inside, "at": pit.at, "difference": pit.difference,
+                   "low": pit.low, "high": pit.high}
             for name, pit in j.pits.items()
         },
         "whiteness": {
-            name: {"p": _number(w.p), "ljung_box": _number(w.statistic), "correlation": _list(w.correlation)}
+            name: {"p": w.p, "ljung_box": w.statistic, "correlation": w.correlation}
             for name, w in j.whiteness.items()
         },
         "trajectory": _trajectory(j.trajectory),
@@ -76,11 +80,11 @@ def _failure(f: Failure) -> dict[str, Any]:
         "channel": f.channel,
         "where": f.where,
         "unit": ("rad" if f.channel == "yaw" else "m") + (f"/{f.per}" if f.per else ""),
-        "measured": _number(f.measured),
-        "expected": _number(f.expected),
-        "amount": _number(f.amount),
+        "measured": f.measured,
+        "expected": f.expected,
+        "amount": f.amount,
         "p": math.exp(f.log_p),
-        "log_p": _number(f.log_p),
+        "log_p": f.log_p,
         "besides_the_ones_before": f.besides,
         "recording": f.recording or None,
         "span_s": None if f.span_s is None else list(f.span_s),
@@ -97,11 +101,11 @@ def _horizon(h: Horizon) -> dict[str, Any]:
         "expected": _channels(h.expected),
         "bias": _channels(h.bias),
         "excess_p": _by_name(h.excess_p),
-        "position_measured_m": _number(h.position_measured),
-        "position_expected_m": _number(h.position_expected),
-        "nees_per_dof": _number(h.nees),
-        "nees_95": _list(h.nees_bounds),
-        "nees_p": _number(h.nees_p),
+        "position_measured_m": h.position_measured,
+        "position_expected_m": h.position_expected,
+        "nees_per_dof": h.nees,
+        "nees_95": h.nees_bounds,
+        "nees_p": h.nees_p,
         "coverage_50": _by_name(h.coverage_50),
         "coverage_90": _by_name(h.coverage_90),
         "crps": _channels(h.crps),
@@ -110,24 +114,16 @@ def _horizon(h: Horizon) -> dict[str, Any]:
 
 def _trajectory(e: TrajectoryError) -> dict[str, Any]:
     return {
-        "ate_rmse_m": _number(e.ate_m),
-        "ate_origin_rmse_m": _number(e.ate_origin_m),
-        "rpe_1m_rmse_m": _number(e.rpe_m),
-        "rpe_1m_rmse_rad": _number(e.rpe_rad),
+        "ate_rmse_m": e.ate_m,
+        "ate_origin_rmse_m": e.ate_origin_m,
+        "rpe_1m_rmse_m": e.rpe_m,
+        "rpe_1m_rmse_rad": e.rpe_rad,
     }
 
 
-def _channels(values: Iterable[float]) -> dict[str, float | None]:
-    return dict(zip(("along_m", "across_m", "yaw_rad"), map(_number, values), strict=True))
+def _channels(values: Iterable[float]) -> dict[str, float]:
+    return dict(zip(("along_m", "across_m", "yaw_rad"), values, strict=True))
 
 
-def _by_name(values: Iterable[float]) -> dict[str, float | None]:
-    return dict(zip(("along", "across", "yaw"), map(_number, values), strict=True))
-
-
-def _list(values: Iterable[float]) -> list[float | None]:
-    return [_number(v) for v in values]
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _by_name(values: Iterable[float]) -> dict[str, float]:
+    return dict(zip(("along", "across", "yaw"), values, strict=True))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.advice import drive_sentence
+from odomcorrupt.report.finite import finite
 from odomcorrupt.report.found import position_error
 from odomcorrupt.study.judge.clock_gain import clock_gain
 from odomcorrupt.study.search.confidence import Evidence, confidence, evidence_of
@@ -44,19 +45,22 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
             held_out = _held_out(ladder[place], ladder[place + 1])
             found.append(_entry(effect, spread, look.alternatives, sure) | {"held_out": held_out})
     found += [_noise(gain) for gain in learned.noise]
-    return {
-        "schema": SCHEMA,
-        "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
-        "found": found,
-        "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
-        "unknown": [_unknown(u, believed=u in learned.laws) for u in learned.unknown],
-        "not_testable": [
-            {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
-            for one in advice.untestable
-        ],
-        "ladder": [_step(judgement) for judgement in ladder],
-        **_advice(advice),
-    }
+    told: dict[str, Any] = finite(
+        {
+            "schema": SCHEMA,
+            "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
+            "found": found,
+            "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
+            "unknown": [_unknown(u, believed=u in learned.laws) for u in learned.unknown],
+            "not_testable": [
+                {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
+                for one in advice.untestable
+            ],
+            "ladder": [_step(judgement) for judgement in ladder],
+            **_advice(advice),
+        }
+    )
+    return told
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
@@ -67,13 +71,13 @@ def _advice(advice: Advice) -> dict[str, Any]:
                 "names": list(choice.names),
                 "why": choice.why,
                 "drive": drive_sentence(choice.plan) if choice.plan else None,
-                "expected_nats": _number(choice.nats) if choice.plan else 0.0,
+                "expected_nats": choice.nats if choice.plan else 0.0,
                 "hint": choice.hint,
             }
             for choice in advice.choices
         ],
         "detectable": [
-            {"effect": limit.effect, "parameter": limit.parameter, "size": _number(limit.size), "unit": limit.unit}
+            {"effect": limit.effect, "parameter": limit.parameter, "size": limit.size, "unit": limit.unit}
             for limit in advice.limits
         ],
         "next_drive": None
@@ -101,9 +105,9 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
                 change = change or clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
                 held_out = {
                     "nats_per_m": [None, None],
-                    "rmse_10m": [_number(e) for e in change.after_10m],
-                    "rmse_50m": [_number(e) for e in change.after_50m],
-                    "rmse_10s": [_number(e) for e in change.after_10s],
+                    "rmse_10m": change.after_10m,
+                    "rmse_50m": change.after_50m,
+                    "rmse_10s": change.after_10s,
                 }
                 yield _entry(kinds[name](**{p.name: value}), [errors[position]], (), sure) | {"held_out": held_out}
                 break
@@ -117,16 +121,12 @@ def _noise(gain: RandomGain) -> dict[str, Any]:
     return entry | {"held_out": None}
 
 
-def _position(judgement: Judgement, distance_m: float) -> float | None:
-    return _number(position_error(judgement, distance_m))
-
-
 def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     return {
-        "nats_per_m": [_number(before.nats.per_m), _number(after.nats.per_m)],
-        "rmse_10m": [_position(before, 10.0), _position(after, 10.0)],
-        "rmse_50m": [_position(before, 50.0), _position(after, 50.0)],
-        "rmse_10s": [_number(before.ten_second_error_m), _number(after.ten_second_error_m)],
+        "nats_per_m": [before.nats.per_m, after.nats.per_m],
+        "rmse_10m": [position_error(before, 10.0), position_error(after, 10.0)],
+        "rmse_50m": [position_error(before, 50.0), position_error(after, 50.0)],
+        "rmse_10s": [before.ten_second_error_m, after.ten_second_error_m],
     }
 
 
@@ -135,11 +135,11 @@ def _unknown(unknown: Unknown, *, believed: bool) -> dict[str, Any]:
         "channel": unknown.channel,
         "depends_on": unknown.driver,
         "detail": {
-            "centres": unknown.centres.tolist(),
-            "curve": [_number(v) for v in unknown.curve],
-            "standard_error": [_number(v) for v in unknown.curve_error],
-            "p": _number(unknown.p),
-            "nats": _number(unknown.nats),
+            "centres": unknown.centres,
+            "curve": unknown.curve,
+            "standard_error": unknown.curve_error,
+            "p": unknown.p,
+            "nats": unknown.nats,
             "per": unknown.per,
             "wavelength_m": unknown.wavelength_m,
             "wheels": unknown.wheels,
@@ -154,7 +154,7 @@ def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str],
         "effect": effect.name,
         "kind": effect.kind,
         "parameters": {
-            p.name: {"value": getattr(effect, p.name), "standard_error": _number(error), "unit": p.unit}
+            p.name: {"value": getattr(effect, p.name), "standard_error": error, "unit": p.unit}
             for p, error in zip(amplitudes(effect), errors, strict=True)
         }
         | {
@@ -172,10 +172,10 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     score = candidate.score
     return {
         "effect": score.effect.name,
-        "evidence_nats": _number(candidate.gain if candidate.fit is not None else 0.5 * score.statistic),
-        "p": _number(score.p),
-        "held_out_nats": _number(score.held_out_nats),
-        "estimate": {p.name: _number(v) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
+        "evidence_nats": candidate.gain if candidate.fit is not None else 0.5 * score.statistic,
+        "p": score.p,
+        "held_out_nats": score.held_out_nats,
+        "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
         "refused": candidate.refused or None,
     }
 
@@ -183,12 +183,8 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
 def _step(judgement: Judgement) -> dict[str, Any]:
     return {
         "model": judgement.name,
-        "rmse_10s": _number(judgement.ten_second_error_m),
-        "rmse_10m": _position(judgement, 10.0),
-        "rmse_50m": _position(judgement, 50.0),
-        "nats_per_m": _number(judgement.nats.per_m),
+        "rmse_10s": judgement.ten_second_error_m,
+        "rmse_10m": position_error(judgement, 10.0),
+        "rmse_50m": position_error(judgement, 50.0),
+        "nats_per_m": judgement.nats.per_m,
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
