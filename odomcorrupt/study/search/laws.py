@@ -50,7 +50,12 @@ _SETTLE_S = (30.0, 80.0, 200.0)
 _CUTS = np.linspace(0.05, 0.95, 19)
 _PLACES = 7
 _RADII_M = (0.8, 1.3, 2.0)
+_OUTER = (0.03, 0.97)
+"""Parts of the way between which places are looked for."""
 _STRIPS = 12
+_STRIP_APART_M, _MOST_STRIPS = 0.8, 25
+_THIN = 10
+"""Of so many places one is enough to see where the robot was."""
 _HALF_WIDTHS_M = (0.4, 0.8)
 _BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
 _REFINING = 2
@@ -234,24 +239,33 @@ def _disc(shape: tuple[float, ...]) -> Law:
 
 
 def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
+    """Yield strips across what was visited, each turned about the middle of where the robot was in it."""
+    x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
     for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
         c, s = np.cos(angle), np.sin(angle)
-        middles = _spread(np.concatenate([c * m.x + s * m.y for m in motions]))
+        place = c * x + s * y
+        low, high = np.quantile(place, _OUTER)
+        middles = np.linspace(low, high, int(np.clip((high - low) / _STRIP_APART_M, _PLACES, _MOST_STRIPS)))
         for middle, half in product(middles, _HALF_WIDTHS_M):
-            yield _strip((float(angle), float(middle), half))
+            inside = np.abs(place - middle) < half
+            if inside.any():
+                way = float(np.mean(c * y[inside] - s * x[inside]))
+                yield _strip((float(angle), float(c * middle - s * way), float(s * middle + c * way), half))
 
 
 def _strip(shape: tuple[float, ...]) -> Law:
-    angle, middle, half = shape[0], shape[1], max(shape[2], 0.05)
+    """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
+    angle, x, y, half = *shape[:3], max(shape[3], 0.05)
     c, s = float(np.cos(angle)), float(np.sin(angle))
+    middle = c * x + s * y
     return Law(
         "position",
         f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)",
         (_band(c, s, middle, half),),
         2 * _STRIPS * _PLACES * len(_HALF_WIDTHS_M) * _REFINING**3,
         reaches=("body", "both"),
-        shape=shape,
-        steps=(0.2, 0.4, 0.2),
+        shape=(angle, x, y, half),
+        steps=(0.2, 0.4, 0.4, 0.2),
         remade=_strip,
     )
 
@@ -281,7 +295,7 @@ def _less(value: float) -> str:
 
 def _spread(values: Array) -> Array:
     """Return places (_PLACES,) along an axis that span nearly all of the values."""
-    low, high = np.quantile(values, 0.03), np.quantile(values, 0.97)
+    low, high = np.quantile(values, _OUTER)
     return np.linspace(float(low), float(high), _PLACES)
 
 
