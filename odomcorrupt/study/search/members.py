@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.errors import EffectError
+from odomcorrupt.study.search.sampled import Glance
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
@@ -23,9 +24,11 @@ __all__ = ["UNUSUAL_NATS", "best_member"]
 
 UNUSUAL_NATS = 4.0
 """What a word other than the usual one, a heading from a gyro, has to explain on top."""
-_REFINEMENTS = (0.4, 0.2, 0.1, 0.05, 0.02)
-"""Steps of shapes, in parts of their typical sizes."""
+_AT_A_GLANCE, _REFINEMENTS = (0.4, 0.2, 0.1), (0.1, 0.05, 0.02)
+"""Steps of shapes, in parts of their typical sizes: first about, then exactly."""
 _WORTH_NATS = 0.2
+_LARGE = 12
+"""Of a larger family so many are looked at exactly."""
 _STARTS, _PLAIN = 4, 60.0
 """From how many members the search goes on where the best explains so much (chi-square): hills have neighbours.
 What explains less does not show its finer features either."""
@@ -48,22 +51,28 @@ def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
     """
     if len(family) == 1 and not choices(family[0]):
         return family[0]
-    gain = _gain_on(fit, believed)
-    usual = _best_of(family, gain)
+    gain, about = _gain_on(fit, believed), _about_on(fit, believed)
+    usual = _best_of(family, gain, about)
     unusual = [
-        _best_of(others, gain) for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
+        _best_of(others, gain, about)
+        for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
     ]
     most, best = max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))
     words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
-    touches = [_refined(other, gain) for other in _said_otherwise(best, words)]
+    touches = [_refined(_climbed(other, about), gain) for other in _said_otherwise(best, words)]
     return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
 
 
-def _best_of(family: Sequence[Effect], gain: Callable[[Effect], float]) -> tuple[float, Effect]:
-    """Return the gain and the member of the highest hill."""
+def _best_of(
+    family: Sequence[Effect], gain: Callable[[Effect], float], about: Callable[[Sequence[Effect]], Array]
+) -> tuple[float, Effect]:
+    """Return the gain and the member of the highest hill; of a large family, of those that may be on it at a glance."""
+    if len(family) > _LARGE:
+        gains = about(family)
+        family = [family[i] for i in np.argsort(-gains, kind="stable")[:_LARGE]]
     ranked = sorted(((gain(member), member) for member in family), reverse=True, key=itemgetter(0))
     starts = _starts([member for _, member in ranked], ranked[0][0])
-    return max((_refined(start, gain) for start in starts), key=itemgetter(0))
+    return max((_refined(_climbed(start, about), gain) for start in starts), key=itemgetter(0))
 
 
 def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
@@ -82,6 +91,21 @@ def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
     return gain
 
 
+def _about_on(fit: Fit, believed: Array) -> Callable[[Sequence[Effect]], Array]:
+    """Return about the chi-square (J,) that each effect of one amplitude explains of what the believed ones leave."""
+    left, glance = left_over(fit, believed), Glance(fit.problem)
+
+    def gains(family: Sequence[Effect]) -> Array:
+        try:
+            columns = left.of(fit.noise.whitener.whiten(glance.columns(family)))
+        except EffectError:
+            return np.zeros(len(family))
+        found: Array = (columns.T @ left.residual) ** 2 / np.maximum(np.einsum("ij,ij->j", columns, columns), 1e-300)
+        return found
+
+    return gains
+
+
 def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
     """Return members to refine, the best first: one, or where they explain plainly, some that differ in shape."""
     chosen = [ranked[0]]
@@ -95,6 +119,28 @@ def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
     return chosen
 
 
+def _climbed(effect: Effect, about: Callable[[Sequence[Effect]], Array]) -> Effect:
+    """Return the effect about at the top of the hill on which this one stands."""
+    shapes = [p for p in parameters(effect) if not p.amplitude]
+    if not shapes or len(amplitudes(effect)) != 1:
+        return effect
+    for fraction in _AT_A_GLANCE:
+        while True:
+            near = [effect, *(moved for p in shapes for moved in _beside(effect, p, fraction))]
+            gains = about(near)
+            best = int(np.argmax(gains))
+            if gains[best] <= gains[0] + _WORTH_NATS:
+                break
+            effect = near[best]
+    return effect
+
+
+def _beside(effect: Effect, p: Parameter, fraction: float) -> list[Effect]:
+    """Return the effect with one number of its shape a step down and up."""
+    values = [float(np.clip(getattr(effect, p.name) + s * fraction * p.typical, p.low, p.high)) for s in (-1.0, 1.0)]
+    return [replace(effect, **{p.name: value}) for value in values]  # type: ignore[type-var]  # effects are dataclasses
+
+
 def _refined(effect: Effect, gain: Callable[[Effect], float]) -> tuple[float, Effect]:
     """Return the gain and the effect at the top of the hill on which this one stands."""
     shapes = [p for p in parameters(effect) if not p.amplitude]
@@ -104,9 +150,7 @@ def _refined(effect: Effect, gain: Callable[[Effect], float]) -> tuple[float, Ef
         while better:
             better = False
             for p in shapes:
-                for step in (-fraction * p.typical, fraction * p.typical):
-                    value = float(np.clip(getattr(best, p.name) + step, p.low, p.high))
-                    moved = replace(best, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
+                for moved in _beside(best, p, fraction):
                     if (new := gain(moved)) > most + _WORTH_NATS:
                         best, most, better = moved, new, True
     return most, best

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.study.search.actions import MOVES, actions_on, views
 from odomcorrupt.study.search.laws import laws
+from odomcorrupt.study.search.sampled import sampled
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
@@ -16,17 +16,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.effects.effect import Motion
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
-    from odomcorrupt.study.likelihood.nodes import Nodes
     from odomcorrupt.study.search.actions import Action
     from odomcorrupt.study.search.laws import Law
 
 __all__ = ["QuickLook", "Tried"]
 
-_SAMPLES = 5
-"""Increments of each interval that are looked at."""
 _KEPT = 20
 """Laws of each driver that are whitened."""
 _SCALES = (1.0, 0.5, 0.25, 0.125)
@@ -53,7 +49,7 @@ class QuickLook:
         self._whiten, self._left = fit.noise.whitener.whiten, left_over(fit, believed)
         self._pull = fit.noise.whitener.pulled(self._left.residual)
         self._motions, self._nodes = fit.problem.motions, fit.problem.nodes
-        self._seen = views(_sampled(self._nodes, self._motions))
+        self._seen = views(sampled(self._nodes, self._motions))
         self._units: dict[Action, list[tuple[str, Array]]] = {}
 
     def everything(self) -> list[Tried]:
@@ -200,14 +196,3 @@ def _chi_squares(white: Array, own: Array, r: Array, first: NDArray[np.int64]) -
         if kept[pair].all() and np.linalg.cond(normal) < 1e6:
             gains[i] = 0.5 * score[pair] @ np.linalg.solve(normal, score[pair])
     return gains
-
-
-def _sampled(nodes: Nodes, motions: Sequence[Motion]) -> Motion:
-    """Return `_SAMPLES` increments of every interval, evenly spread, as one motion."""
-    last = np.append(nodes.first[1:], len(nodes.source)) - 1
-    steps = np.linspace(nodes.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
-    chosen = nodes.source[steps]
-    first = motions[0]
-    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
-    arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in motions])[chosen] for n in names}
-    return replace(first, **arrays)
