@@ -68,8 +68,8 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     away = np.exp(-1j * strip["direction"]) * (
         run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
     )
-    angle, middle, half = found.law.law.shape
-    found_away = np.cos(angle) * run.truth_xyt[:, 0] + np.sin(angle) * run.truth_xyt[:, 1] - middle
+    angle, x, y, half = found.law.law.shape
+    found_away = np.cos(angle) * (run.truth_xyt[:, 0] - x) + np.sin(angle) * (run.truth_xyt[:, 1] - y)
     wet = np.abs(away.imag) < 0.5 * strip["width"]
     assert 0.02 < wet.mean() < 0.8
     assert np.mean(wet == (np.abs(found_away) < half)) > 0.97

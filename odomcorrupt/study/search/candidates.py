@@ -20,7 +20,7 @@ from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.score import Score, score_tests
-from odomcorrupt.study.search.steering import is_gain_of_turns, may_be_steering
+from odomcorrupt.study.search.steering import acts_in_turns_only, hardly_turns, is_gain_of_turns, may_be_steering
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,10 +107,11 @@ def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
     count = len(fitted.problem.nodes)
     ranked = sorted(scores, key=lambda s: _evidence(s, trials[s.effect.name], count), reverse=True)
     candidates: list[Candidate] = []
+    still = hardly_turns(fitted)
     refits, leader = 0, -np.inf
     for score in ranked:
         refused = _objection(score)
-        refused = refused or _steered(fitted, score)
+        refused = refused or _steered(fitted, score, still=still)
         weight = _evidence(score, trials[score.effect.name], count)
         if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
@@ -149,10 +150,11 @@ def _objection(score: Score) -> str:
     return ""
 
 
-def _steered(fitted: Fit, score: Score) -> str:
+def _steered(fitted: Fit, score: Score, *, still: bool) -> str:
     """Return why an effect may be the driver's work, or nothing."""
     columns = fitted.problem.columns(score.effect)
-    if is_gain_of_turns(fitted, columns) and may_be_steering(fitted, columns, score.estimate):
+    answers = is_gain_of_turns(fitted, columns) and may_be_steering(fitted, columns, score.estimate)
+    if answers or (still and acts_in_turns_only(fitted, score.effect)):
         return "turns no larger than the noise: it may be a driver who steers back"
     return ""
 

@@ -4,7 +4,7 @@ With g the nats that a name gains and g_i those of its rivals (all less what the
 nats that curves over speed, time, heading and so on still gain when everything named is believed, and w those of
 gains that were named as wandering, the odds against the name are
 
-    sum_i exp(T (g_i - g))  +  exp(-T g)  +  exp(-T m)  +  ELSE + (LEFT u + WANDER w) / g
+    sum_i exp(T (g_i - g))  +  exp(-T g)  +  exp(LAW - T m)  +  ELSE + (LEFT u + WANDER w) / g
 
 rivals, nothing at all, a law of one driver (m: by how many nats the name explains more), and something else: a cause
 that is in no library is explained by a known one in part only, and what is left of it shows, as a curve or as noise
@@ -32,6 +32,9 @@ LEFT = 1.0
 """What is left unexplained, in parts of what the name explains, counts as much as odds against it."""
 WANDER = 0.2
 """The same of noise that remembers, which may well be there besides."""
+LAW = 1.5
+"""Nats by which a law of one driver is the likelier before: of 90 names of the laboratory's third and fourth runs that
+explained 2 to 6 nats more than the best law would, 81 were right and 9 wrong, 8 of these for causes of no library."""
 SLOPE, SHIFT = 1.0, 0.0
 """Of the calibration line in log odds; to be fitted to a reliability curve."""
 
@@ -66,7 +69,7 @@ def odds_against(evidence: Evidence) -> float:
     rivals = sum(exp(min(TEMPER * (g - evidence.own), 700.0)) for g in evidence.rivals if isfinite(g))
     nothing = exp(-min(TEMPER * evidence.own, 700.0))
     rest = LEFT * max(evidence.left, 0.0) + WANDER * max(evidence.wandering, 0.0)
-    law = exp(-min(max(TEMPER * evidence.margin, -700.0), 700.0))
+    law = exp(min(max(LAW - TEMPER * evidence.margin, -700.0), 700.0))
     return rivals + nothing + law + ELSE + rest / evidence.own
 
 

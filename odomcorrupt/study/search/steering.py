@@ -8,17 +8,21 @@ all of it on a straight line. Endogeneity of closed loops: Ljung 1999, System Id
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.motion import error_of
 from odomcorrupt.study.search.actions import MOVES
 
 if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["hardly_turns", "is_gain_of_turns", "may_be_steering"]
+__all__ = ["acts_in_turns_only", "hardly_turns", "is_gain_of_turns", "may_be_steering"]
 
 _ACTIVE = 1e-3
 _MOSTLY = 0.95
@@ -67,6 +71,16 @@ def hardly_turns(fit: Fit) -> bool:
     """Tell whether a whole drive has no turns to speak of, so that nothing can be said of the yaw error per turn."""
     white = fit.noise.whitener.whiten(_turned(fit)[:, :, None])
     return float(np.sum(white**2)) < _PLAIN_TURNS * len(fit.problem.nodes)
+
+
+def acts_in_turns_only(fit: Fit, effect: Effect) -> bool:
+    """Tell whether an effect does nothing to a robot that goes straight."""
+    changed = {p.name: p.identity + p.step for p in amplitudes(effect)}
+    acting = replace(effect, **changed)  # type: ignore[type-var]  # effects are dataclasses
+    straight = [
+        replace(m, omega=np.zeros(len(m)), acceleration=m.acceleration * [1.0, 1.0, 0.0]) for m in fit.problem.motions
+    ]
+    return not any(error_of(acting, m).any() for m in straight)
 
 
 def _turned(fit: Fit) -> Array:

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 __all__ = ["Unknown", "unknown_dependences"]
 
 _LEVEL = 0.01
-_OF_TURNS = ("yaw_rate", "yaw_acceleration")
+_OF_TURNS = ("yaw_rate", "yaw_acceleration", "heading")
+"""Drivers of which a drive that hardly turns shows nothing but how it is steered."""
 _LEAST_NATS = 4.0
 """What a curve without any law to it has to gain: drivers who answer to the noise bend curves a little, too."""
 
