@@ -20,7 +20,7 @@ from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
 from odomcorrupt.study.search.members import best_member
 from odomcorrupt.study.search.score import Score, score_tests
-from odomcorrupt.study.search.steering import acts_in_turns_only, hardly_turns, is_gain_of_turns, may_be_steering
+from odomcorrupt.study.search.steering import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -154,7 +154,7 @@ def _steered(fitted: Fit, score: Score, *, still: bool) -> str:
     """Return why an effect may be the driver's work, or nothing."""
     columns = fitted.problem.columns(score.effect)
     answers = is_gain_of_turns(fitted, columns) and may_be_steering(fitted, columns, score.estimate)
-    if answers or (still and acts_in_turns_only(fitted, score.effect)):
+    if answers or (still and acts_in_curves_only(fitted, score.effect)):
         return "turns no larger than the noise: it may be a driver who steers back"
     return ""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["acts_in_turns_only", "hardly_turns", "is_gain_of_turns", "may_be_steering"]
+__all__ = ["acts_in_curves_only", "hardly_turns", "is_gain_of_turns", "may_be_steering"]
 
 _ACTIVE = 1e-3
 _MOSTLY = 0.95
@@ -73,14 +73,20 @@ def hardly_turns(fit: Fit) -> bool:
     return float(np.sum(white**2)) < _PLAIN_TURNS * len(fit.problem.nodes)
 
 
-def acts_in_turns_only(fit: Fit, effect: Effect) -> bool:
-    """Tell whether an effect does nothing to a robot that goes straight."""
+def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
+    """Tell whether an effect does nothing to a robot that goes straight, nor to one that turns on the spot.
+
+    A heading knocked off and taken back within an interval has moved the robot sideways, as such an effect does.
+    """
     changed = {p.name: p.identity + p.step for p in amplitudes(effect)}
     acting = replace(effect, **changed)  # type: ignore[type-var]  # effects are dataclasses
-    straight = [
-        replace(m, omega=np.zeros(len(m)), acceleration=m.acceleration * [1.0, 1.0, 0.0]) for m in fit.problem.motions
-    ]
-    return not any(error_of(acting, m).any() for m in straight)
+    for m in fit.problem.motions:
+        none = np.zeros(len(m))
+        straight = replace(m, omega=none, acceleration=m.acceleration * [1.0, 1.0, 0.0])
+        spot = replace(m, v=none, vy=none, acceleration=m.acceleration * [0.0, 0.0, 1.0])
+        if error_of(acting, straight).any() or error_of(acting, spot).any():
+            return False
+    return True
 
 
 def _turned(fit: Fit) -> Array:
