@@ -1,4 +1,4 @@
-"""Which member of a family of shapes explains most: all are looked at, the best few are refined step by step."""
+"""Which member of a family of shapes explains most: all are looked at at a glance, the best few closely and refined."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _best_of(
     family: Sequence[Effect], gain: Callable[[Effect], float], about: Callable[[Sequence[Effect]], Array]
 ) -> tuple[float, Effect]:
     """Return the gain and the member of the highest hill; of a large family, of those that may be on it at a glance."""
-    if len(family) > _LARGE:
+    if len(family) > _LARGE and len(amplitudes(family[0])) == 1:
         gains = about(family)
         family = [family[i] for i in np.argsort(-gains, kind="stable")[:_LARGE]]
     ranked = sorted(((gain(member), member) for member in family), reverse=True, key=itemgetter(0))
