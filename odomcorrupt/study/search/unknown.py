@@ -33,8 +33,9 @@ __all__ = ["Unknown", "unknown_dependences"]
 _LEVEL = 0.01
 _OF_TURNS = ("yaw_rate", "yaw_acceleration", "heading")
 """Drivers of which a drive that hardly turns shows nothing but how it is steered."""
-_LEAST_NATS = 4.0
-"""What a curve without any law to it has to gain: drivers who answer to the noise bend curves a little, too."""
+_LEAST_NATS, _LEAST_NATS_OF_TURNS = 4.0, 25.0
+"""What a curve without any law to it has to gain, and one of the yaw over how the robot turns: tight steering (3 per
+second) answers to the noise within an interval, and bends such curves by 5 to 24 nats where nothing is wrong."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,13 +91,13 @@ def unknown_dependences(fit: Fit, believed: Array, likely: Sequence[ScoredLaw] |
     laws = {(found.law.driver, found.action.channel): found for found in best_laws(likely)}
     found = []
     for (driver, channel, per), where, score in _curves(fit, believed):
-        if channel == "yaw" and still and (per == "rad" or driver in _OF_TURNS):
+        of_turns = channel == "yaw" and (per == "rad" or driver in _OF_TURNS)
+        if of_turns and still:
             continue
         law = laws.get((driver, channel))
         nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
-        seen = (
-            score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > _LEAST_NATS
-        )
+        least = _LEAST_NATS_OF_TURNS if of_turns else _LEAST_NATS
+        seen = score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > least
         if law is not None and per == law.action.per:
             most = max(nats, law.nats) if seen else law.nats
             p = min(score.p, law.p) if seen else law.p
