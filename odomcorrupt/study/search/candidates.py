@@ -18,7 +18,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
-from odomcorrupt.study.search.members import best_member
+from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.score import Score, score_tests
 from odomcorrupt.study.search.steering import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
 
@@ -99,7 +99,8 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
 def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
     believed = believed_columns(fitted.problem, free_clocks)
     families = library(fitted)
-    members = [best_member(fitted, family, believed) for family in families]
+    look = Members(fitted, believed)
+    members = [look.best(family) for family in families]
     scores = score_tests(fitted, members, believed)
     # whoever may choose among many shapes is the likelier to fit by chance
     scores = [replace(s, p=min(1.0, s.p * len(f))) for s, f in zip(scores, families, strict=True)]

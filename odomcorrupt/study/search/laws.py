@@ -262,7 +262,7 @@ def _strip(shape: tuple[float, ...]) -> Law:
         "position",
         f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)",
         (_band(c, s, middle, half),),
-        2 * _STRIPS * _PLACES * len(_HALF_WIDTHS_M) * _REFINING**3,
+        2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * _REFINING**3,
         reaches=("body", "both"),
         shape=(angle, x, y, half),
         steps=(0.2, 0.4, 0.4, 0.2),

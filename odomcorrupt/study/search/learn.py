@@ -22,7 +22,7 @@ from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect, price
 from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.lawful import believable, challenger
-from odomcorrupt.study.search.members import best_member
+from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
 from odomcorrupt.study.search.refit import again, without_idle_noise, without_idlers
 from odomcorrupt.study.search.rivals import CHALLENGE_NATS, Rivalry, put_back, rivalry
@@ -266,7 +266,7 @@ def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) 
         return fitted
     bare, believed = put_back(fitted, effect, free_clocks)
     still = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
-    moved = best_member(bare, [still, *type(effect).scan(fitted.problem.motions)], believed)
+    moved = Members(bare, believed).best([still, *type(effect).scan(fitted.problem.motions)])
     others = [e for e in fitted.effects if e is not effect]
     shaped = again(fitted, free_clocks, [*others, moved])
     return shaped if shaped.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
@@ -14,13 +15,13 @@ from odomcorrupt.study.search.sampled import Glance
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["UNUSUAL_NATS", "best_member"]
+__all__ = ["UNUSUAL_NATS", "Members"]
 
 UNUSUAL_NATS = 4.0
 """What a word other than the usual one, a heading from a gyro, has to explain on top."""
@@ -34,76 +35,91 @@ _STARTS, _PLAIN = 4, 60.0
 What explains less does not show its finer features either."""
 
 
-def best_member(fit: Fit, family: Sequence[Effect], believed: Array) -> Effect:
-    """Return the shape that explains most of what is left.
+class Members:
+    """What the members of families explain of what the believed columns (K, 3, q) of a fit leave."""
 
-    A parameter that is a word keeps its first one, unless another explains plainly more. Where the heading comes from
-    matters to the place as well, and each source has the whole family; other words are tried where the best one stands,
-    if it explains plainly.
+    def __init__(self, fit: Fit, believed: Array) -> None:
+        self._fit, self._left = fit, left_over(fit, believed)
 
-    Parameters
-    ----------
-    fit : the fitted model
-    family : the shapes, at their identities
-    believed : (K, 3, q)
-        Columns of what is believed beside.
+    @cached_property
+    def _glance(self) -> Glance:
+        return Glance(self._fit.problem)
 
-    """
-    if len(family) == 1 and not choices(family[0]):
-        return family[0]
-    gain, about = _gain_on(fit, believed), _about_on(fit, believed)
-    usual = _best_of(family, gain, about)
-    unusual = [
-        _best_of(others, gain, about)
-        for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
-    ]
-    most, best = max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))
-    words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
-    touches = [_refined(_climbed(other, about), gain) for other in _said_otherwise(best, words)]
-    return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
+    def best(self, family: Sequence[Effect]) -> Effect:
+        """Return the shape that explains most, of a family at its identities.
 
+        A parameter that is a word keeps its first one, unless another explains plainly more. Where the heading comes
+        from matters to the place as well, and each source has the whole family; other words are tried where the best
+        one stands, if it explains plainly.
+        """
+        if len(family) == 1 and not choices(family[0]):
+            return family[0]
+        usual = self._highest(family)
+        unusual = [
+            self._highest(others) for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
+        ]
+        most, best = max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))
+        words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
+        touches = [self._refined(self._climbed(other)) for other in _said_otherwise(best, words)]
+        return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
 
-def _best_of(
-    family: Sequence[Effect], gain: Callable[[Effect], float], about: Callable[[Sequence[Effect]], Array]
-) -> tuple[float, Effect]:
-    """Return the gain and the member of the highest hill; of a large family, of those that may be on it at a glance."""
-    if len(family) > _LARGE and len(amplitudes(family[0])) == 1:
-        gains = about(family)
-        family = [family[i] for i in np.argsort(-gains, kind="stable")[:_LARGE]]
-    ranked = sorted(((gain(member), member) for member in family), reverse=True, key=itemgetter(0))
-    starts = _starts([member for _, member in ranked], ranked[0][0])
-    return max((_refined(_climbed(start, about), gain) for start in starts), key=itemgetter(0))
+    def _highest(self, family: Sequence[Effect]) -> tuple[float, Effect]:
+        """Return the chi-square and the member of the highest hill; of a large family, of those that may be on it."""
+        if len(family) > _LARGE and len(amplitudes(family[0])) == 1:
+            about = self._about(family)
+            family = [family[i] for i in np.argsort(-about, kind="stable")[:_LARGE]]
+        ranked = sorted(((self._gain(member), member) for member in family), reverse=True, key=itemgetter(0))
+        starts = _starts([member for _, member in ranked], ranked[0][0])
+        return max((self._refined(self._climbed(start)) for start in starts), key=itemgetter(0))
 
-
-def _gain_on(fit: Fit, believed: Array) -> Callable[[Effect], float]:
-    """Return the chi-square that an effect explains of what the believed columns leave."""
-    left = left_over(fit, believed)
-
-    def gain(effect: Effect) -> float:
+    def _gain(self, effect: Effect) -> float:
+        """Return the chi-square that an effect explains."""
         try:
-            column = left.of(fit.noise.whitener.whiten(fit.problem.columns(effect)))
+            column = self._left.of(self._fit.noise.whitener.whiten(self._fit.problem.columns(effect)))
         except EffectError:  # it acts on single wheels, and nobody knows where they are
             return 0.0
         if not column.any():
             return 0.0
-        return float((column @ np.linalg.lstsq(column, left.residual, rcond=None)[0]) @ left.residual)
+        return float((column @ np.linalg.lstsq(column, self._left.residual, rcond=None)[0]) @ self._left.residual)
 
-    return gain
-
-
-def _about_on(fit: Fit, believed: Array) -> Callable[[Sequence[Effect]], Array]:
-    """Return about the chi-square (J,) that each effect of one amplitude explains of what the believed ones leave."""
-    left, glance = left_over(fit, believed), Glance(fit.problem)
-
-    def gains(family: Sequence[Effect]) -> Array:
+    def _about(self, family: Sequence[Effect]) -> Array:
+        """Return about the chi-square (J,) that each effect of one amplitude explains."""
         try:
-            columns = left.of(fit.noise.whitener.whiten(glance.columns(family)))
+            columns = self._left.of(self._fit.noise.whitener.whiten(self._glance.columns(family)))
         except EffectError:
             return np.zeros(len(family))
-        found: Array = (columns.T @ left.residual) ** 2 / np.maximum(np.einsum("ij,ij->j", columns, columns), 1e-300)
-        return found
+        score, length = columns.T @ self._left.residual, np.einsum("ij,ij->j", columns, columns)
+        about: Array = score**2 / np.maximum(length, 1e-300)
+        return about
 
-    return gains
+    def _climbed(self, effect: Effect) -> Effect:
+        """Return the effect about at the top of the hill on which this one stands."""
+        shapes = [p for p in parameters(effect) if not p.amplitude]
+        if not shapes or len(amplitudes(effect)) != 1:
+            return effect
+        for fraction in _AT_A_GLANCE:
+            while True:
+                near = [effect, *(moved for p in shapes for moved in _beside(effect, p, fraction))]
+                about = self._about(near)
+                best = int(np.argmax(about))
+                if about[best] <= about[0] + _WORTH_NATS:
+                    break
+                effect = near[best]
+        return effect
+
+    def _refined(self, effect: Effect) -> tuple[float, Effect]:
+        """Return the chi-square and the effect at the top of the hill on which this one stands."""
+        shapes = [p for p in parameters(effect) if not p.amplitude]
+        best, most = effect, self._gain(effect)
+        for fraction in _REFINEMENTS:
+            better = True
+            while better:
+                better = False
+                for p in shapes:
+                    for moved in _beside(best, p, fraction):
+                        if (new := self._gain(moved)) > most + _WORTH_NATS:
+                            best, most, better = moved, new, True
+        return most, best
 
 
 def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
@@ -119,41 +135,10 @@ def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
     return chosen
 
 
-def _climbed(effect: Effect, about: Callable[[Sequence[Effect]], Array]) -> Effect:
-    """Return the effect about at the top of the hill on which this one stands."""
-    shapes = [p for p in parameters(effect) if not p.amplitude]
-    if not shapes or len(amplitudes(effect)) != 1:
-        return effect
-    for fraction in _AT_A_GLANCE:
-        while True:
-            near = [effect, *(moved for p in shapes for moved in _beside(effect, p, fraction))]
-            gains = about(near)
-            best = int(np.argmax(gains))
-            if gains[best] <= gains[0] + _WORTH_NATS:
-                break
-            effect = near[best]
-    return effect
-
-
 def _beside(effect: Effect, p: Parameter, fraction: float) -> list[Effect]:
     """Return the effect with one number of its shape a step down and up."""
     values = [float(np.clip(getattr(effect, p.name) + s * fraction * p.typical, p.low, p.high)) for s in (-1.0, 1.0)]
     return [replace(effect, **{p.name: value}) for value in values]  # type: ignore[type-var]  # effects are dataclasses
-
-
-def _refined(effect: Effect, gain: Callable[[Effect], float]) -> tuple[float, Effect]:
-    """Return the gain and the effect at the top of the hill on which this one stands."""
-    shapes = [p for p in parameters(effect) if not p.amplitude]
-    best, most = effect, gain(effect)
-    for fraction in _REFINEMENTS:
-        better = True
-        while better:
-            better = False
-            for p in shapes:
-                for moved in _beside(best, p, fraction):
-                    if (new := gain(moved)) > most + _WORTH_NATS:
-                        best, most, better = moved, new, True
-    return most, best
 
 
 def _said_otherwise(effect: Effect, words: Sequence[str]) -> list[Effect]:

@@ -16,7 +16,7 @@ from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 from odomcorrupt.study.search.candidates import library, next_effect, price
 from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.members import best_member
+from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.score import score_tests
 
 
@@ -116,7 +116,7 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     fitted = fit([run], approach=choose_approach([run]))
     family = next(f for f in library(fitted) if f[0].name == "region_slip")
     believed = np.zeros((len(fitted.problem.nodes), 3, 0))
-    alone = score_tests(fitted, [best_member(fitted, family, believed)], believed)[0]
+    alone = score_tests(fitted, [Members(fitted, believed).best(family)], believed)[0]
     charged = next(c for c in next_effect(fitted, [(False, False)]) if c.score.effect.name == "region_slip")
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)
