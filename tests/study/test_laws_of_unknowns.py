@@ -11,7 +11,7 @@ from odomcorrupt.motion import error_of
 from odomcorrupt.simulate import simulate, simulate_without
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.search.actions import MOVES, every_action, views
+from odomcorrupt.study.search.actions import every_action, views
 from odomcorrupt.study.search.laws import laws
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.unknown import unknown_dependences
@@ -43,9 +43,9 @@ def test_every_law_says_in_its_expression_what_it_computes():
         values = (0.3, -0.2)[: len(law.parts)]
         for action in (a for a in every_action() if a.reach in law.reaches):
             expected = np.zeros((len(motion), 3))
-            for view, unit in action.parts(motion.track_m):
-                rate = sum(k * part(seen[view]) for k, part in zip(values, law.parts, strict=True))
-                expected -= (MOVES[action.move](seen[view]) * rate)[:, None] * unit
+            for view, rates in action.rates(seen, motion.track_m):
+                size = sum(k * part(seen[view]) for k, part in zip(values, law.parts, strict=True))
+                expected -= size[:, None] * rates
             f = error_of(law.effect(action, values), motion)
             # thresholds are written with four digits: a sample may fall between
             differs = np.abs(f - expected).max(axis=1) > 1e-3 * np.abs(expected).max() + 1e-12

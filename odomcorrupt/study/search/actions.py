@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,20 +26,24 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
 }
 """What an error goes with; 1 for one that grows with time."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
+_GROUND, _TOWARD = "ground", 6
+"""What carries the robot where it is, and the directions, over half a turn, in which it may."""
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
     """What a law adds to, and what it multiplies.
 
-    target : one of the channels, or of the sides, of expressions
+    target : one of the channels, or of the sides, of expressions; or "ground": along and across at once
     move : key of `MOVES`
     heading : where the odometry's heading comes from; with a gyro, wheels do not turn it
+    toward : direction in the world, rad, in which the ground carries the robot
     """
 
     target: str
     move: str
     heading: str = "wheels"
+    toward: float = 0.0
 
     @property
     def by_wheel(self) -> bool:
@@ -48,18 +52,18 @@ class Action:
 
     @property
     def reach(self) -> str:
-        """Whether it acts on the "body", on "one" wheel or on "both"; or on the heading as time goes, as a "bias"."""
+        """What it reaches: the "body", "one" wheel or "both"; the heading as time goes, a "bias"; or the "ground"."""
         if self.move == "1":
             return "bias"
         if not self.by_wheel:
-            return "body"
+            return self.target if self.target == _GROUND else "body"
         return "both" if self.target == "wheels" else "one"
 
     @property
     def channel(self) -> str:
         """The channel of the body where it shows most: the heading, where one wheel is not like the other."""
         if not self.by_wheel:
-            return self.target
+            return "along" if self.target == _GROUND else self.target
         return "along" if self.target == "wheels" or self.heading == "gyro" else "yaw"
 
     @property
@@ -67,12 +71,28 @@ class Action:
         """What its error is an error per: "m" driven, "rad" turned, or "s"."""
         return {"omega": "rad", "1": "s"}.get(self.move, "m")
 
-    def written(self, law: str) -> str:
-        """Return a law's rate in the language of expressions."""
-        return law if self.move == "1" else f"{self.move} * ({law})"
+    def neighbours(self, scale: float) -> list[Action]:
+        """Return it towards either side, by this part of the step at which directions are looked at."""
+        turns = (-0.5 * scale, 0.5 * scale) if self.target == _GROUND else ()
+        return [replace(self, toward=self.toward + turn * np.pi / _TOWARD) for turn in turns]
 
-    def parts(self, track_m: float | None) -> list[tuple[str, Array]]:
-        """Return the views it looks at, and what (3,) a unit of error there does to the odometry."""
+    def written(self, law: str) -> str:
+        """Return a law as an expression."""
+        if self.move == "1":
+            return f"{self.target} += {law}"
+        if self.target != _GROUND:
+            return f"{self.target} += {self.move} * ({law})"
+        along, across = (f"{self.move} * {turn}({self.toward:.4g} - theta)" for turn in ("cos", "sin"))
+        return f"along += {along} * ({law}); across += {across} * ({law})"
+
+    def rates(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
+        """Return the views it looks at, and how fast (n, 3) a law of one there moves the odometry."""
+        return [(view, MOVES[self.move](seen[view])[:, None] * unit) for view, unit in self._units(seen, track_m)]
+
+    def _units(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
+        if self.target == _GROUND:
+            away = self.toward - seen[_BODY].theta
+            return [(_BODY, -np.stack((np.cos(away), np.sin(away), np.zeros_like(away)), axis=1))]
         if not self.by_wheel or track_m is None:
             return [(_BODY, -np.eye(3)[CHANNELS.index(self.target)])]
         turn = 0.0 if self.heading == "gyro" else 1.0 / track_m
@@ -83,7 +103,8 @@ class Action:
 def every_action() -> list[Action]:
     """Return all that laws are tried on."""
     body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m in ("v", "abs(v)")]
-    return [*body, Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
+    wheels = [Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
+    return [*body, *wheels, *(Action(_GROUND, "abs(v)", toward=np.pi * i / _TOWARD) for i in range(_TOWARD))]
 
 
 def actions_on(motions: Sequence[Motion]) -> list[Action]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.search.actions import MOVES, every_action, views
+from odomcorrupt.study.search.actions import every_action, views
 from odomcorrupt.study.search.laws import VALUES
 from odomcorrupt.study.search.periodic import waves
 from odomcorrupt.study.search.quick_look import QuickLook, Tried
@@ -127,12 +127,10 @@ def _kind(tried: Tried) -> tuple[str, str]:
 
 def exact_columns(fit: Fit, law: Law, action: Action) -> Array:
     """Return (K, 3, p): what a unit of each number of a law does to the residuals."""
-    seen = [views(m) for m in fit.problem.motions]
-    columns = []
-    for part in law.parts:
-        error = sum(
-            np.concatenate([MOVES[action.move](v[view]) * v[view].dt_s * part(v[view]) for v in seen])[:, None] * unit
-            for view, unit in action.parts(fit.problem.motions[0].track_m)
-        )
-        columns.append(fit.problem.nodes.column(np.asarray(error)))
-    return np.stack(columns, axis=2)
+    problem = fit.problem
+    moved = []
+    for m in problem.motions:
+        seen = views(m)
+        rates = action.rates(seen, m.track_m)
+        moved.append([sum((part(seen[v]) * m.dt_s)[:, None] * rate for v, rate in rates) for part in law.parts])
+    return np.stack([problem.nodes.column(np.concatenate(errors)) for errors in zip(*moved, strict=True)], axis=2)

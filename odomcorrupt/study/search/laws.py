@@ -47,6 +47,8 @@ _HINGED = ("speed", "yaw_rate", "acceleration")
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
 _SETTLE_S = (30.0, 80.0, 200.0)
+_SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
+"""The quickest swing of minutes, and the step of the logarithm of its period."""
 _CUTS = np.linspace(0.05, 0.95, 19)
 _PLACES = 7
 _RADII_M = (0.8, 1.3, 2.0)
@@ -70,7 +72,8 @@ class Law:
     parts : what each number multiplies, of a motion of n intervals (n,)
     trials : how many of its family are tried
     wavelength_m : of a wave over the way, else 0
-    reaches : what it may act on, of "body", "one" wheel, "both" and a "bias"; not where the library has that effect
+    reaches : what it may act on, of "body", "one" wheel, "both", a "bias" and the "ground"; not where the library has
+        that effect
     shape, steps : numbers of a shape that may be refined, and how far to look
     remade : returns the law with another shape
     kin : laws of other shapes to try where this one is good
@@ -91,15 +94,14 @@ class Law:
         """Return the law as an effect with these values."""
         named = dict(zip(NUMBERS, map(float, values), strict=False))
         words = {"heading": action.heading} if action.by_wheel else {}
-        text = f"{action.target} += {action.written(self.text)}"
-        return user_effect(f"{action.target}_over_{self.driver}", text, named, words=words)
+        return user_effect(f"{action.target}_over_{self.driver}", action.written(self.text), named, words=words)
 
     def expression(self, action: Action, values: Sequence[float]) -> str:
         """Return the expression with its numbers filled in, ready to be edited."""
         text = self.text
         for name, value in zip(NUMBERS, values, strict=False):
             text = text.replace(f"{name} *", f"{float(value):.4g} *")
-        return f"{action.target} += {action.written(text)}"
+        return action.written(text)
 
     def neighbours(self, scale: float) -> Iterator[Law]:
         """Yield the laws with one number of the shape a step of this scale up or down."""
@@ -114,7 +116,7 @@ class Law:
 
 def laws(motions: Sequence[Motion]) -> list[Law]:
     """Return every law that is tried on these motions."""
-    found = [*_headings(), *_discs(motions), *_strips(motions), *_settlings(), *_at_rest()]
+    found = [*_headings(), *_discs(motions), *_strips(motions), *_settlings(), *_swings(motions), *_at_rest()]
     for driver, (text, value) in VALUES.items():
         found.append(Law(driver, f"k * {text}", (value,), reaches=_reaches(driver, "one")))
         if driver != "distance":  # that is time, by another name
@@ -192,22 +194,44 @@ def _hinge(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[floa
 
 
 def _settlings() -> Iterator[Law]:
-    """Yield what dies away: tyres, motors and sensors that warm up."""
-    for tau_s in _SETTLE_S:
-        yield _settling((float(np.log(tau_s)),))
+    """Yield what dies away, and what comes up: tyres, motors and sensors that warm up."""
+    for tau_s, rising in product(_SETTLE_S, (False, True)):
+        yield _settling((float(np.log(tau_s)),), rising=rising)
 
 
-def _settling(shape: tuple[float, ...]) -> Law:
+def _settling(shape: tuple[float, ...], *, rising: bool) -> Law:
     tau_s = float(np.exp(np.clip(shape[0], 1.0, 9.0)))
     return Law(
         "time",
-        f"k * exp(-t / {tau_s:.4g})",
-        (lambda m: np.exp(-m.t_s / tau_s),),
-        len(_SETTLE_S) * _REFINING,
+        f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
+        (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
+        2 * len(_SETTLE_S) * _REFINING,
         reaches=_reaches("time", "one", "both"),
         shape=shape,
         steps=(0.5,),
-        remade=_settling,
+        remade=lambda moved: _settling(moved, rising=rising),
+    )
+
+
+def _swings(motions: Sequence[Motion]) -> Iterator[Law]:
+    """Yield what comes and goes in minutes: sun and shade, a load that is shared."""
+    longest_s = max(float(np.ptp(m.t_s)) for m in motions)
+    count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
+    for i in range(count):
+        yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
+
+
+def _swing(shape: tuple[float, ...], count: int) -> Law:
+    pace = 2.0 * np.pi / float(np.exp(shape[0]))
+    return Law(
+        "time",
+        f"k * cos({pace:.6g} * t) + m * sin({pace:.6g} * t)",
+        (lambda m: np.cos(pace * m.t_s), lambda m: np.sin(pace * m.t_s)),
+        count * _REFINING,
+        reaches=_reaches("time"),
+        shape=shape,
+        steps=(0.5 * _SWING_STEP,),
+        remade=lambda moved: _swing(moved, count),
     )
 
 
@@ -218,10 +242,12 @@ def _discs(motions: Sequence[Motion]) -> Iterator[Law]:
 
 
 def _at_rest() -> Iterator[Law]:
-    """Yield what is there while the robot stands, or does not turn."""
+    """Yield what is there while the robot stands, does not drive, or does not turn."""
     for driver in ("speed", "yaw_rate"):
         text, value = VALUES[driver]
         yield Law(driver, f"k * where({text} < {_STILL:.4g}, 1, 0)", (_below(value, _STILL),), reaches=("bias",))
+    still = _below(lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)), _STILL)
+    yield Law("speed", f"k * where(max(abs(v), abs(omega)) < {_STILL:.4g}, 1, 0)", (still,), reaches=("bias",))
 
 
 def _disc(shape: tuple[float, ...]) -> Law:
@@ -231,6 +257,7 @@ def _disc(shape: tuple[float, ...]) -> Law:
         f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
         (_within(x, y, radius),),
         2 * _PLACES**2 * len(_RADII_M) * _REFINING**3,
+        reaches=("body", "ground"),
         shape=shape,
         steps=(0.4, 0.4, 0.3),
         remade=_disc,
@@ -263,7 +290,7 @@ def _strip(shape: tuple[float, ...]) -> Law:
         f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)",
         (_band(c, s, middle, half),),
         2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * _REFINING**3,
-        reaches=("body", "both"),
+        reaches=("body", "both", "ground"),
         shape=(angle, x, y, half),
         steps=(0.2, 0.4, 0.4, 0.2),
         remade=_strip,
@@ -282,7 +309,7 @@ def _box(shape: tuple[float, ...]) -> Law:
         f" * where(abs({c:.4g} * y - {s:.4g} * x {_less(across)}) < {side:.4g}, 1, 0)",
         (lambda m: _band(c, s, along, half)(m) * _band(-s, c, across, side)(m),),
         2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * _REFINING**5,
-        reaches=("body", "both"),
+        reaches=("body", "both", "ground"),
         shape=(angle, x, y, half, side),
         steps=(0.2, 0.4, 0.4, 0.4, 0.4),
         remade=_box,

@@ -103,9 +103,11 @@ class QuickLook:
         if disc is None or disc.nats < max(_PLAIN_NATS, _PLAIN_PART * max(t.nats for t in found)):
             return []
         actions = [disc.action, *(a for a in actions_on(self._motions) if a.reach == "both")]
-        kin = self.refined(disc).law.kin
-        tried = [Tried(law, action, self._gain(law, action)) for law in kin for action in actions]
-        return [self.refined(max(tried, key=lambda t: t.nats))]
+        turned = []
+        for law in self.refined(disc).law.kin:
+            tried = [Tried(law, action, self._gain(law, action)) for action in actions]
+            turned.append(self.refined(max(tried, key=lambda t: t.nats)))
+        return [max(turned, key=lambda t: t.nats)]
 
     def _gain(self, law: Law, action: Action) -> float:
         here = [self._means([law], view, action.move) for view, _ in self._of(action)]
@@ -126,29 +128,30 @@ class QuickLook:
         best = tried
         for scale in _SCALES:
             for _ in range(_MOST_STEPS):
-                others = list(best.law.neighbours(scale))
-                if not others:
-                    return best
-                here = [self._means(others, view, best.action.move) for view, _ in self._of(best.action)]
-                gains = self._gains(others, best.action, here)
-                i = int(np.argmax(gains))
-                if gains[i] <= best.nats + _WORTH_NATS:
+                better = max(self._beside(best, scale), key=lambda t: t.nats, default=best)
+                if better.nats <= best.nats + _WORTH_NATS:
                     break
-                best = Tried(others[i], best.action, gains[i])
+                best = better
         return best
+
+    def _beside(self, tried: Tried, scale: float) -> list[Tried]:
+        """Return its neighbours: another shape, or another direction."""
+        law, action = tried.law, tried.action
+        found = [Tried(law, turned, self._gain(law, turned)) for turned in action.neighbours(scale)]
+        if others := list(law.neighbours(scale)):
+            here = [self._means(others, view, action.move) for view, _ in self._of(action)]
+            gains = self._gains(others, action, here)
+            found += [Tried(other, action, gain) for other, gain in zip(others, gains, strict=True)]
+        return found
 
     def _of(self, action: Action) -> list[tuple[str, Array]]:
         """Return the views of an action, and what (K, 3) a unit of error there does to the residuals of an interval."""
         if action not in self._units:
-            every = [views(m) for m in self._motions]
+            track_m = self._motions[0].track_m
+            moved = [(m.dt_s, action.rates(views(m), track_m)) for m in self._motions]
             self._units[action] = [
-                (
-                    view,
-                    self._nodes.column(
-                        np.concatenate([MOVES[action.move](v[view]) * v[view].dt_s for v in every])[:, None] * unit
-                    ),
-                )
-                for view, unit in action.parts(self._motions[0].track_m)
+                (view, self._nodes.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
+                for i, (view, _) in enumerate(moved[0][1])
             ]
         return self._units[action]
 
