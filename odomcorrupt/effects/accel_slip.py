@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, wheel_motions
+
+if TYPE_CHECKING:
+    from odomcorrupt.pose import Array
 
 
 @dataclass(frozen=True, slots=True)
 class AccelSlip(Effect):
-    """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body.
+    """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body; or of each rim, of its own.
 
     It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop; that is why v is the speed that a is the
     rate of, the body's own. Whatever its strength, it can be put in and taken out.
@@ -23,7 +27,7 @@ class AccelSlip(Effect):
     summary: ClassVar[str] = "wheels slip when the robot speeds up, and skid when it brakes"
     reads_truth: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
-        equation="f_along = -k abs(v) a",
+        equation="f_along = -k abs(v) a; contact = wheels: f_wheel = -k abs(u) du/dt of each rim u",
         typical="a slip of 0.5 to 6 % at 1 m/s^2 (an estimate)",
         source="Rajamani, Vehicle Dynamics and Control (slip ratio and longitudinal tyre force)",
         confused_with=("time_offset", "backlash", "speed_scale"),
@@ -32,6 +36,17 @@ class AccelSlip(Effect):
 
     k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.1, typical=0.02)
 
+    heading: str = heading_choice()
+    contact: str = choice("what has to speed up to slip: the robot as a whole, or each wheel", "body", "wheels")
+
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: behind while speeding up, ahead while braking."""
-        return TwistError(stacked(-self.k * np.abs(motion.steady_v) * motion.a, 0.0, 0.0, motion.v), state)
+        if self.contact == "wheels":
+            track_m = needed_track_m(self.name, motion.track_m)
+            rims = Rims(*(self._lost(wheel) for wheel in wheel_motions(motion, track_m)))
+            return TwistError(body_of(rims, track_m, self.heading), state)
+        return TwistError(stacked(self._lost(motion), 0.0, 0.0, motion.v), state)
+
+    def _lost(self, motion: Motion) -> Array:
+        """Return the speed (n,) that is gained, below zero while speeding up."""
+        return -self.k * np.abs(motion.steady_v) * motion.a

@@ -66,12 +66,15 @@ def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:
 
 def _at_wheel(motion: Motion, arm_m: float) -> Motion:
     """Return the motion so far to the right of the middle."""
-    ahead = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [arm_m, 0.0, 0.0]]) + np.eye(3)  # what turns moves on, too
+
+    def there(rates: Array) -> Array:
+        return rates + arm_m * rates[:, 2:] * [1.0, 0.0, 0.0]  # what turns moves on, too
+
     return replace(
         motion,
         v=motion.v + arm_m * motion.omega,
-        acceleration=motion.acceleration @ ahead,
+        acceleration=there(motion.acceleration),
         x=motion.x + arm_m * np.sin(motion.theta),
         y=motion.y - arm_m * np.cos(motion.theta),
-        trail=None if motion.trail is None else motion.trail @ ahead,
+        trail=None if motion.trail is None else there(motion.trail),
     )
