@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import threading
 from typing import TYPE_CHECKING
 
 import lz4.frame
@@ -26,6 +27,16 @@ _LARGEST_BYTES = 1 << 30
 """What a compressed chunk may become: a thousand times what recorders write, and still no danger to a machine."""
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
+
+
+class _Zstd(threading.local):
+    """What is used for every chunk: a fresh one costs half as much as it takes to unpack, and threads cannot share."""
+
+    def __init__(self) -> None:
+        self.decompressor = zstandard.ZstdDecompressor()
+
+
+_zstd = _Zstd()
 
 
 def decompress(codec: str, data: memoryview, size: int, what: str, shelf: Shelf) -> NDArray[np.uint8]:
@@ -85,13 +96,13 @@ def _unzstd(data: memoryview, size: int, shelf: Shelf) -> bytearray | NDArray[np
     stated = zstandard.get_frame_parameters(data).content_size
     if stated == size <= SHELF_BYTES:
         placed = shelf.place(size)
-        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+        with _zstd.decompressor.stream_reader(data) as reader:
             if (came := reader.readinto(placed.data)) < size:
                 raise EOFError(f"the frame is cut short after {came} bytes")
         return placed
     # The frame does not say, or says otherwise: grow with what really comes, up to the claim and one piece.
     out = bytearray()
-    with zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True) as reader:
+    with _zstd.decompressor.stream_reader(data, read_across_frames=True) as reader:
         while len(out) <= size and (piece := reader.read(_PIECE_BYTES)):
             out += piece
     return out
