@@ -19,13 +19,15 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["Event", "events", "slip_bursts"]
+__all__ = ["Event", "events", "set_apart", "slip_bursts"]
 
 _FEWEST = 6
 _LEVEL = 0.02
 """Chance that so many ordinary steps that are large by chance would all lose way: six of six is less."""
 _ODD = 2e-4
 """Chance of an ordinary step that stands out."""
+_HARDLY = 100.0
+"""How much wider the noise of what is set apart may be."""
 _LASTS = 0.5
 _PLAIN = 2.0
 """How much more one wheel has lost than the other where it is plain which one slipped."""
@@ -61,11 +63,22 @@ def odd_steps(fit: Fit) -> list[Event]:
 
     The fit is plain then and its noise is as wide as they are, so most of the others say what is usual.
     """
+    return _told(fit, _standing_out(fit))
+
+
+def set_apart(fit: Fit) -> Array:
+    """Return the weights (K,) of a fit in which the stretches that stand out hardly count."""
+    weights = np.ones(len(fit.problem.nodes))
+    weights[_standing_out(fit)] = _HARDLY
+    return weights
+
+
+def _standing_out(fit: Fit) -> NDArray[np.int64]:
     if (fit.noise.weights > 1.0).any():
-        return events(fit)
+        return np.flatnonzero(fit.noise.weights > 1.0)
     innovations = fit.noise.innovations.reshape(-1, 3)[:, : 3 if fit.problem.headings else 2]
     usual = 1.4826 * np.median(np.abs(innovations), axis=0) + 1e-12
-    return _told(fit, np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1])))
+    return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
 def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:

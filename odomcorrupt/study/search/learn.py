@@ -14,7 +14,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.drift import ten_second_error
-from odomcorrupt.study.fitting.events import slip_bursts
+from odomcorrupt.study.fitting.events import set_apart, slip_bursts
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.fitting.tails import heavy_tails
@@ -209,7 +209,9 @@ class _Search:
             # believe it: robust weights are taken anew, because what looked like outliers may be explained now
             fitted = again(best.fit, self.free, best.fit.effects)
             fitted = _reshaped(fitted, self.free, best.score.effect.name)
-        noise += _odd(fitted, calm=not noise and not unknown)
+        odd = _odd(fitted, calm=not noise and not unknown)
+        noise, fitted = _beside_bursts(noise, fitted, self.free) if odd else (noise, fitted)
+        noise += odd
         fitted = with_one_heading(fitted, self.given, lambda said: again(fitted, self.free, said))
         fitted = without_idlers(fitted, self.free, self.given)
         if tested[0] is not fitted:
@@ -257,6 +259,22 @@ def _odd(fitted: Fit, *, calm: bool) -> list[RandomGain]:
         return [RandomGain(bursts, _PLAIN_NATS)]
     tails = heavy_tails(fitted) if calm else None
     return [RandomGain(*tails)] if tails is not None else []
+
+
+def _beside_bursts(
+    noise: list[RandomGain], fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]
+) -> tuple[list[RandomGain], Fit]:
+    """Drop wandering gains that are not in what is left when all that stands out is set apart: they were the bursts."""
+    wandering = {gain.effect.name for gain in noise} & set(WANDERING)
+    if not wandering:
+        return noise, fitted
+    calm = again(fitted, free_clocks, fitted.effects, random=(), weights=set_apart(fitted))
+    left = {gain.effect.name for gain in random_gains(calm, believed_columns(calm.problem, free_clocks))}
+    if wandering <= left:
+        return noise, fitted
+    stay = [gain for gain in noise if gain.effect.name not in wandering - left]
+    random = [effect for effect in fitted.random if effect.name in left]
+    return stay, again(fitted, free_clocks, fitted.effects, random=random)
 
 
 def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) -> Fit:
