@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import as_recording
@@ -13,7 +15,7 @@ from odomcorrupt.simulate import simulate
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.testing import contract_drive
 
-OF_WHEELS = ["backlash", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]
+OF_WHEELS = ["accel_slip", "backlash", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]
 
 
 def test_effects_of_the_wheels_know_where_a_heading_comes_from():
@@ -23,8 +25,10 @@ def test_effects_of_the_wheels_know_where_a_heading_comes_from():
 @pytest.mark.parametrize("name", OF_WHEELS)
 def test_with_a_gyro_the_error_along_is_the_same_and_none_is_in_the_heading(name):
     kind, motion = registry()[name], contract_drive().motion
-    size = {"backlash": "travel", "region_slip": "slip", "scale_drift": "rate", "speed_scale": "k", "wheel_scale": "e"}
-    wheels, gyro = (error_of(kind(**{size[name]: 1e-4, "heading": h}), motion) for h in ("wheels", "gyro"))
+    size = {"accel_slip": "k", "backlash": "travel", "region_slip": "slip", "scale_drift": "rate", "wheel_scale": "e"}
+    sized = kind(**{size.get(name, "k"): 1e-4})
+    each = replace(sized, contact="wheels") if "contact" in choices(kind) else sized
+    wheels, gyro = (error_of(replace(each, heading=h), motion) for h in ("wheels", "gyro"))
     assert np.array_equal(wheels[:, :2], gyro[:, :2])
     assert wheels[:, 2].any()
     assert not gyro[:, 2].any()

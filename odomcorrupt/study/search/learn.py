@@ -159,7 +159,7 @@ def learn(
     kept = {effect.name for effect in way.fit.effects}
     believed_laws = tuple(one for one in way.laws if one.law is not None and one.law.effect.name in kept)
     return Learned(
-        clocks, way.rounds, way.noise, (*way.laws, *way.unknown), believed_laws, way.margins, way.fit,
+        clocks, way.rounds, way.noise, (*believed_laws, *way.unknown), believed_laws, way.margins, way.fit,
         ten_second_error(way.fit),
     )  # fmt: skip
 
