@@ -40,6 +40,9 @@ Kind = Literal["ros1", "mcap", "sqlite3"]
 TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("length", "<i8")])
 """One row a message, in the order in which the messages lie in the block's data."""
 
+_SMALL = (1 << 16) - 1
+"""Ids up to here are told apart quickest by counting; those of an MCAP are never larger."""
+
 
 @dataclass(frozen=True, slots=True)
 class Channel:
@@ -87,6 +90,13 @@ class Block:
     ends: tuple[int, ...] = ()
     read_crcs: tuple[int, ...] = ()
     crcs: tuple[int, ...] = ()
+
+    def present(self) -> set[int]:
+        """Return the channels that its messages are of."""
+        channels = self.table["channel"]
+        if channels.max(initial=0) > _SMALL:
+            return set(channels.tolist())
+        return set(np.flatnonzero(np.bincount(channels)).tolist())
 
 
 class Framing:

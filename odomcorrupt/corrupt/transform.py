@@ -168,7 +168,7 @@ class Transform:
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read what a block tells about the odometry, and let the curve grow."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
-        present = set(block.table["channel"].tolist())
+        present = block.present()
         for number in present - self.seen:
             frame = frame_of(block, reader.channels[number])
             if frame is not None:

@@ -68,7 +68,7 @@ class Known:
             for opcode, content in part.others:
                 self.learn(opcode, content)
             block, what = part.block(), f"{self.name}: messages outside chunks"
-        unknown = set(block.table["channel"].tolist()) - self.channels.keys()
+        unknown = block.present() - self.channels.keys()
         if unknown:
             raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
         return block

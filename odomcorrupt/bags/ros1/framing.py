@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,17 +101,16 @@ def indexes(framed: Framed) -> list[tuple[int, int, bytes]]:
     entries["s"], entries["ns"] = np.divmod(framed.table["log_ns"][order], _SECOND_NS)
     entries["offset"] = framed.starts[order]
     found: list[tuple[int, int, bytes]] = []
-    for part in np.split(np.arange(order.size), np.flatnonzero(np.diff(channels)) + 1):
-        if not part.size:
-            continue
-        connection = int(channels[part[0]])
+    bounds = [0, *(np.flatnonzero(channels[1:] != channels[:-1]) + 1).tolist(), order.size]
+    for start, stop in pairwise(bounds if order.size else ()):
+        connection = int(channels[start])
         header = pack_fields(
             {
                 "conn": struct.pack("<I", connection),
-                "count": struct.pack("<I", part.size),
+                "count": struct.pack("<I", stop - start),
                 "op": bytes([INDEX]),
                 "ver": struct.pack("<I", 1),
             }
         )
-        found.append((connection, part.size, pack_record(header, entries[part[0] : part[-1] + 1].tobytes())))
+        found.append((connection, stop - start, pack_record(header, entries[start:stop].tobytes())))
     return found

@@ -246,10 +246,11 @@ class Ros1Reader:
         contents = read_contents(data, chunk.indexes, chunk.what)
         for header, fields in contents.connections:
             self._learn(header, fields)
-        unknown = set(contents.table["channel"].tolist()) - self.channels.keys()
+        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
+        unknown = block.present() - self.channels.keys()
         if unknown:
             raise BagError(f"{chunk.what}: messages of connection {min(unknown)}, which is not defined; damaged bag")
-        return Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
+        return block
 
     def _learn(self, header: bytes, data: bytes) -> None:
         connection = Connection.parse(header, data, self.name)
