@@ -24,6 +24,7 @@ _UNITS = {
     "speed": ("speed (m/s)", 1.0),
     "yaw_rate": ("yaw rate (deg/s)", float(np.degrees(1.0))),
     "acceleration": ("acceleration (m/s²)", 1.0),
+    "lateral_acceleration": ("lateral acceleration (m/s²)", 1.0),
     "yaw_acceleration": ("yaw acceleration (deg/s²)", float(np.degrees(1.0))),
     "time": ("time (s)", 1.0),
     "distance": ("path driven (m)", 1.0),

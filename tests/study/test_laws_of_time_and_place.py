@@ -34,7 +34,9 @@ def _planted(clean, text):
     [
         (91, "yaw += 0.05 * omega * (1 - exp(-t / 120))", "time", "(1 - exp(-t / "),
         (92, "yaw += 0.06 * omega * sin(0.021 * t)", "time", "sin(0.02"),
-        (93, "yaw += where(max(abs(v), abs(omega)) < 0.01, 0.01, 0)", "speed", "where("),
+        (93, "yaw += where(max(abs(v), abs(omega)) < 0.01, 0.01, 0)", "speed", "where(max(abs(v), abs(omega)) < 0.02"),
+        (96, "along += -0.03 * v * where(abs(t - 180) < 50, 1, 0)", "time", "where(abs(t - 1"),
+        (97, "across += 0.15 * v * where(v < 0, 1, 0)", "speed", "where(v < -0.02"),
     ],
 )
 def test_a_law_of_time_or_standstill_is_written_down_and_the_error_falls(seed, text, driver, written):
@@ -47,6 +49,7 @@ def test_a_law_of_time_or_standstill_is_written_down_and_the_error_falls(seed, t
 
 
 RAMP = "0.05 * where(abs(x + 0.5 * y - 1.0) < 1.2, 1, 0)"
+IRON = "((x - 1.0) * cos(theta) + (y - 1.0) * sin(theta)) * exp(-((x - 1.0)**2 + (y - 1.0)**2) / 8.0)"
 CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 0.6 * x) < 2.0, 1, 0)"
 
 
@@ -58,9 +61,10 @@ CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 
             f"along += abs(v) * cos(0.6 - theta) * {RAMP}; across += abs(v) * sin(0.6 - theta) * {RAMP}",
         ),
         (95, f"along += -0.08 * v * {CARPET}"),
+        (98, f"yaw += 0.1 * v * {IRON}"),
     ],
 )
-def test_a_ramp_or_a_carpet_is_told_by_its_place(seed, text):
+def test_a_ramp_a_carpet_or_iron_near_a_compass_is_told_by_its_place(seed, text):
     clean = as_recording(simulate(seed, None, duration_s=500.0))
     planted = _planted(clean, text)
     learned = learn([planted])

@@ -51,13 +51,18 @@ class Action:
         return self.target in SIDES
 
     @property
-    def reach(self) -> str:
-        """What it reaches: the "body", "one" wheel or "both"; the heading as time goes, a "bias"; or the "ground"."""
+    def reaches(self) -> frozenset[str]:
+        """What it reaches: the "body", "one" wheel or "both"; the heading as time goes, a "bias"; or the "ground".
+
+        What turns the body with its way may be its "heading" that is drawn aside.
+        """
         if self.move == "1":
-            return "bias"
-        if not self.by_wheel:
-            return self.target if self.target == _GROUND else "body"
-        return "both" if self.target == "wheels" else "one"
+            return frozenset({"bias"})
+        if self.by_wheel:
+            return frozenset({"both" if self.target == "wheels" else "one"})
+        if self.target == _GROUND:
+            return frozenset({_GROUND})
+        return frozenset({"body", "heading"} if (self.target, self.move) == ("yaw", "v") else {"body"})
 
     @property
     def channel(self) -> str:

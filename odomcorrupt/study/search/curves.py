@@ -14,7 +14,15 @@ if TYPE_CHECKING:
 
 __all__ = ["curve_drivers"]
 
-_HATS = {"speed": 6, "yaw_rate": 6, "acceleration": 6, "yaw_acceleration": 6, "time": 8, "distance": 8}
+_HATS = {
+    "speed": 6,
+    "yaw_rate": 6,
+    "acceleration": 6,
+    "lateral_acceleration": 6,
+    "yaw_acceleration": 6,
+    "time": 8,
+    "distance": 8,
+}
 _GRID = 4
 
 
@@ -24,6 +32,7 @@ def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tup
         "speed": lambda m: m.v,
         "yaw_rate": lambda m: m.omega,
         "acceleration": lambda m: m.a,
+        "lateral_acceleration": lambda m: np.abs(m.v * m.omega),
         "yaw_acceleration": lambda m: m.alpha,
         "time": lambda m: m.t_s,
         "distance": lambda m: m.distance,

@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.approach import choose_approach
@@ -185,17 +187,21 @@ class _Search:
             believed = believed_columns(fitted.problem, self.free)
             gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
             unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
-            lawful = None
             if best is None:
                 tested = _tested(fitted, self.free, rounds)
-            if best is None and len(laws) < _MOST_LAWS:
-                lawful = challenger(fitted, self.free, tested[1])
+            lawful = None
+            if len(laws) < _MOST_LAWS and (best is None or gain is not None):
+                lawful = challenger(fitted, self.free, tested[1]) if best is None else None
                 lawful = lawful or believable(fitted, self.free, unknown)
-            explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
-            if gain is not None and gain.nats > explained + ALTERNATIVE_NATS:
-                noise.append(gain)
-                fitted = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
-                continue
+            if gain is not None:
+                calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
+                explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
+                if _worth(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
+                    noise.append(gain)
+                    fitted = calmer
+                    continue
+            if lawful is not None and best is not None and lawful.nats < best.gain + CHALLENGE_NATS:
+                lawful = None
             if lawful is not None:
                 laws.append(lawful.law)
                 rounds.append(Round(fitted, tuple(candidates), None, lawful.law))
@@ -259,6 +265,12 @@ def _odd(fitted: Fit, *, calm: bool) -> list[RandomGain]:
         return [RandomGain(bursts, _PLAIN_NATS)]
     tails = heavy_tails(fitted) if calm else None
     return [RandomGain(*tails)] if tails is not None else []
+
+
+def _worth(gain: RandomGain, calmer: Fit, fitted: Fit) -> float:
+    """Return the nats that a wandering gain explains, less its price; more of them once the rest is fitted with it."""
+    refitted = calmer.log_likelihood - fitted.log_likelihood - float(np.log(len(fitted.problem.nodes)))
+    return max(gain.nats, refitted)
 
 
 def _beside_bursts(

@@ -50,19 +50,20 @@ class QuickLook:
         self._pull = fit.noise.whitener.pulled(self._left.residual)
         self._motions, self._nodes = fit.problem.motions, fit.problem.nodes
         self._seen = views(sampled(self._nodes, self._motions))
+        self._whole = [views(m) for m in self._motions]
         self._units: dict[Action, list[tuple[str, Array]]] = {}
 
     def everything(self) -> list[Tried]:
         """Return the likeliest laws of every driver on everything that they may act on."""
         every = laws(self._motions)
-        means: dict[tuple[str, str, str], Array] = {}
+        means: dict[tuple[str, frozenset[str], str], Array] = {}
         found: list[Tried] = []
         for action in actions_on(self._motions):
-            mine = [law for law in every if action.reach in law.reaches]
+            mine = [law for law in every if not action.reaches.isdisjoint(law.reaches)]
             weighed_by = "omega" if action.move == "omega" else "v"
             here = []
             for view, _ in self._of(action):
-                key = (view, action.reach, weighed_by)
+                key = (view, action.reaches, weighed_by)
                 if key not in means:
                     means[key] = self._means(mine, view, weighed_by)
                 here.append(means[key])
@@ -102,7 +103,7 @@ class QuickLook:
         disc = max((t for t in found if t.law.kin), key=lambda t: t.nats, default=None)
         if disc is None or disc.nats < max(_PLAIN_NATS, _PLAIN_PART * max(t.nats for t in found)):
             return []
-        actions = [disc.action, *(a for a in actions_on(self._motions) if a.reach == "both")]
+        actions = [disc.action, *(a for a in actions_on(self._motions) if "both" in a.reaches)]
         turned = []
         for law in self.refined(disc).law.kin:
             tried = [Tried(law, action, self._gain(law, action)) for action in actions]
@@ -148,7 +149,7 @@ class QuickLook:
         """Return the views of an action, and what (K, 3) a unit of error there does to the residuals of an interval."""
         if action not in self._units:
             track_m = self._motions[0].track_m
-            moved = [(m.dt_s, action.rates(views(m), track_m)) for m in self._motions]
+            moved = [(m.dt_s, action.rates(v, track_m)) for m, v in zip(self._motions, self._whole, strict=True)]
             self._units[action] = [
                 (view, self._nodes.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
                 for i, (view, _) in enumerate(moved[0][1])

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Unknown", "unknown_dependences"]
 
 _LEVEL = 0.01
-_OF_TURNS = ("yaw_rate", "yaw_acceleration", "heading")
+_OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
 """Drivers of which a drive that hardly turns shows nothing but how it is steered."""
 _LEAST_NATS, _LEAST_NATS_OF_TURNS = 4.0, 25.0
 """What a curve without any law to it has to gain, and one of the yaw over how the robot turns: tight steering (3 per
@@ -168,6 +168,13 @@ def _line(name: str, channel: str, per: str, where: Array, score: ColumnScore) -
         worst = int(np.argmax(np.abs(curve) * np.sqrt(weight)))
         x, y = where[worst]
         return f"{channel} += {curve[worst]:.3g} * {move} * exp(-((x - {x:.3g})**2 + (y - {y:.3g})**2) / 2)"
-    variable = {"speed": "v", "yaw_rate": "omega", "acceleration": "a", "yaw_acceleration": "alpha", "time": "t"}
+    variable = {
+        "speed": "v",
+        "yaw_rate": "omega",
+        "acceleration": "a",
+        "lateral_acceleration": "abs(v * omega)",
+        "yaw_acceleration": "alpha",
+        "time": "t",
+    }
     slope, offset = np.polyfit(where, curve, 1, w=np.sqrt(weight))
     return f"{channel} += {move} * ({offset:.3g} + {slope:.3g} * {variable.get(name, name)})"
