@@ -2,6 +2,7 @@
 
 A model is judged on recordings it was not fitted on. Where a recording was fitted, it is cut in two and the model is
 fitted again on one half and judged on the other, both ways (and every model beside it is judged on the same halves).
+Stretches that resets cut out of one run are halved together.
 Clocks belong to a recording, not to a robot: they are estimated on each one, the same for every model.
 """
 
@@ -15,6 +16,7 @@ from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.gauss_newton import fit
 from odomcorrupt.study.judge.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.judge.failures import Failure, drift_failures, failures, sudden_failures
+from odomcorrupt.study.judge.halves import cutting_of
 from odomcorrupt.study.judge.judged import Judged, horizons_of, judge_stretch
 from odomcorrupt.study.judge.nats import Nats, nats_of
 from odomcorrupt.study.judge.trajectory_error import TrajectoryError, trajectory_error
@@ -22,13 +24,13 @@ from odomcorrupt.study.judge.verdict import Verdict, pits_of, verdict_of, whiten
 from odomcorrupt.study.likelihood.nodes import join
 from odomcorrupt.study.likelihood.windows import rmse, time_windows
 from odomcorrupt.study.recordings.clock import Clock, aligned
-from odomcorrupt.study.recordings.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.model import MotionModel
     from odomcorrupt.study.fitting.approach import Approach
+    from odomcorrupt.study.judge.halves import Pieces
     from odomcorrupt.study.judge.pit import Pit
     from odomcorrupt.study.judge.whiteness import Whiteness
     from odomcorrupt.study.recordings.trajectory import Recording
@@ -88,19 +90,23 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     approach = choose_approach(recordings)
     found = find_clocks(recordings, approach)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
-    fitted = {r.name for r in recordings for model in models.values() if r.name in _fitted_on(model)}
-    judged = {name: _stretches(model, on_time, fitted, approach) for name, model in models.items()}
+    fitted = {name for model in models.values() for name in _fitted_on(model)}
+    cutting = cutting_of(on_time, fitted, approach.spacing_s)
+    runs = cutting.pieces(on_time)
+    judged = {name: _judged(model, runs, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
     # a truth of positions alone is given headings, for it takes a pose to start from
-    as_it_came = _cut([aligned(r, Clock()) for r in recordings], fitted)
-    clock_right = _cut(on_time, fitted)
+    as_it_came = [piece for run in cutting.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
+    clock_right = [piece for run in runs for piece in run.all]
     return Comparison(
         recordings=tuple(r.name for r in recordings),
         clocks=found,
         raw_error_m=_ten_seconds(as_it_came),
         clock_error_m=_ten_seconds(clock_right),
         clock_trajectory=trajectory_error(clock_right),
-        judgements=tuple(_judgement(name, models[name], pieces, first) for name, pieces in judged.items()),
+        judgements=tuple(
+            _judgement(name, models[name], pieces, first, cutting.notes) for name, pieces in judged.items()
+        ),
     )
 
 
@@ -109,29 +115,23 @@ def _fitted_on(model: MotionModel) -> list[str]:
     return named if isinstance(named, list) else []
 
 
-def _stretches(
-    model: MotionModel, recordings: Sequence[Recording], fitted: set[str], approach: Approach
-) -> list[Judged]:
-    """Return what a model is judged on; recordings that any model was fitted on come in halves."""
-    pieces = []
-    for recording in recordings:
-        if recording.name not in fitted:
-            pieces.append(judge_stretch(recording, model, approach))
+def _judged(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Judged]:
+    """Return a model on all that it is judged on; the halves of a run that it was fitted on by a fit of the other."""
+    found = []
+    for run in runs:
+        known = not run.names.isdisjoint(_fitted_on(model))
+        if not run.second:
+            found += [judge_stretch(piece, model, approach) for piece in run.first]
             continue
-        first, second = _halves(recording)
-        for half, other in ((first, second), (second, first)):
-            known = recording.name in _fitted_on(model)
+        for half, other in ((run.first, run.second), (run.second, run.first)):
             own = _refit(model, other, approach) if known else model
-            pieces.append(judge_stretch(half, own, approach, refitted=known))
-    return pieces
+            found += [judge_stretch(piece, own, approach, refitted=known) for piece in half]
+    return found
 
 
-def _cut(recordings: Sequence[Recording], fitted: set[str]) -> list[Recording]:
-    """Return the recordings as models see them, those that were fitted on in halves: errors grow with the length."""
-    return [half for r in recordings for half in (_halves(r) if r.name in fitted else (r,))]
-
-
-def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: Sequence[Judged]) -> Judgement:
+def _judgement(
+    name: str, model: MotionModel, pieces: Sequence[Judged], first: Sequence[Judged], notes: Sequence[str]
+) -> Judgement:
     every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
     horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
     width = 3 if all(piece.headed for piece in pieces) else 2
@@ -149,7 +149,7 @@ def _judgement(name: str, model: MotionModel, pieces: Sequence[Judged], first: S
         verdict=verdict_of(horizons, pits, whiteness),
         failures=(*drift_failures(horizons), *_patterns(pieces)),
         trajectory=trajectory_error([piece.left for piece in pieces]),
-        notes=_notes(model, pieces),
+        notes=(*notes, *_notes(model, pieces)),
         pieces=tuple(pieces),
     )
 
@@ -183,22 +183,10 @@ def _notes(model: MotionModel, pieces: Sequence[Judged]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _halves(recording: Recording) -> tuple[Recording, Recording]:
-    """Cut a recording in the middle of its truth."""
-    truth, middle = recording.truth, len(recording.truth) // 2
-    first = Trajectory(truth.stamps_ns[:middle], truth.xyt[:middle])
-    second = Trajectory(truth.stamps_ns[middle:], truth.xyt[middle:])
-    name = recording.name
-    return (
-        replace(recording, name=f"{name}, first half", truth=first),
-        replace(recording, name=f"{name}, second half", truth=second),
-    )
-
-
-def _refit(model: MotionModel, recording: Recording, approach: Approach) -> MotionModel:
-    """Return the model with its numbers estimated on this recording alone, its effects the same."""
+def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
+    """Return the model with its numbers estimated on these recordings alone, its effects the same."""
     effects = (*model.effects, *model.setup.effects)
-    again = fit([recording], effects, approach=replace(approach, law_name=model.noise.law_name))
+    again = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
     random = [e for e in model.effects if e.kind == "noise"]
     count = len(model.effects) - len(random)
     return replace(

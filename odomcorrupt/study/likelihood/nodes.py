@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["Nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
+__all__ = ["LEAST_NODES", "Nodes", "count_nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
 
 GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
@@ -159,6 +159,15 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Nodes:
             f"{LEAST_NODES} are needed: record longer, or check the two clocks"
         )
     return intervals(recording, picked, kept)
+
+
+def count_nodes(recording: Recording, spacing_s: float) -> int:
+    """Return how many intervals `lay_nodes` would find."""
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
+        return 0
+    between_them = np.diff(truth_s[pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)])
+    return int(np.count_nonzero(between_them < GAP_S * spacing_s))
 
 
 def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> Nodes:

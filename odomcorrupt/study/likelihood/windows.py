@@ -62,6 +62,9 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
     at_truth = np.interp(truth_s[inside], odo_s, travelled)
     marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
+    if not len(marks):
+        # who stands, or ends before the first mark, has no window; one end makes none
+        marks = at_truth[:1]
     picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
     return intervals(recording, picked)
 

@@ -21,6 +21,10 @@ __all__ = ["independent_parts", "without_frozen", "without_gaps"]
 _GAP_S = 0.5
 _GAP_STEPS = 5.0
 _SLOW = np.array([0.02, 0.05])
+_CLOCKS_S = 3.0
+"""How far off a clock may be that the study is to find: so much truth is kept on both sides of a stretch."""
+_LEAST_HEADED_S, _LEAST_BLIND_S = 25.0, 50.0
+"""Stretches shorter than this carry too few nodes to be halved; they are left out where longer ones are there."""
 
 
 def without_frozen(odometry: Samples, truth: Samples) -> Samples:
@@ -77,7 +81,7 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
             notes.append(f"{path.name}: {len(cut.rows) - 1} {what}{'s' * (len(cut.rows) > 2)} ({where})")
         pieces.append([path.only(rows) for rows in cut.rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1] if _shared_s(one, other) >= SHORTEST_S]
-    moved = [pair for pair in both if _moves(pair[0])]
+    moved = _long_ones([pair for pair in both if _moves(pair[0])])
     if not moved:
         longest = max((_shared_s(a, b) for a in pieces[0] for b in pieces[1]), default=0.0)
         raise RecordingError(
@@ -96,8 +100,22 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         # what resets cut apart was still recorded by one clock
         origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
         clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
-        recordings.append(Recording(part, own, other.trajectory(), origin_ns, track_m, said, clock=clock))
+        real = _beside(one, other) if len(moved) > 1 else other
+        recordings.append(Recording(part, own, real.trajectory(), origin_ns, track_m, said, clock=clock))
     return recordings
+
+
+def _long_ones(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
+    """Return the pairs of odometry and truth that share enough time for all of a study, or all where none does."""
+    enough = [pair for pair in pairs if _shared_s(*pair) >= (_LEAST_HEADED_S if pair[1].headed else _LEAST_BLIND_S)]
+    return enough or pairs
+
+
+def _beside(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth of a stretch of odometry, not that of the whole run."""
+    margin = round(_CLOCKS_S * 1e9)
+    first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
+    return truth.only((truth.stamps_ns >= first) & (truth.stamps_ns <= last))
 
 
 def _shared_s(a: Samples, b: Samples) -> float:
