@@ -1,4 +1,4 @@
-"""Jumps in a path: outliers (there and back) are left out, lasting ones cut it into independent stretches.
+"""Jumps in a path: outliers (spikes, or there and back) are left out, lasting ones cut it into independent stretches.
 
 A reset of the odometry, a tracker that swaps its markers or a map that is shifted say nothing about how odometry errs:
 nothing may be computed across them. What lies before and after is a run of its own, with a clock of its own.
@@ -7,12 +7,14 @@ nothing may be computed across them. What lies before and after is a run of its 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.pose import wrap
+from odomcorrupt.study.sources.spikes import without_spikes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,6 +30,8 @@ _SPEED_S = 0.1
 _MARGIN = 4.0
 _SLACK = (np.array([0.1, 0.3]), np.array([3.0, 1.5]))
 """Least and largest slack, m and rad: what looks like more noise than the largest is two paths in one."""
+_SPIKE = np.array([0.03, 0.03])
+"""Least that a single pose must be off to be left out, m and rad: ticks and jitter are less."""
 _SIGMAS = 20.0
 _LEVER_M = 1.0
 _MOST_JUMPS = 0.2
@@ -35,10 +39,15 @@ _MOST_JUMPS = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How far a path can go in a time: rate (2,) m/s and rad/s, plus slack (2,) m and rad."""
+    """How far a path can go in a time: rate (2,) m/s and rad/s, plus slack (2,) m and rad.
+
+    top, noise : (2,) rate that is usual, and what noise does at most
+    """
 
     rate: Array
     slack: Array
+    top: Array
+    noise: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +69,14 @@ def reach_of(odometry: Samples, path: Samples) -> Reach:
     gone = np.linalg.norm(odometry.xyz[k:, :2] - odometry.xyz[:-k, :2], axis=1) / dt
     turned = np.abs(wrap(odometry.yaw_rad[k:] - odometry.yaw_rad[:-k])) / dt if odometry.headed else np.zeros(1)
     top = np.array([_top(gone), _top(turned)])
-    rate = _MARGIN * top
-    if path is not odometry:
-        rate[0] += _LEVER_M * top[1]
-    return Reach(rate, np.clip(_SIGMAS * _noise(path), *_SLACK))
+    lever = np.array([0.0 if path is odometry else _LEVER_M * top[1], 0.0])
+    return Reach(
+        rate=_MARGIN * top + lever,
+        slack=np.clip(_SIGMAS * _noise(path, 0.5), *_SLACK),
+        top=top + lever,
+        # trackers have their bad moments
+        noise=np.clip(_SIGMAS * _noise(path, 0.9), _SPIKE, _SLACK[1]),
+    )
 
 
 def without_outliers(path: Samples) -> Samples:
@@ -93,16 +106,17 @@ def stretches(path: Samples, reach: Reach) -> Stretches:
         )
         return over
 
-    rows = np.arange(len(path))
-    jump = far(rows[:-1], rows[1:])
+    every = np.arange(len(path))
+    jump = far(every[:-1], every[1:])
     if np.mean(jump) > _MOST_JUMPS:
         raise RecordingError(
             f"{path.place}: {np.sum(jump)} of its {len(path)} poses lie farther from the one before than the robot can "
             "go: several robots or publishers on one topic, or no path at all; name another one"
         )
-    pieces = np.split(rows, np.flatnonzero(jump) + 1)
+    rows = without_spikes(t_s, np.column_stack((xy, yaw)), reach.top, reach.noise)
+    pieces = np.split(rows, np.flatnonzero(far(rows[:-1], rows[1:])) + 1)
     main = int(np.argmax([len(p) for p in pieces]))
-    groups, outliers = [[pieces[main]]], 0
+    groups, outliers = [[pieces[main]]], len(path) - len(rows)
     for ordered, end, begin, at in ((pieces[main + 1 :], -1, 0, -1), (pieces[:main][::-1], 0, -1, 0)):
         for piece in ordered:
             last = groups[at][at]
@@ -121,10 +135,10 @@ def _top(speeds: Array) -> float:
     return float(np.percentile(moving, 95.0)) if len(moving) else 0.0
 
 
-def _noise(path: Samples) -> Array:
-    """Return the white noise (2,) of position and heading, as second differences show it: half of them are below."""
-    xy = np.diff(path.xyz[:, :2], n=2, axis=0)
-    yaw = np.diff(wrap(np.diff(path.yaw_rad))) if path.headed else np.zeros(1)
-    parts = [np.median(np.abs(xy)) if len(xy) else 0.0, np.median(np.abs(yaw)) if len(yaw) else 0.0]
-    noise: Array = np.array(parts) / 0.6745 / np.sqrt(6.0)
+def _noise(path: Samples, part: float) -> Array:
+    """Return the white noise (2,) of position and heading, by the second differences that a part of them are below."""
+    xy = np.abs(np.diff(path.xyz[:, :2], n=2, axis=0))
+    yaw = np.abs(np.diff(wrap(np.diff(path.yaw_rad)))) if path.headed else np.zeros(1)
+    below = np.array([np.quantile(xy, part) if len(xy) else 0.0, np.quantile(yaw, part) if len(yaw) else 0.0])
+    noise: Array = below / NormalDist().inv_cdf((1.0 + part) / 2.0) / np.sqrt(6.0)
     return noise

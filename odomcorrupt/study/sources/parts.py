@@ -72,7 +72,7 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     for path in (odometry, truth):
         cut = stretches(path, reach_of(odometry, path))
         if cut.outliers:
-            notes.append(f"{path.name}: {cut.outliers} outliers (gross jumps there and back) left out")
+            notes.append(f"{path.name}: {cut.outliers} outliers (jumps there and back) left out")
         if len(cut.rows) > 1:
             what = "reset" if path is odometry else "jump that lasts"
             where = ", ".join(

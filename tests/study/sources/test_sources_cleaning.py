@@ -131,7 +131,7 @@ def test_gross_jumps_and_back_of_the_truth_are_left_out(read):
     recordings = read(real=Rows(real.stamps_ns, xyz, yaw))
     kept = np.delete(np.arange(len(real)), [100, *range(300, 330), 500])
     assert np.array_equal(recordings[0].truth.stamps_ns, real.stamps_ns[kept])
-    noted(recordings, "/truth: 32 outliers (gross jumps there and back) left out")
+    noted(recordings, "/truth: 32 outliers (jumps there and back) left out")
 
 
 @pytest.mark.parametrize("far", [1e5, 1e300, np.inf])

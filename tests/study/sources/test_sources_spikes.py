@@ -1,0 +1,93 @@
+"""Single poses that are wrong are left out, and nothing else: whatever is wrong with them, and however little."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from odomcorrupt.pose import wrap
+from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.study.judge.compare import compare
+from odomcorrupt.study.sources import Source, read_runs
+
+
+@pytest.fixture(scope="module")
+def office():
+    return simulate(31, None, duration_s=120.0)
+
+
+def read(folder, run):
+    write_mcap(run, folder / "run.mcap")
+    return read_runs(Source(folder / "run.mcap", track_m=run.track_m))
+
+
+def spoilt(run, rows, error_xyt):
+    """The run with errors (k, 3) on some poses of its truth."""
+    xyt = run.truth_xyt.copy()
+    xyt[rows] += error_xyt
+    xyt[:, 2] = wrap(xyt[:, 2])
+    return replace(run, truth_xyt=xyt)
+
+
+def left_out(run, recordings):
+    """Rows of the truth that no recording has, those at the ends aside."""
+    kept = np.concatenate([r.truth.stamps_ns for r in recordings])
+    return set(np.flatnonzero(~np.isin(run.truth_stamps_ns, kept)))
+
+
+@pytest.mark.parametrize("parts", [(0, 0, 0.5), (0.5, 0.5, 0.5), (0.5, 0.5, 0)])
+def test_swapped_markers_are_left_out_and_their_neighbours_are_kept(tmp_path, office, parts):
+    rng = np.random.default_rng(5)
+    rows = np.flatnonzero(rng.random(len(office.truth_xyt)) < 0.005)
+    error = rng.normal(size=(len(rows), 3)) * parts
+    (recording,) = read(tmp_path, spoilt(office, rows, error))
+    out = left_out(office, [recording])
+    assert out <= set(rows)
+    # by less than that a pose may be off by noise
+    off = np.maximum(np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2]))
+    assert set(rows[off > 0.12]) <= out
+    (note,) = (note for note in recording.notes if "outliers" in note)
+    assert f"{len(out)} outliers (jumps there and back) left out" in note
+
+
+@pytest.mark.parametrize("error_rad", [0.2, 0.29, 0.3, 0.31, 0.5, 3.0])
+@pytest.mark.parametrize("length", [1, 2, 3])
+def test_a_heading_that_is_wrong_for_a_moment_never_cuts_the_run(tmp_path, office, error_rad, length):
+    """Near what counts as a jump (.3 rad), one side of it is one and the other not."""
+    first = np.arange(500, len(office.truth_xyt) - 500, 500)
+    rows = (first[:, None] + np.arange(length)).ravel()
+    recordings = read(tmp_path, spoilt(office, rows, [0.0, 0.0, error_rad]))
+    assert len(recordings) == 1
+    assert left_out(office, recordings) == set(rows)
+
+
+def test_a_truth_with_swapped_markers_is_judged_like_the_clean_one(tmp_path, office):
+    rng = np.random.default_rng(6)
+    rows = np.flatnonzero(rng.random(len(office.truth_xyt)) < 0.005)
+    error = rng.normal(size=(len(rows), 3)) * [0.0, 0.0, 0.5]
+    errors = []
+    for run in (office, spoilt(office, rows, error)):
+        recordings = read(tmp_path, run)
+        model = fit_robot(recordings, (), law_name="diffusion").model
+        found = compare(recordings, {"own": replace(model, source={"recordings": [r.name for r in recordings]})})
+        errors.append(found.judgements[0].ten_second_error_m)
+    assert errors[1] == pytest.approx(errors[0], rel=0.1)
+
+
+def test_a_map_that_is_turned_for_good_still_cuts_the_run(tmp_path, office):
+    rows = np.arange(len(office.truth_xyt) // 2, len(office.truth_xyt))
+    recordings = read(tmp_path, spoilt(office, rows, [0.0, 0.0, 0.8]))
+    assert len(recordings) == 2
+    assert not left_out(office, recordings)
+
+
+def test_a_tracker_with_bad_moments_is_believed(tmp_path, office):
+    """White noise ten times as large for half of the time is noise, not outliers."""
+    rng = np.random.default_rng(7)
+    bad = np.flatnonzero(np.arange(len(office.truth_xyt)) % 1000 < 500)
+    noise = rng.normal(size=(len(bad), 3)) * [0.01, 0.01, 0.02]
+    (recording,) = read(tmp_path, spoilt(office, bad, noise))
+    assert not left_out(office, [recording])
