@@ -40,23 +40,22 @@ def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[
     """
     kept = np.arange(len(t_s))
     for _ in range(_ROUNDS):
-        bad = np.zeros(len(kept), dtype=bool)
-        for count in range(1, LONGEST + 1):
-            bad |= _spikes(t_s[kept], xyt[kept], top, limit, count)
-            if bad.any():
-                # what lies beside a spike is judged anew without it
-                break
-        if not bad.any():
+        own_s, own_xyt = t_s[kept], xyt[kept]
+        over = _apart(own_xyt[:-1], own_xyt[1:]) > limit + top * np.diff(own_s)[:, None]
+        steps = over[:, 0] | over[:, 1]
+        found = (_spikes(own_s, own_xyt, top, limit, steps, count) for count in range(1, LONGEST + 1) if steps.any())
+        # the shortest first: what lies beside them is judged anew without them
+        bad = next((rows for rows in found if len(rows)), None)
+        if bad is None:
             break
-        kept = kept[~bad]
+        kept = np.delete(kept, bad)
     return kept
 
 
-def _spikes(t_s: Array, xyt: Array, top: Array, limit: Array, count: int) -> NDArray[np.bool_]:
-    """Return which poses (n,) are spikes of `count` poses in a row."""
-    bad = np.zeros(len(t_s), dtype=bool)
-    over = _apart(xyt[:-1], xyt[1:]) > limit + top * np.diff(t_s)[:, None]
-    stands_out = over[:, 0] | over[:, 1]
+def _spikes(
+    t_s: Array, xyt: Array, top: Array, limit: Array, stands_out: NDArray[np.bool_], count: int
+) -> NDArray[np.int64]:
+    """Return the poses of all spikes of `count` poses in a row, where these steps (n - 1,) stand out."""
     # a spike begins and ends with a step that stands out; on one side at least, the step beyond does not
     before = np.flatnonzero(stands_out)
     after = before + count + 1
@@ -72,9 +71,8 @@ def _spikes(t_s: Array, xyt: Array, top: Array, limit: Array, count: int) -> NDA
         least = np.minimum(least, _off(xyt[before], xyt[before + i], xyt[after]))
     # the neighbours agree: they are no farther apart than they may drive, or than they are from what is wrong
     spike = (moved < np.maximum(slack, least)).all(axis=1) & (least > slack).any(axis=1)
-    for i in range(1, count + 1):
-        bad[before[spike] + i] = True
-    return bad
+    rows: NDArray[np.int64] = (before[spike][:, None] + np.arange(1, count + 1)).ravel()
+    return rows
 
 
 def _apart(a_xyt: Array, b_xyt: Array) -> Array:
