@@ -38,7 +38,12 @@ TRAIL_S = 0.05
 TOLERANCE = 1e-12
 """A correction is found when no increment moves by more between two rounds, metres or radians."""
 
-MAX_ROUNDS = 400
+MAX_ROUNDS = 2000
+"""Where a law switches on and off for seconds on end, each round gets no further than the next switch."""
+
+_NUDGE = 0.5
+"""How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
+
 _RUNAWAY = 1e6
 """An increment that is changed by more than this many metres will not settle."""
 
@@ -78,10 +83,12 @@ class SpeedMemory:
 
     clock_s : (m,) time gone at the ends of intervals, seconds
     travel : (m, 3) metres along, metres left and radians gone until then
+    latest : (2, 3) acceleration and trail of the last interval
     """
 
     clock_s: Array
     travel: Array
+    latest: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +97,13 @@ class Accelerations:
 
     rate : (n, 3) m/s^2 and rad/s^2
     trail : (n, 3) the speeds that change at this rate, in the middle of each interval, m/s and rad/s
+    before : (n, 2, 3) rate and trail of the interval before each; rest before the first
     memory : what to go on with; None before time has gone on
     """
 
     rate: Array
     trail: Array
+    before: Array
     memory: SpeedMemory | None
 
 
@@ -112,9 +121,10 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     if memory is None:
         first = int(np.argmax(dt_s > 0.0)) if n else 0
         if not n or dt_s[first] <= 0.0:
-            return Accelerations(rate, np.zeros((n, 3)), None)
+            return Accelerations(rate, np.zeros((n, 3)), np.zeros((n, 2, 3)), None)
         before = 2.0 * TRAIL_S
-        memory = SpeedMemory(np.array([-before, 0.0]), np.stack((-before * twist[first], np.zeros(3))))
+        way = np.stack((-before * twist[first], np.zeros(3)))
+        memory = SpeedMemory(np.array([-before, 0.0]), way, np.zeros((2, 3)))
     clock = np.cumsum(np.concatenate((memory.clock_s[-1:], dt_s)))
     travel = np.cumsum(np.concatenate((memory.travel[-1:], twist * dt_s[:, None])), axis=0)
     clock_s = np.concatenate((memory.clock_s, clock[1:]))
@@ -125,13 +135,15 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
     kept = max(int(np.searchsorted(clock_s, clock[-1] - TRAIL_S, side="right")) - 1, 0)
     trail = (speed[1:] + speed[:-1]) / 2.0
     trail[:first] = 0.0
-    return Accelerations(rate, trail, SpeedMemory(clock_s[kept:].copy(), way[kept:].copy()))
+    both = np.concatenate((memory.latest[None], np.stack((rate, trail), axis=1)))
+    return Accelerations(rate, trail, both[:-1], SpeedMemory(clock_s[kept:].copy(), way[kept:].copy(), both[-1].copy()))
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
     """Return the motion over the n - 1 intervals between poses (n, 3) at t_s (n,) seconds.
 
-    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact.
+    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact. They are in
+    step with smooth accelerations, which may be put in the place of these.
     """
     steps = increments(xyt)
     dt = np.diff(t_s)
@@ -151,7 +163,6 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
         theta=xyt[:-1, 2],
         distance=np.cumsum(travel),
         track_m=track_m,
-        trail=faster.trail,
     )
 
 
@@ -199,11 +210,12 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
     """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion itself.
 
     Whatever they read lies in the past of an interval, but for its own acceleration: dividing by what that does
-    (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength.
+    (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength. What jumps looks at
+    the interval before, so that there is always a solution.
     """
     dt = motion.dt_s[:, None]
     start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
-    stiff = np.ones_like(known)
+    stiff = np.ones((len(known), 1))
     truth = known
     for number in range(MAX_ROUNDS):
         steps = truth * dt
@@ -213,6 +225,7 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
             motion,
             acceleration=faster.rate,
             trail=faster.trail,
+            before=faster.before,
             x=np.ascontiguousarray(path[:, 0]),
             y=np.ascontiguousarray(path[:, 1]),
             theta=np.ascontiguousarray(path[:, 2]),
@@ -220,8 +233,9 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
         )
         with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
             if number & (number - 1) == 0:  # less and less often, for the truth is better and better known
-                stiff = _stiffness(effects, seen)
-            change = (sum((error_of(e, seen) for e in effects), start=known) - truth) / stiff
+                # never softer again: what is held too stiff settles late, what is held too soft never
+                stiff = np.maximum(stiff, _stiffness(effects, seen))
+            change = (known + _sum_of(effects, seen) - truth) / stiff
             truth = truth + change
         largest = np.abs(change * dt).max(initial=0.0)
         if largest <= TOLERANCE:
@@ -230,19 +244,33 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
             break
     names = ", ".join(effect.name for effect in effects)
     raise EffectError(
-        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them weaker"
+        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them "
+        "weaker, or delete them from the model"
     )
 
 
 def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return by how much (n, 3) a speed moves its own equation: 1 where its acceleration does nothing to f."""
-    gain = np.zeros((len(motion), 3))
+    """Return by how much at most (n, 1) a speed moves its own equation: 1 where its acceleration does nothing to f.
+
+    What acts on one side of an acceleration alone, as slip that comes with braking does, counts with that side. Two
+    channels that drive each other add their geometric mean: so a wheel that slips alone counts in full, not by half.
+    One number serves all channels, for rims must be held as stiff as the body that they make up.
+    """
+    here = _sum_of(effects, motion)
+    own, across = np.zeros_like(here), np.zeros((len(motion), 3, 3))
     for i in range(3):
-        nudge = np.zeros(3)
-        nudge[i] = 0.5
-        for effect in effects:
-            more = error_of(effect, replace(motion, acceleration=motion.acceleration + nudge))
-            less = error_of(effect, replace(motion, acceleration=motion.acceleration - nudge))
-            gain[:, i] += more[:, i] - less[:, i]
-    own = 1.0 / np.maximum(motion.dt_s, TRAIL_S)
-    return np.maximum(1.0 - gain * own[:, None], 1.0)
+        for nudge in (-_NUDGE, _NUDGE):
+            aside = motion.acceleration.copy()
+            aside[:, i] += nudge
+            gain = (_sum_of(effects, replace(motion, acceleration=aside)) - here) / nudge
+            own[:, i] = np.minimum(own[:, i], gain[:, i])
+            across[:, i] = np.maximum(across[:, i], np.abs(gain))
+    each_other = np.sqrt(across * across.transpose(0, 2, 1)) * (1.0 - np.eye(3))
+    acting = (each_other.sum(axis=2) - own).max(axis=1, keepdims=True)
+    stiff: Array = 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
+    return stiff
+
+
+def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:
+    """Return what the f of effects add up to (n, 3)."""
+    return sum((error_of(effect, motion) for effect in effects), start=np.zeros((len(motion), 3)))

@@ -267,5 +267,5 @@ def _path(effects: Sequence[Effect], seed: int = 1, noise: float = 0.0) -> Noisy
 
 
 def _rows(motion: Motion, rows: slice) -> Motion:
-    arrays = {f.name: getattr(motion, f.name)[rows] for f in dataclasses.fields(Motion) if f.name != "track_m"}
-    return replace(motion, **arrays)
+    values = {f.name: getattr(motion, f.name) for f in dataclasses.fields(Motion) if f.name != "track_m"}
+    return replace(motion, **{name: value[rows] for name, value in values.items() if value is not None})

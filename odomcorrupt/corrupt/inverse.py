@@ -165,6 +165,7 @@ def _motion(twist: Array, drive: Drive, faster: Accelerations, distance_m: Array
         omega=np.ascontiguousarray(twist[:, 2]),
         acceleration=faster.rate,
         trail=faster.trail,
+        before=faster.before,
         x=np.ascontiguousarray(drive.start_xyt[:, 0]),
         y=np.ascontiguousarray(drive.start_xyt[:, 1]),
         theta=np.ascontiguousarray(drive.start_xyt[:, 2]),

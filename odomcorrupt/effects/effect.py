@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
+from odomcorrupt.effects.moving import Motion
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
@@ -43,57 +44,6 @@ __all__ = [
 Kind = Literal["effect", "setup", "noise"]
 Layer = Literal["motion", "record", "draws"]
 State = Any
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Motion over n intervals as the odometry sees it, (n,) each.
-
-    t_s : since the first odometry stamp, seconds, at the end of the interval
-    dt_s : length of the interval, seconds; where it is 0 the rates are 0
-    v, vy : forward and leftward speed, m/s (signed)
-    omega : yaw rate, rad/s
-    acceleration : (n, 3) forward and leftward, m/s^2, and yaw acceleration, rad/s^2, see `motion.accelerations`
-    x, y, theta : the pose where the interval begins, metres and radians
-    distance : travelled so far, metres
-    track_m : the robot's nominal track, or None where it is not known
-    trail : (n, 3) mean true speeds that `acceleration` is the rate of, None where speeds are smooth already
-
-    Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
-    the corrected one in correction, of the smoothest estimate in the study. A force accelerates the body and a floor is
-    where the body is; and only so can an effect that looks at accelerations be put in and taken out stably.
-    """
-
-    t_s: Array
-    dt_s: Array
-    v: Array
-    vy: Array
-    omega: Array
-    acceleration: Array
-    x: Array
-    y: Array
-    theta: Array
-    distance: Array
-    track_m: float | None = None
-    trail: Array | None = None
-
-    @property
-    def steady_v(self) -> Array:
-        """Forward speed (n,), m/s, in step with `a`: their product is the rate of half its square."""
-        return self.v if self.trail is None else self.trail[:, 0]
-
-    @property
-    def a(self) -> Array:
-        """Forward acceleration (n,), m/s^2."""
-        return self.acceleration[:, 0]
-
-    @property
-    def alpha(self) -> Array:
-        """Yaw acceleration (n,), rad/s^2."""
-        return self.acceleration[:, 2]
-
-    def __len__(self) -> int:
-        return len(self.t_s)
 
 
 class TwistError(NamedTuple):

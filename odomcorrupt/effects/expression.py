@@ -6,6 +6,9 @@ Statements add a rate to truth minus odometry, along (m/s), across (m/s, to the 
 speed (m/s) of the left wheel, the right one or both wheels, each of which is then shown its own motion. There are
 numbers, the names of `VARIABLES` and of the parameters, + - * / **, comparisons and the functions of `FUNCTIONS`; no
 attributes, no items, no calls of anything else. Size and depth are bounded, and so are exponents.
+
+Beside an acceleration, speeds are those in step with it, and what jumps (a comparison, a sign, the condition of where)
+looks at the interval before: a law that switches itself off by switching itself on would have no solution.
 """
 
 from __future__ import annotations
@@ -27,20 +30,40 @@ if TYPE_CHECKING:
 
     Term = Callable[[Mapping[str, Array]], Array]
 
-__all__ = ["CHANNELS", "FUNCTIONS", "SIDES", "TRUTH_VARIABLES", "VARIABLES", "Expression", "parse_expression"]
+__all__ = [
+    "ACCELERATIONS",
+    "CHANNELS",
+    "FUNCTIONS",
+    "PAST",
+    "SIDES",
+    "TRUTH_VARIABLES",
+    "VARIABLES",
+    "Expression",
+    "parse_expression",
+]
 
 CHANNELS = ("along", "across", "yaw")
 SIDES = ("left", "right", "wheels")
 """What may be added to besides: the rim speeds of single wheels, or of both."""
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
 """What is read from the true motion; the rest is the odometry's."""
+ACCELERATIONS = ("a", "alpha")
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
+PAST = " before"
+"""Ends the name under which the value of a variable in the interval before is told, where that is another."""
+_NOTHING = 1e-9
+"""Of numbers below it the sign is left to rounding, and taken for zero."""
 CONSTANTS = {"pi": np.pi}
 
 
 def _chosen(condition: Array, yes: Array, no: Array) -> Array:
     chosen: Array = np.where(condition != 0.0, yes, no)
     return chosen
+
+
+def _sign(x: Array) -> Array:
+    sign: Array = np.where(np.abs(x) <= _NOTHING, 0.0, np.sign(x))
+    return sign
 
 
 def _folded(function: Callable[[Array, Array], Array], values: tuple[Array, ...]) -> Array:
@@ -59,7 +82,7 @@ FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Array]]] = {
     "sqrt": (1, 1, np.sqrt),
     "tanh": (1, 1, np.tanh),
     "abs": (1, 1, np.abs),
-    "sign": (1, 1, np.sign),
+    "sign": (1, 1, _sign),
     "atan2": (2, 2, np.arctan2),
     "hypot": (2, 2, np.hypot),
     "min": (2, 8, lambda *x: _folded(np.minimum, x)),
@@ -166,6 +189,7 @@ class _Reader:
     def __init__(self, text: str, parameters: tuple[str, ...]) -> None:
         self._text, self._parameters = text, parameters
         self._nodes = 0
+        self._jumping = False
         self.names: set[str] = set()
         self.statements: list[ast.AugAssign] = []
 
@@ -199,11 +223,18 @@ class _Reader:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
                 return _two(_BINARY[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
             case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
-                both = _two(_COMPARE[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
+                both = _two(_COMPARE[type(op)], self._jump(left, depth + 1), self._jump(right, depth + 1))
                 return lambda names: np.where(both(names), 1.0, 0.0)
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 return self._call(name, args, depth)
         raise self.wrong(f"{ast.unparse(node)[:40]!r} is not of this language; see `odomcorrupt effects --help`")
+
+    def _jump(self, node: ast.expr, depth: int) -> Term:
+        """Return what decides where something jumps: it looks at the interval before."""
+        was, self._jumping = self._jumping, True
+        term = self._term(node, depth)
+        self._jumping = was
+        return term
 
     def _number(self, value: float) -> Term:
         if not abs(value) <= _LARGEST_NUMBER:
@@ -218,7 +249,8 @@ class _Reader:
             known = ", ".join((*VARIABLES, *CONSTANTS, *self._parameters))
             raise self.wrong(f"{name!r} is not known; there are {known}, and a parameter needs a value, as in k = 0.01")
         self.names.add(name)
-        return lambda names: names[name]
+        past = f"{name}{PAST}"
+        return (lambda names: names.get(past, names[name])) if self._jumping else lambda names: names[name]
 
     def _power(self, left: ast.expr, right: ast.expr, depth: int) -> Term:
         sign = 1.0
@@ -236,7 +268,8 @@ class _Reader:
         fewest, most, function = FUNCTIONS[name]
         if not fewest <= len(args) <= most:
             raise self.wrong(f"{name} takes {fewest if fewest == most else f'{fewest} to {most}'} arguments")
-        terms = [self._term(arg, depth + 1) for arg in args]
+        jumping = len(args) if name == "sign" else int(name == "where")
+        terms = [(self._jump if i < jumping else self._term)(arg, depth + 1) for i, arg in enumerate(args)]
         return lambda names: function(*(term(names) for term in terms))
 
 

@@ -22,9 +22,11 @@ from odomcorrupt.effects.effect import (
     parameters,
 )
 from odomcorrupt.effects.expression import (
+    ACCELERATIONS,
     CHANNELS,
     CONSTANTS,
     FUNCTIONS,
+    PAST,
     SIDES,
     TRUTH_VARIABLES,
     VARIABLES,
@@ -60,16 +62,23 @@ class UserEffect(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the expression; what single wheels do, put together again."""
         own = {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
-        body = _shown(motion) | own
+        body = self._shown(motion) | own
         f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
         if self.expression.by_wheel:
             track_m = needed_track_m(self.name, motion.track_m)
-            right, left = (_shown(wheel) | own for wheel in wheel_motions(motion, track_m))
+            right, left = (self._shown(wheel) | own for wheel in wheel_motions(motion, track_m))
             rims = Rims(
                 self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)
             )
             f += body_of(rims, track_m, getattr(self, "heading", "wheels"))
         return TwistError(f, state)
+
+    def _shown(self, motion: Motion) -> dict[str, Any]:
+        """Return the values of its variables, and those that its conditions look at."""
+        if self.expression.names.isdisjoint(ACCELERATIONS):
+            return _values(motion)
+        past = {f"{name}{PAST}": value for name, value in _values(motion.just_before).items()}
+        return _values(motion.in_step) | past
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return how to make it again: its class has no place in any module."""
@@ -79,7 +88,7 @@ class UserEffect(Effect):
         return user_effect, (self.name, self.expression.text, values, {p.name: p.unit for p in own}, words)
 
 
-def _shown(motion: Motion) -> dict[str, Any]:
+def _values(motion: Motion) -> dict[str, Any]:
     return {name: getattr(motion, "t_s" if name == "t" else name) for name in VARIABLES}
 
 

@@ -68,7 +68,7 @@ def _at_wheel(motion: Motion, arm_m: float) -> Motion:
     """Return the motion so far to the right of the middle."""
 
     def there(rates: Array) -> Array:
-        return rates + arm_m * rates[:, 2:] * [1.0, 0.0, 0.0]  # what turns moves on, too
+        return rates + arm_m * rates[..., 2:] * [1.0, 0.0, 0.0]  # what turns moves on, too
 
     return replace(
         motion,
@@ -77,4 +77,5 @@ def _at_wheel(motion: Motion, arm_m: float) -> Motion:
         x=motion.x + arm_m * np.sin(motion.theta),
         y=motion.y - arm_m * np.cos(motion.theta),
         trail=None if motion.trail is None else there(motion.trail),
+        before=None if motion.before is None else there(motion.before),
     )

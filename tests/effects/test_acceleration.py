@@ -13,6 +13,8 @@ from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.model import MotionModel, Noise
 from odomcorrupt.motion import TRAIL_S, accelerations, corrected_increments, motion_of
+from odomcorrupt.study.fitting.problem import undo
+from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 SILENT = Noise("diffusion", Coefficients(0, 0, 0, 0))
 
@@ -64,6 +66,7 @@ def test_any_cut_gives_the_same_bits():
             parts.append(part)
         assert np.array_equal(np.concatenate([p.rate for p in parts]), whole.rate)
         assert np.array_equal(np.concatenate([p.trail for p in parts]), whole.trail)
+        assert np.array_equal(np.concatenate([p.before for p in parts]), whole.before)
     assert accelerations(twist[:0], dt[:0]).rate.shape == (0, 3)
 
 
@@ -90,6 +93,57 @@ def test_slip_of_any_strength_and_rate_is_put_in_and_taken_out(k, rate_hz):
     odometry, back = there_and_back((effect_from_values("accel_slip", {"k": k}),), drive)
     assert np.abs(odometry - drive[1]).max() > 0.5 * k
     assert back == pytest.approx(drive[1], abs=1e-6)
+
+
+LAWS = {
+    "slides when braking": ("wheels += v * (k * max(-a * sign(v), 0))", 0.1),
+    "slips backwards": ("along += k * a * abs(v)", 0.01),
+    "switches itself off": ("yaw += omega * (k * where(alpha * sign(omega) > -0.03, 1, 0))", -0.1),
+    "switches itself on": ("yaw += omega * (k * where(alpha * sign(omega) > -0.03, 1, 0))", 0.1),
+    "has a sign": ("yaw += k * sign(alpha); along += k * v * (a > 0)", -0.05),
+}
+
+
+def rough(rate_hz):
+    """Return a drive whose odometry trembles, so that accelerations cross their thresholds all the time."""
+    stamps, poses = brisk(rate_hz)
+    trembling = np.cumsum(np.random.default_rng(3).normal(size=poses.shape), axis=0)
+    return stamps, poses + 1e-3 * np.sqrt(1.0 / rate_hz) * trembling
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 50.0, 200.0])
+@pytest.mark.parametrize("law", LAWS)
+def test_laws_of_acceleration_are_put_in_and_taken_out_and_the_other_way_round(law, rate_hz):
+    text, k = LAWS[law]
+    effects = (user_effect("law", text, {"k": k}),)
+    stamps, poses = drive = rough(rate_hz)
+    odometry, back = there_and_back(effects, drive)
+    assert np.abs(odometry - poses).max() > 0.01
+    assert back == pytest.approx(poses, abs=1e-9)
+    motion = motion_of((stamps - stamps[0]) * 1e-9, poses, track_m=0.4)
+    corrected = accumulate(poses[0], corrected_increments(effects, motion))
+    again = corrected + NoisyPath(MotionModel(SILENT, effects, 0.4), 1).feed(stamps, corrected).error_xyt
+    assert again == pytest.approx(poses, abs=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_laws_of_acceleration_do_not_depend_on_cuts(law):
+    text, k = LAWS[law]
+    model = MotionModel(SILENT, (user_effect("law", text, {"k": k}),), 0.4)
+    stamps, poses = rough(50.0)
+    whole, parts = NoisyPath(model, 1).feed(stamps, poses).error_xyt, NoisyPath(model, 1)
+    cut = [parts.feed(stamps[i : i + 37], poses[i : i + 37]).error_xyt for i in range(0, len(stamps), 37)]
+    assert np.array_equal(np.concatenate(cut), whole)
+
+
+def test_a_law_of_acceleration_is_taken_out_alike_by_a_correction_and_by_the_study():
+    """The study takes accelerations from smooth motion, a correction from the steps themselves, a little late."""
+    stamps, poses = brisk()
+    effects = (user_effect("law", "wheels += v * (k * max(-a * sign(v), 0))", {"k": 0.05}),)
+    odometry, back = there_and_back(effects, (stamps, poses))
+    recording = Recording("drive", Trajectory(stamps, odometry), Trajectory(stamps, poses), int(stamps[0]), track_m=0.4)
+    moved = np.abs(odometry - poses).max()
+    assert np.abs(undo(recording, effects).odometry.xyt - back).max() < 0.06 * moved
 
 
 def test_everything_at_once_is_put_in_and_taken_out():

@@ -30,7 +30,7 @@ def rates(text, **values):
     ("text", "column", "expected"),
     [
         ("yaw += k * v * abs(omega)", 2, lambda m, k: k * m.v * np.abs(m.omega)),
-        ("along += -k * abs(v) * a", 0, lambda m, k: -k * np.abs(m.v) * m.a),
+        ("along += -k * abs(v) * a", 0, lambda m, k: -k * np.abs(m.steady_v) * m.a),
         ("across += k*alpha", 1, lambda m, k: k * m.alpha),
         ("along += k * v**2 / 2 - 3*k*v", 0, lambda m, k: k * m.v**2 / 2 - 3 * k * m.v),
         ("yaw += k * where(v < 0, 1, 2 * omega)", 2, lambda m, k: k * np.where(m.v < 0, 1.0, 2 * m.omega)),
