@@ -46,6 +46,18 @@ REFUSED = {
     "simulate out.mcap --effect none --effect wheel_scale": "--effect none: stands alone",
     "simulate out.mcap --effect wheel_scale:0.01": "'0.01' is not key=value; write as in wheel_scale:e=0.01",
     "simulate out.mcap --size huge": "--size huge: give weak, medium, strong or a number",
+    **{f"learn {OFFICE} --track {bad}": f"{bad}; write metres between the wheels" for bad in ("0", "-1", "nan", "inf")},
+    **{f"learn {OFFICE} --truth-shift {bad}": f"{bad}; write seconds" for bad in ("nan", "-inf", "soon")},
+    f"sample {OFFICE} --every nan": "nan; write metres, more than 0",
+    f"map {OFFICE} --resolution inf": "inf; write metres, more than 0",
+    f"map {OFFICE} --max-yaw-rate nan": "nan; write rad/s, 0 or more",
+    f"preview {OFFICE} --robot-radius inf": "inf; write metres, 0 or more",
+    "export robot.toml --to nav2 --update-min-d inf": "inf; write metres, more than 0",
+    "export robot.toml --to robot_localization --rate inf": "inf; write messages per second",
+    "export robot.toml --to robot_localization --turn-rate nan": "nan; write rad/s, 0 or more",
+    "simulate out.mcap --duration nan": "nan; write seconds, 10 or more",
+    "simulate out.mcap --size nan": "--size nan: give weak, medium, strong or a number of more than 0",
+    "simulate out.mcap --size -1": "--size -1: give weak",
     "fit robot.toml": "no recording given; name a bag with odometry and truth",
 }
 PIPES = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import nan, radians
 from typing import TYPE_CHECKING
 
 import click
@@ -18,6 +18,8 @@ __all__ = ["HEADINGS", "size_of", "what_is_wrong"]
 
 HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Sources of heading, as users and as the simulator call them."""
+_LARGEST = 100.0
+"""Times its usual size, a flaw makes no drive any more."""
 
 
 def what_is_wrong(
@@ -74,6 +76,11 @@ def size_of(text: str) -> float:
     from odomcorrupt.simulate.flaws import SIZES
 
     try:
-        return SIZES[text] if text in SIZES else float(text)
-    except ValueError as error:
-        raise click.UsageError(f"--size {text}: give weak, medium, strong or a number") from error
+        size = SIZES[text] if text in SIZES else float(text)
+    except ValueError:
+        size = nan
+    if not 0.0 < size <= _LARGEST:
+        raise click.UsageError(
+            f"--size {text}: give weak, medium, strong or a number of more than 0, up to {_LARGEST:g}"
+        )
+    return size

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from odomcorrupt.commands._numbers import Number
 from odomcorrupt.commands._poses import POSE
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
             help="Where a motion ends must be free, or all its way. [default: endpoint]",
         ),
         click.option(
-            "--robot-radius", "radius", type=click.FloatRange(min=0.0), default=0.2, help="Metres. [default: 0.2]"
+            "--robot-radius", "radius", type=Number("metres", 0.0, 100.0), default=0.2, help="Metres. [default: 0.2]"
         ),
         click.option(
             "--map-pose", type=POSE, help="Odom frame in the map. [default: TF of the bag; without one 0,0,0]"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._numbers import TRACK, Number
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
@@ -30,11 +31,11 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """
     for option in (
         click.option(
-            "--track", type=float, help="Nominal distance between the wheels, metres (for two-wheel effects)."
+            "--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."
         ),
         click.option(
             "--truth-shift",
-            type=float,
+            type=Number("seconds", -1e10, 1e10),
             default=0.0,
             metavar="SECONDS",
             expose_value=False,

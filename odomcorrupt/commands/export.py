@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._numbers import TRACK, Number
+
 if TYPE_CHECKING:
     from odomcorrupt.export.amcl import Turn
 
 __all__ = ["command"]
+
+_EVERY = "nothing would let amcl update at every scan"
 
 
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
@@ -22,9 +26,23 @@ __all__ = ["command"]
     required=True,
     help="Wheel multipliers, amcl's alphas, or covariances.",
 )
-@click.option("--track", type=float, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
-@click.option("--update-min-d", type=float, default=0.25, show_default=True, metavar="M", help="Of amcl.")
-@click.option("--update-min-a", type=float, default=0.2, show_default=True, metavar="RAD", help="Of amcl.")
+@click.option("--track", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
+@click.option(
+    "--update-min-d",
+    type=Number("metres", 0.0, 1e3, above=True, else_=_EVERY),
+    default=0.25,
+    show_default=True,
+    metavar="M",
+    help="Of amcl.",
+)
+@click.option(
+    "--update-min-a",
+    type=Number("radians", 0.0, 1e3, above=True, else_=_EVERY),
+    default=0.2,
+    show_default=True,
+    metavar="RAD",
+    help="Of amcl.",
+)
 @click.option(
     "--turn",
     type=click.Choice(["rolling", "spot"]),
@@ -32,9 +50,25 @@ __all__ = ["command"]
     show_default=True,
     help="The turn on which amcl is to agree with the model: along an arc, or on the spot.",
 )
-@click.option("--speed", type=float, default=0.5, show_default=True, metavar="M/S", help="For what depends on it.")
-@click.option("--turn-rate", type=float, default=0.5, show_default=True, metavar="RAD/S", help="Likewise.")
-@click.option("--rate", type=float, default=50.0, show_default=True, metavar="HZ", help="Of odometry messages.")
+@click.option(
+    "--speed",
+    type=Number("m/s", 0.0, 1e3),
+    default=0.5,
+    show_default=True,
+    metavar="M/S",
+    help="For what depends on it.",
+)
+@click.option(
+    "--turn-rate", type=Number("rad/s", 0.0, 1e3), default=0.5, show_default=True, metavar="RAD/S", help="Likewise."
+)
+@click.option(
+    "--rate",
+    type=Number("messages per second", 0.0, 1e6, above=True),
+    default=50.0,
+    show_default=True,
+    metavar="HZ",
+    help="Of odometry messages.",
+)
 @click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
 def command(
     model: Path,
@@ -61,8 +95,6 @@ def command(
     from odomcorrupt.modelfile import read_model
 
     robot = read_model(model)
-    if track is not None and not 0.0 < track < 100.0:
-        raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
     if target == "ros2_control":
         click.echo(wheels_text(robot, wheel_multipliers(robot, track), controller))
         return

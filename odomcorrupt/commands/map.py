@@ -9,6 +9,7 @@ import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._move import MODEL_OPTIONS
+from odomcorrupt.commands._numbers import Number
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
 from odomcorrupt.report.finite import finite
@@ -38,13 +39,13 @@ __all__ = ["command"]
 @click.option("--laser-pose", type=POSE, help="Where the laser sits on the robot, where TF does not say.")
 @click.option(
     "--max-yaw-rate",
-    type=click.FloatRange(min=0.0),
+    type=Number("rad/s", 0.0, 1e3),
     metavar="W",
     help="Leave out rays shot while turning faster, rad/s.",
 )
 @click.option(
     "--resolution",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=Number("metres", 0.0, 1e3, above=True),
     default=0.05,
     help="Of the maps, metres. [default: 0.05]",
 )

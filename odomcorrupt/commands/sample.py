@@ -11,6 +11,7 @@ from odomcorrupt.commands._along import sample_along
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._move import choose_move, move_options
+from odomcorrupt.commands._numbers import Number
 from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 
@@ -28,9 +29,7 @@ __all__ = ["command"]
 )
 @move_options
 @map_options
-@click.option(
-    "--every", type=click.FloatRange(min=0.0, min_open=True), metavar="M", help="Along a bag: a cloud per M m."
-)
+@click.option("--every", type=Number("metres", 0.0, 1e6, above=True), metavar="M", help="Along a bag: a cloud per M m.")
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

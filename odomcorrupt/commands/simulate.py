@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from odomcorrupt.commands._flaws import HEADINGS, size_of, what_is_wrong
+from odomcorrupt.commands._numbers import Number
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._recordings import need_study
 
@@ -44,7 +45,7 @@ __all__ = ["command"]
     "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the flaw needs]"
 )
 @click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
-@click.option("--duration", type=click.FloatRange(10.0), help="Seconds. [default: 600, or as long as --drive]")
+@click.option("--duration", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]")
 @click.option("--answer", type=click.Path(dir_okay=False, path_type=Path), help="Answer. [default: OUTPUT.answer.toml]")
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
 def command(
