@@ -10,6 +10,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.sources.axes import check_plane, check_shape, check_turning
 from odomcorrupt.study.sources.likeness import likeness
+from odomcorrupt.study.sources.together import check_together
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +31,7 @@ _YEAR_S = 365.25 * _DAY_S
 
 
 def check_pair(odometry: Samples, truth: Samples) -> None:
-    """Refuse two that cannot be a run: no time in common, nothing moves, other units, other axes, other clocks.
+    """Refuse two that cannot be a run: no time in common, nothing moves, other units, axes, clocks or drives.
 
     Raises
     ------
@@ -52,6 +53,7 @@ def check_pair(odometry: Samples, truth: Samples) -> None:
     check_plane(here, there)
     check_turning(here, there)
     check_shape(here, there)
+    check_together(here, there)
 
 
 def _check_time(odometry: Samples, truth: Samples) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Trajectory
 
-__all__ = ["Likeness", "likeness"]
+__all__ = ["Likeness", "Spread", "likeness"]
 
 _SMOOTHING_S = 0.5
 _MOST = 200_000
@@ -22,17 +22,28 @@ _HARDLY = 0.03
 """Yaw rate (rad/s, root mean square) of a robot that drives sideways instead of turning."""
 
 
+class Spread(NamedTuple):
+    """Standard deviations of yaw rate and of speed, and the root mean square of the speed."""
+
+    turn_radps: float
+    speed_mps: float
+    level_mps: float
+
+
 @dataclass(frozen=True, slots=True)
 class Likeness:
     """Correlations of speed and of yaw rate.
 
     lag_s : (k,) by how much the truth is shifted to later, seconds
     speed, turn : (k,) correlations, -1 to 1
+    odometry, truth : how much each of them varies
     """
 
     lag_s: Array
     speed: Array
     turn: Array
+    odometry: Spread
+    truth: Spread
 
     @property
     def both(self) -> Array:
@@ -45,10 +56,18 @@ class Likeness:
         return (self.speed - self.turn) / 2.0
 
 
-def likeness(odometry: Trajectory, truth: Trajectory, reach_s: float, *, from_start: bool = False) -> Likeness:
+def likeness(
+    odometry: Trajectory,
+    truth: Trajectory,
+    reach_s: float,
+    *,
+    from_start: bool = False,
+    smoothing_s: float = _SMOOTHING_S,
+) -> Likeness:
     """Return correlations at lags up to +- reach_s.
 
     from_start : count both times from their own first stamps instead of taking them as they are
+    smoothing_s : time over which speeds and yaw rates are taken
     """
     origin = int(odometry.stamps_ns[0])
     a_s = odometry.seconds_since(origin)
@@ -59,17 +78,31 @@ def likeness(odometry: Trajectory, truth: Trajectory, reach_s: float, *, from_st
         first, last = 0.0, max(a_s[-1], b_s[-1])
     step = max(0.1, (last - first) / _MOST)
     grid = np.arange(first, last, step)
-    turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, _SMOOTHING_S) ** 2))
+    turned = np.sqrt(np.mean(slopes(a_s, odometry.xyt[:, 2:], grid, smoothing_s) ** 2))
     by_course = bool(np.isnan(truth.xyt[:, 2]).all()) or turned < _HARDLY
-    one, other = (_signals(t, path.xyt, grid, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth)))
+    one, other = (
+        _signals(t, path.xyt, grid, smoothing_s, by_course=by_course) for t, path in ((a_s, odometry), (b_s, truth))
+    )
     count = min(round(reach_s / step), len(grid) - 1)
     turn, speed = (_correlation(one[:, i], other[:, i], count) for i in (0, 1))
-    return Likeness(np.arange(-count, count + 1) * step, speed, turn)
+    return Likeness(
+        lag_s=np.arange(-count, count + 1) * step,
+        speed=speed,
+        turn=turn,
+        odometry=_spread(one),
+        truth=_spread(other),
+    )
 
 
-def _signals(t_s: Array, xyt: Array, grid: Array, *, by_course: bool) -> Array:
+def _spread(signals: Array) -> Spread:
+    there = signals[np.isfinite(signals).all(axis=1)]
+    turn, speed = there.std(axis=0).tolist()
+    return Spread(turn, speed, float(np.sqrt(np.mean(there[:, 1] ** 2))))
+
+
+def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_course: bool) -> Array:
     """Return yaw rate and speed (m, 2) on a grid, NaN where there is no path; courses may stand in for headings."""
-    world = slopes(t_s, xyt[:, :2], grid, _SMOOTHING_S)
+    world = slopes(t_s, xyt[:, :2], grid, smoothing_s)
     speed = np.linalg.norm(world, axis=1)
     if by_course:
         # twice the course: it does not care whether the robot drives forwards or backwards
@@ -77,7 +110,7 @@ def _signals(t_s: Array, xyt: Array, grid: Array, *, by_course: bool) -> Array:
         turn = np.gradient(np.unwrap(course), grid) / 2.0
         turn[speed < 0.3 * np.sqrt(np.mean(speed**2))] = 0.0
     else:
-        turn = slopes(t_s, xyt[:, 2:], grid, _SMOOTHING_S)[:, 0]
+        turn = slopes(t_s, xyt[:, 2:], grid, smoothing_s)[:, 0]
     out = np.stack((np.clip(turn, -_FASTEST, _FASTEST), speed), axis=1)
     out[:, 1] = np.minimum(out[:, 1], 1.5 * np.percentile(speed, 95.0))
     out[(grid < t_s[0]) | (grid > t_s[-1])] = np.nan
