@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.affine import affine, vanishes
+from odomcorrupt.effects.units import amplitude_unit
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
@@ -115,6 +116,7 @@ class Expression:
     names : all variables and parameters that it reads
     linear : parameters that f is affine in
     vanishes : whether f is zero where all of these are
+    units : of these, as what stands beside them has it; "" where that does not tell
     """
 
     text: str
@@ -122,6 +124,7 @@ class Expression:
     names: frozenset[str]
     linear: frozenset[str]
     vanishes: bool
+    units: Mapping[str, str]
 
     @property
     def by_wheel(self) -> bool:
@@ -180,7 +183,8 @@ def parse_expression(text: str, parameters: tuple[str, ...]) -> Expression:
         if all(affine(node.value, linear | {name}) for node in reader.statements):
             linear |= {name}
     zero = all(vanishes(node.value, linear) for node in reader.statements)
-    return Expression(text, terms, frozenset(reader.names), linear, zero)
+    units = {name: amplitude_unit(reader.statements, name) for name in linear}
+    return Expression(text, terms, frozenset(reader.names), linear, zero, units)
 
 
 class _Reader:

@@ -124,7 +124,13 @@ def user_effect(
             f"effect {name}: {next(iter(words))} is for what adds to {', '.join(SIDES)}, wheels that is; leave it out"
         )
     facts = tuple(
-        (key, units.get(key, ""), key in linear, 0.0 if key in linear else float(value), _magnitude(value))
+        (
+            key,
+            units.get(key) or expression.units.get(key, ""),
+            key in linear,
+            0.0 if key in linear else float(value),
+            _magnitude(value),
+        )
         for key, value in values.items()
     )
     effect = _class_of(name, text, facts)(**values, **words)

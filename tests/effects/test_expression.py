@@ -50,6 +50,26 @@ def test_an_expression_means_what_it_says(text, column, expected):
     assert not np.delete(f, column, axis=1).any()
 
 
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("yaw += k * v", "rad/m"),
+        ("yaw += omega * (k * cos(theta))", ""),
+        ("yaw += omega * (0.1 - k * alpha * sign(omega))", "s^2/rad"),
+        ("wheels += v * (k * max(-a * sign(v) - 0.2, 0))", "s^2/m"),
+        ("along += -k * where(a > 0, v ** 2, 0) / 3", "s/m"),
+        ("left += v * k * hypot(x - 1, 2)", "1/m"),
+        ("yaw += where(t > 5, k * exp(-t / 80), 0)", "rad/s"),
+        ("across += k; yaw += k * v", "m/s"),
+        ("yaw += k * sqrt(v)", ""),
+        ("yaw += 2 ** 2 / (3 * 1) * (k - 1) * (v ** 1.5)", ""),
+    ],
+)
+def test_an_amplitude_has_the_unit_of_what_stands_beside_it(text, unit):
+    assert [p.unit for p in parameters(user_effect("mine", text, {"k": 0.3}))] == [unit]
+    assert [p.unit for p in parameters(user_effect("mine", text, {"k": 0.3}, {"k": "furlong"}))] == ["furlong"]
+
+
 def test_what_is_added_to_wheels_is_shown_the_wheels_own_motion():
     drive = motion(np.linspace(-0.5, 0.7, 50), np.linspace(-1.0, 1.0, 50), track=0.4, heading=0.3)
     right_v, left_v = drive.v + 0.2 * drive.omega, drive.v - 0.2 * drive.omega
