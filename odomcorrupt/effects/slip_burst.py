@@ -17,16 +17,19 @@ from odomcorrupt.effects.effect import (
     Motion,
     State,
     TwistError,
+    choice,
     parameter,
     stacked,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, rims_of
+from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from odomcorrupt.pose import Array
 
+_BOTH, _SINGLE = ((1.0, 1.0),), ((1.0, 0.0), (0.0, 1.0))
+"""How much of a burst the right wheel has, and the left."""
 _MOST = 0.75
 """A wheel that loses more than this of its way cannot be told from one that spins on the spot."""
 
@@ -51,7 +54,7 @@ class _Bursts(NamedTuple):
 class SlipBurst(Effect):
     """f of a wheel = -slip u during bursts, which begin at random, `rate` per second, and end after `duration`.
 
-    A burst takes the right wheel, the left or both alike, each as often; without a track it takes both. Slips of
+    A burst takes the right wheel, the left or both alike, each as often; or always both, as without a track. Slips of
     bursts are spread evenly about their mean, within 0 to 0.75. A new burst ends the one before.
     """
 
@@ -73,6 +76,8 @@ class SlipBurst(Effect):
     duration: float = parameter(
         "s", "how long one lasts", low=0.01, high=10.0, typical=0.3, identity=0.3, amplitude=False
     )
+    heading: str = heading_choice()
+    sides: str = choice("which wheels slip: one or both by chance, or always both, which does not turn", "any", "both")
 
     def start(self, rng: Generator) -> State:
         """Return a clock at zero, no burst, and the first one to come."""
@@ -86,7 +91,8 @@ class SlipBurst(Effect):
         # three draws for each burst, whatever the parameters: neighbouring values of them then look alike
         gap, place, side = float(rng.standard_exponential()), float(rng.uniform(-1.0, 1.0)), int(rng.integers(3))
         begin = after_s + gap / self.rate if self.rate > 0.0 else np.inf
-        return _Burst(begin, self.slip + place * self._spread(), float(side != 1), float(side != 2))
+        both = self.sides == "both"
+        return _Burst(begin, self.slip + place * self._spread(), float(both or side != 1), float(both or side != 2))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: what is lost in the part of each interval that lies in a burst."""
@@ -116,9 +122,9 @@ class SlipBurst(Effect):
     def _lost(self, motion: Motion, share: Rims) -> Array:
         if motion.track_m is None:
             both = -np.maximum(share.right, share.left)
-            return stacked(both * motion.v, both * motion.vy, both * motion.omega, motion.v)
+            return stacked(both * motion.v, both * motion.vy, turning(self.heading, both * motion.omega), motion.v)
         u = rims_of(motion.v, motion.omega, motion.track_m)
-        f = body_of(Rims(-share.right * u.right, -share.left * u.left), motion.track_m)
+        f = body_of(Rims(-share.right * u.right, -share.left * u.left), motion.track_m, self.heading)
         f[:, 1] = -0.5 * (share.right + share.left) * motion.vy
         return f
 
@@ -128,7 +134,8 @@ class SlipBurst(Effect):
         on = 1.0 - np.exp(-self.rate * np.minimum(gone, self.duration))
         square = self.slip**2 + self._spread() ** 2 / 3.0
         one = np.ones(len(motion))
-        sides = [self._lost(motion, Rims(r * one, f * one)) for r, f in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))]
+        wheels = _BOTH if self.sides == "both" else (*_BOTH, *_SINGLE)
+        sides = [self._lost(motion, Rims(r * one, f * one)) for r, f in wheels]
         mean = on[:, None] * self.slip * np.mean(sides, axis=0)
         return Moments(mean, on[:, None] * square * np.mean(np.square(sides), axis=0) - mean**2)
 
@@ -146,13 +153,11 @@ class SlipBurst(Effect):
         longer = np.log((1.0 - low) / (1.0 - high)) / (high - low) if high > low else 1.0 / (1.0 - low)
         mean, square = on * (longer - 1.0), on * (1.0 / ((1.0 - low) * (1.0 - high)) - 2.0 * longer + 1.0)
         one = np.ones(len(motion))
-        if motion.track_m is None:
+        if motion.track_m is None or self.sides == "both":
             return (_stationary(self._lost(motion, Rims(one, one)), keep, square - mean**2),)
         # right, left, or both, each as often: half of sum and of difference have these squares, and no correlation
         alike = square / 2.0 - (mean * 2.0 / 3.0) ** 2
-        both, right, left = (
-            self._lost(motion, Rims(r * one, f * one)) for r, f in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0))
-        )
+        both, right, left = (self._lost(motion, Rims(r * one, f * one)) for r, f in (*_BOTH, *_SINGLE))
         return _stationary(both, keep, alike), _stationary(right - left, keep, square / 6.0)
 
 

@@ -13,6 +13,8 @@ from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
@@ -29,6 +31,8 @@ _ODD = 2e-4
 _HARDLY = 100.0
 """How much wider the noise of what is set apart may be."""
 _LASTS = 0.5
+_TURNS, _SEVERAL = 0.7, 0.25
+"""Turn times track over what was lost along, 2 for one wheel and 0 for both; part of the slips that say so."""
 _PLAIN = 2.0
 """How much more one wheel has lost than the other where it is plain which one slipped."""
 
@@ -41,6 +45,7 @@ class Event:
     along_m, yaw_rad : by how much odometry goes farther (forwards) and turns more to the left than the truth
     slip : the part of the way that was lost, positive where the truth falls behind; of the wheel that lost more, where
         the track is known; 0 where it cannot be told
+    turn_rad : how far the odometry turned meanwhile, to the left
     lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
     """
 
@@ -50,6 +55,7 @@ class Event:
     along_m: float
     yaw_rad: float
     slip: float
+    turn_rad: float
     lasting: bool
 
 
@@ -100,6 +106,7 @@ def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
                 slip=_slip(
                     residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
                 ),
+                turn_rad=float(step[:, 2].sum()),
                 lasting=bool(apart > _LASTS * most),
             )
         )
@@ -127,7 +134,8 @@ def slip_bursts(fit: Fit) -> Effect | None:
 
     Outliers of the truth and tails of the noise go either way.
     """
-    slips = np.array([event.slip for event in odd_steps(fit) if event.lasting and event.slip != 0.0])
+    lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
+    slips = np.array([event.slip for event in lasting])
     if len(slips) < _FEWEST:
         return None
     behind = int(np.sum(slips > 0.0))
@@ -142,4 +150,18 @@ def slip_bursts(fit: Fit) -> Effect | None:
     seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
     # a stretch in which the truth stood still or went back asks for more than a burst can lose
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
-    return effect_from_values("slip_burst", {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()})
+    sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
+    words = _words([event for event in lasting if event.slip > 0.0], fit.problem.recordings[0].track_m)
+    return effect_from_values("slip_burst", sized | words)
+
+
+def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:
+    """Return which wheels slip, and whether they turn the odometry: one of them alone does, or both in a turn."""
+    yaw, along, turn, slip = (
+        np.array([getattr(e, n) for e in slips]) for n in ("yaw_rad", "along_m", "turn_rad", "slip")
+    )
+    single = np.zeros(len(slips)) if track_m is None else np.abs(yaw) * track_m > _TURNS * np.abs(along)
+    sides = "any" if np.mean(single) > _SEVERAL else "both"
+    shared = np.abs(slip * turn).sum()
+    by_gyro = sides == "both" and shared > 0.0 and np.abs(yaw).sum() < _SEVERAL * shared
+    return {"sides": sides, "heading": "gyro" if by_gyro else "wheels"}

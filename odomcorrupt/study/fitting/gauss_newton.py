@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.fitting.beside_random import noise_beside
 from odomcorrupt.study.fitting.problem import pose_problem
 from odomcorrupt.study.fitting.random_process import WANDERING, with_random
 from odomcorrupt.study.likelihood.law_pieces import LawPieces
-from odomcorrupt.study.likelihood.noise_fit import fit_noise
 from odomcorrupt.study.recordings.clock import Clock, clock_leaders
 
 if TYPE_CHECKING:
@@ -109,6 +109,7 @@ def fit(
     """
     # a random effect is believed or passed over, never estimated here
     random = [*random, *(e for e in effects if e.name in WANDERING)]
+    bursts = any(e.name == "slip_burst" for e in effects)
     effects = [e for e in effects if e.kind != "noise"]
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     leaders = clock_leaders(recordings)
@@ -121,14 +122,15 @@ def fit(
             weights = _carried(weights, before, problem)
         columns = believed_columns(problem, free)
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = fit_noise(
-            problem.nodes,
+        noise = noise_beside(
+            problem,
             pieces,
             columns,
+            random,
             start=start,
             weights=weights,
-            headings=problem.headings,
             elsewhere=before is None,
+            bursts=bursts,
         )
         start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import cholesky, eigh
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
@@ -22,19 +22,27 @@ if TYPE_CHECKING:
     from odomcorrupt.study.likelihood.whitener import Whitener
 
 __all__ = [
+    "FINELY",
     "WANDERING",
     "Process",
     "processes",
+    "processes_like",
+    "root_of",
     "rooted",
     "unit_column",
     "widened",
     "with_random",
+    "without_random",
 ]
 
 WANDERING = ("gauss_markov", "gyro_bias_walk")
 """Random effects that a fit can believe."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
-_MOST_KNOTS = 240
+_LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
+"""Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
+_MOST_KNOTS = 400
+_COARSELY, FINELY = 2.0, 8.0
+"""Knots to a correlation time: a few show that a process is there, more show how rough it is."""
 _WALK_S = 20.0
 _BREAK_S = 1e3
 
@@ -58,13 +66,25 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
+def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
+    """Return the same noise without the gains that wander."""
+    white = noise.whitener
+    if white.shrink is None:
+        return noise
+    plain = replace(white, directions=None, shrink=None, log_det=white.log_det + float(np.log(white.shrink).sum()))
+    return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
+
+
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
     """Return a whitener of the problem's residuals that knows of wandering gains, too."""
     if not random:
         return white
     designs = np.concatenate([white.whiten(root_of(effect, problem)) for effect in random], axis=1)
-    directions, size, _ = np.linalg.svd(designs, full_matrices=False)
-    growth = 1.0 + size**2
+    # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
+    square, turned = eigh(designs.T @ designs)
+    plain = square > 1e-9 * max(float(square[-1]), 1.0)
+    square, directions = square[plain], designs @ (turned[:, plain] / np.sqrt(square[plain]))
+    growth = 1.0 + square
     return replace(
         white,
         directions=directions,
@@ -75,25 +95,29 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
 
 def root_of(effect: Effect, problem: Problem) -> Array:
     """Return columns (K, 3, m) whose independent standard normal factors make a wandering gain of its own size."""
-    process = next(p for p in processes(effect) if p.kind is type(effect) and _same(p, effect))
-    root: Array = getattr(effect, process.scale) * rooted(problem, process)
+    (process,) = processes_like(effect)
+    root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
     return root
 
 
-def processes(like: Effect | None = None) -> list[Process]:
-    """Return the processes to try, or with the correlation time of an effect that is believed."""
-    taus = _TAUS_S if like is None else (getattr(like, "tau", _TAUS_S[0]),)
+def processes(taus_s: Sequence[float] = _TAUS_S) -> list[Process]:
+    """Return the processes to try, with these correlation times."""
     kinds = registry()
     markov = [
         Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
         for channel, unit in (("along", _along), ("yaw", _turn))
-        for tau in taus
+        for tau in taus_s
     ]
     return [*markov, Process(kinds["gyro_bias_walk"], {}, "density", _bias, None)]
 
 
-def _same(process: Process, effect: Effect) -> bool:
-    return all(getattr(effect, name) == value for name, value in process.fixed.items())
+def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
+    """Return the process of an effect, or those with correlation times about its own, too."""
+    tau_s = getattr(effect, "tau", _LADDER_S[0])
+    near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
+    channel = getattr(effect, "channel", None)
+    every = processes(sorted({tau_s, *near}))
+    return [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
 
 
 def _along(motion: Motion) -> Array:
@@ -113,14 +137,17 @@ def unit_column(problem: Problem, process: Process) -> Array:
     return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
-def rooted(problem: Problem, process: Process) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1."""
+def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Array:
+    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1.
+
+    Its knots lie a correlation time over `parts` apart.
+    """
     nodes = problem.nodes
     # runs lie far apart: what wandered in one says nothing about the next
     time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
     tau = process.tau
     gaps = np.diff(time)
-    step = max((_WALK_S if tau is None else tau) / 2.0, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
+    step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
     hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)

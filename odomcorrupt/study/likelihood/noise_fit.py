@@ -32,14 +32,15 @@ def fit_noise(
     weights: Array | None = None,
     headings: bool = True,
     elsewhere: bool = False,
+    bursts: bool = False,
 ) -> NoiseFit:
     """Fit coefficients and truth noise by maximum likelihood; columns (K, 3, m) are free linear terms throughout.
 
     Nodes whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the fit
     is repeated; slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more than
-    a few nodes in a hundred they are signal, and the fit is left plain. Given weights (K,) are kept as they are, so
-    that likelihoods can be compared. Without headings, the truth's are unknown: their noise is held flat. A start from
-    elsewhere, of a fit with other columns, is looked at as critically as a first guess.
+    a few nodes in a hundred they are signal, and the fit is left plain, unless bursts are known of. Given weights (K,)
+    are kept as they are, so that likelihoods can be compared. Without headings, the truth's are unknown: their noise is
+    held flat. A start from elsewhere, of a fit with other columns, is looked at as critically as a first guess.
     """
     ones = np.ones(len(nodes))
     task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights, headings=headings)
@@ -62,4 +63,4 @@ def fit_noise(
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
         task = NoiseTask(nodes, pieces, columns, heavier, headings=headings)
         done = task.evaluate(task.climb(task.revived(done.free)))
-    return plain if np.mean(done.weights > 1.0) > _SIGNAL else done
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not bursts else done

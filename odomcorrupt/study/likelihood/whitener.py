@@ -60,6 +60,8 @@ class Whitener:
 
     def whitened(self, flat: Array) -> Array:
         """Return L^-1 x for x of shape (3 K, c)."""
+        if not flat.shape[1]:  # LAPACK writes where there is nothing
+            return flat
         solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")

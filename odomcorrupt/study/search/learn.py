@@ -26,7 +26,7 @@ from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.lawful import believable, challenger
 from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.random_gain import RandomGain, random_gains
-from odomcorrupt.study.search.refit import again, without_idle_noise, without_idlers
+from odomcorrupt.study.search.refit import again, settled, without_idle_noise, without_idlers
 from odomcorrupt.study.search.rivals import CHALLENGE_NATS, Rivalry, put_back, rivalry
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
@@ -197,8 +197,8 @@ class _Search:
                 calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
                 explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
                 if _worth(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
-                    noise.append(gain)
-                    fitted = calmer
+                    fitted, effect = settled(calmer, self.free, believed, gain.effect)
+                    noise.append(replace(gain, effect=effect))
                     continue
             if lawful is not None and best is not None and lawful.nats < best.gain + CHALLENGE_NATS:
                 lawful = None
@@ -215,11 +215,26 @@ class _Search:
             # believe it: robust weights are taken anew, because what looked like outliers may be explained now
             fitted = again(best.fit, self.free, best.fit.effects)
             fitted = _reshaped(fitted, self.free, best.score.effect.name)
+        return self._ended(fitted, rounds, noise, laws, unknown, tested)
+
+    def _ended(
+        self,
+        fitted: Fit,
+        rounds: Sequence[Round],
+        noise: list[RandomGain],
+        laws: Sequence[Unknown],
+        unknown: Sequence[Unknown],
+        tested: tuple[Fit, dict[str, Rivalry]],
+    ) -> _Way:
+        """Return where the looks have come to: odd stretches named, one heading, nothing idle, each name tested."""
         odd = _odd(fitted, calm=not noise and not unknown)
         noise, fitted = _beside_bursts(noise, fitted, self.free) if odd else (noise, fitted)
         noise += odd
         fitted = with_one_heading(fitted, self.given, lambda said: again(fitted, self.free, said))
         fitted = without_idlers(fitted, self.free, self.given)
+        bursts = [gain.effect for gain in odd if gain.effect.name == "slip_burst"]
+        if bursts:  # what they do is no noise of every step
+            fitted = again(fitted, self.free, (*fitted.effects, *bursts))
         if tested[0] is not fitted:
             tested = _tested(fitted, self.free, rounds)
         margins = {name: own.margin for name, own in tested[1].items()}

@@ -7,13 +7,21 @@ marginal likelihood is a sum over eigenvalues, so all amplitudes of one correlat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import eigh
 
-from odomcorrupt.study.fitting.random_process import processes, rooted, unit_column
+from odomcorrupt.study.fitting.random_process import (
+    FINELY,
+    processes,
+    processes_like,
+    rooted,
+    unit_column,
+    with_random,
+    without_random,
+)
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
@@ -22,8 +30,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.fitting.random_process import Process
 
-__all__ = ["NAMED_NATS", "RandomGain", "random_gains"]
+__all__ = ["NAMED_NATS", "RandomGain", "random_gains", "remeasured"]
 
+_SCALES = (1e-6, 0.3)
 NAMED_NATS = 6.0
 """Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
 
@@ -62,6 +71,22 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
     return sorted(found, key=lambda g: g.nats, reverse=True)
 
 
+def remeasured(fit: Fit, believed: Array, effect: Effect) -> Effect:
+    """Return a wandering gain that a fit believes, its parameters measured anew beside the noise of the fit."""
+    others = [e for e in fit.random if e is not effect]
+    noise = with_random(without_random(fit.noise, fit.problem, believed), fit.problem, believed, others)
+    bare = replace(fit, noise=noise, random=tuple(others))
+    best = max(
+        (
+            (_evidence(bare, believed, rooted(fit.problem, process, FINELY), process), process)
+            for process in processes_like(effect, beside=True)
+        ),
+        key=lambda found: found[0][0],
+    )
+    (_, scale), process = best
+    return process.kind(**{process.scale: scale, **process.fixed})
+
+
 def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
     if process.tau is None:
@@ -72,8 +97,11 @@ def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tup
     strength, vectors = eigh(white.T @ white)
     strength = np.maximum(strength, 0.0)
     score = (vectors.T @ (white.T @ r)) ** 2
-    scales = np.geomspace(1e-6, 0.3, 121)
-    q = scales[:, None] ** 2
-    gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
-    best = int(np.argmax(gains))
-    return float(gains[best]), float(scales[best])
+    scales = np.geomspace(*_SCALES, 121)
+    for _ in range(2):
+        q = scales[:, None] ** 2
+        gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
+        best = int(np.argmax(gains))
+        nats, scale = float(gains[best]), float(scales[best])
+        scales = np.geomspace(0.9 * scale, 1.1 * scale, 21)
+    return nats, scale

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.fitting.gauss_newton import Fit, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
+from odomcorrupt.study.search.random_gain import remeasured
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,9 +18,10 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.search.random_gain import RandomGain
 
-__all__ = ["again", "without_idle_noise", "without_idlers"]
+__all__ = ["again", "settled", "without_idle_noise", "without_idlers"]
 
 _DROP_NATS = 3.3
+_ROUNDS, _ALIKE = 6, 0.03
 _NOISE_PRICE = 6.0
 """Nats that a wandering gain is worth by chance, and as much as it has to gain to be named."""
 
@@ -41,6 +46,23 @@ def again(
         random=fitted.random if random is None else random,
         weights=weights,
     )
+
+
+def settled(
+    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], believed: Array, effect: Effect
+) -> tuple[Fit, Effect]:
+    """Return a fit that believes a wandering gain, with both measured beside each other, and the gain."""
+    for _ in range(_ROUNDS):
+        old, effect = effect, remeasured(fitted, believed, effect)
+        if _alike(effect, old):
+            break
+        fitted = again(fitted, free_clocks, fitted.effects, random=[effect if e is old else e for e in fitted.random])
+    return fitted, effect
+
+
+def _alike(one: Effect, other: Effect) -> bool:
+    """Tell whether two effects of a kind have nearly the same parameters."""
+    return all(np.isclose(getattr(one, p.name), getattr(other, p.name), rtol=_ALIKE) for p in parameters(one))
 
 
 def without_idlers(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], keep: set[str]) -> Fit:

@@ -1,0 +1,48 @@
+"""Noise that remembers is measured beside the noise that does not, so that a simulation drifts as the robot does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.search.learn import learn
+
+pytestmark = pytest.mark.slow
+
+
+def _learned(seed, cause, parameters, **options):
+    clean, noisy = (
+        learn([as_recording(simulate(seed, what, duration_s=600.0, **options))])
+        for what, options in ((None, options), (cause, {"parameters": parameters, **options}))
+    )
+    return clean.fit.noise.coefficients, noisy.fit.noise.coefficients, [gain.effect for gain in noisy.noise]
+
+
+@pytest.mark.parametrize("channel", ["along", "yaw"])
+def test_a_gain_and_its_time_are_found_and_white_noise_stays_what_it_was(channel):
+    planted = {"sigma": 0.04, "tau": 8.0, "channel": channel}
+    clean, noisy, (found,) = _learned(301, "gauss_markov", planted, yaw_from="encoders")
+    assert (found.name, found.channel) == ("gauss_markov", channel)
+    assert found.sigma == pytest.approx(0.04, rel=0.3)
+    assert 4.0 < found.tau < 16.0
+    # what the gain moves between knots 1.5 s apart is left, and looks white: sigma (v h / 3 tau)^0.5 of half a second
+    white = ("trans_trans",) if channel == "along" else ("rot_rot", "rot_trans")
+    before, after = (np.hypot.reduce([getattr(k, name) for name in white]) for k in (clean, noisy))
+    assert after < 3.0 * before
+
+
+def test_a_walking_bias_is_measured_and_white_noise_stays_what_it_was():
+    clean, noisy, (found,) = _learned(302, "gyro_bias_walk", {"density": 6e-4}, yaw_from="gyro")
+    assert found.name == "gyro_bias_walk"
+    assert found.density == pytest.approx(6e-4, rel=0.3)
+    assert noisy.rot_trans < 2.0 * max(clean.rot_trans, clean.rot_rot)
+
+
+def test_bursts_do_not_widen_the_noise_of_every_step_and_do_not_turn_a_gyro():
+    planted = {"rate": 0.08, "slip": 0.5, "duration": 0.3}
+    clean, noisy, found = _learned(303, "slip_burst", planted, yaw_from="gyro")
+    (bursts,) = found
+    assert (bursts.name, bursts.heading) == ("slip_burst", "gyro")
+    assert noisy.trans_trans < 2.0 * clean.trans_trans
