@@ -15,6 +15,7 @@ from odomcorrupt.simulate import Segment, simulate, write_mcap
 from odomcorrupt.study.fitting.robot import fit_robot
 from odomcorrupt.study.judge.compare import compare
 from odomcorrupt.study.judge.halves import cutting_of
+from odomcorrupt.study.likelihood.nodes import lay_nodes
 from odomcorrupt.study.likelihood.windows import distance_windows
 from odomcorrupt.study.recordings.trajectory import Trajectory
 from odomcorrupt.study.sources import Source, read_runs
@@ -130,6 +131,13 @@ def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
     assert note.startswith("short: too short to be fitted on one half and judged on the other")
     with pytest.raises(RecordingError, match=r"short: too short .* record longer"):
         cutting_of([short], ["short"], 0.5)
+
+
+def test_a_recording_without_any_time_in_common_is_named(office):
+    recording = as_recording(office, "late")
+    late = Trajectory(recording.truth.stamps_ns + 1000 * SECOND_NS, recording.truth.xyt)
+    with pytest.raises(RecordingError, match="late: odometry and truth overlap in 0 truth samples"):
+        lay_nodes(replace(recording, truth=late), 0.5)
 
 
 def test_a_robot_that_stands_has_no_windows_of_distance():

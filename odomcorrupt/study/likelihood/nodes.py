@@ -151,7 +151,10 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Nodes:
 
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    try:
+        picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    except RecordingError as error:
+        raise RecordingError(f"{recording.name}: {error}") from error
     kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
     if len(kept) < LEAST_NODES:
         raise RecordingError(
