@@ -44,7 +44,7 @@ def command(
     need_study()
     from odomcorrupt.report.found import found_text, shares_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import candidates_table, clock_lines
+    from odomcorrupt.report.tables import candidates_table
     from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.judge.ladder import ladder_comparison
     from odomcorrupt.study.search.learn import learn
@@ -74,16 +74,18 @@ def command(
         words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
         following = f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     begin = Path(name).name if name else "without effects"
-    ladder = ladder_comparison(learned, runs, begin) if as_json or report is not None or learned.added else None
-    if ladder is not None and as_json:
-        click.echo(json.dumps(learned_json(learned, ladder.judgements, advice), indent=2, allow_nan=False))
+    ladder = ladder_comparison(learned, runs, begin)
+    # a ladder knows nothing of noise: what it rejects may be what was named
+    judged = ladder.judgements[-1] if not learned.noise else None
+    if as_json:
+        told = learned_json(learned, ladder.judgements, advice, judged=judged)
+        click.echo(json.dumps(told, indent=2, allow_nan=False))
     else:
-        for line in clock_lines([r.name for r in runs], learned.clocks):
-            click.echo(line)
-        click.echo(f"{candidates_table(learned.rounds[0])}\n\n{found_text(learned, advice)}")
-        if ladder is not None and learned.added:
+        said = found_text(learned, advice, judged=judged)
+        click.echo(f"{candidates_table(learned.rounds[0])}\n\n{said}")
+        if learned.added:
             click.echo(f"\n{shares_text(ladder.judgements)}")
         if following:
             click.echo(f"\nnext: {following}")
-    if report is not None and ladder is not None:
+    if report is not None:
         write_report(report, learned, ladder, advice, following)

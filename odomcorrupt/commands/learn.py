@@ -63,7 +63,6 @@ def command(
     from odomcorrupt.report.fitted import fit_text
     from odomcorrupt.report.found import found_text
     from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import clock_lines
     from odomcorrupt.study.advice.advise import advise
     from odomcorrupt.study.fitting.robot import fit_robot
     from odomcorrupt.study.judge.compare import compare
@@ -91,11 +90,11 @@ def command(
     comparison = compare(judges, ladder)
     steps = ladder_comparison(learned, judges) if as_json or report is not None else None
     if as_json and steps is not None:
-        found = learned_json(learned, steps.judgements, advice)
+        found = learned_json(learned, steps.judgements, advice, judged=comparison.judgements[-1], fit=robot.fit)
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
-        lines = clock_lines([r.name for r in runs], learned.clocks)
-        lines += [found_text(learned, advice), fit_text(robot), ""]
+        told = found_text(learned, advice, judged=comparison.judgements[-1], fit=robot.fit)
+        lines = [told, fit_text(robot, clocks=False), ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
         write_text(output, format_model(robot.model))

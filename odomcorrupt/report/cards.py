@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.report.found import dependence
 from odomcorrupt.report.sentences import size
+from odomcorrupt.report.sure import law_numbers, noise_sure, step_sure, told_expression
 from odomcorrupt.report.tables import clock_lines, value_text, words_text
-from odomcorrupt.study.search.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +34,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
     found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
     found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
     found += [_noise(gain) for gain in learned.noise]
-    found += [_unknown(unknown, believed=unknown in learned.laws) for unknown in learned.unknown[:3]]
+    found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
 
@@ -50,7 +50,7 @@ def _clock(line: str) -> str:
 
 
 def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
-    sure = confidence(evidence_of(look, learned))
+    sure = step_sure(look, learned)
     values = [
         f'<p class="value">{escape(p.name)} {escape(value_text(getattr(effect, p.name), error, p.unit))}</p>'
         for p, error in zip(amplitudes(effect), errors, strict=True)
@@ -58,8 +58,7 @@ def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[floa
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
     if look.alternatives:
         lines.append(f"<p>or {escape(', '.join(look.alternatives))}: these data cannot tell</p>")
-    lines.append(f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>')
-    lines.append(f"<p>{100.0 * sure:.1f} % sure, {look.candidates[0].gain:.0f} nats</p>")
+    lines += _meter(sure, look.candidates[0].gain)
     names = [judgement.name for judgement in ladder.judgements]
     place = names.index(f"+ {look.added}") if f"+ {look.added}" in names else 0
     if place:
@@ -71,17 +70,29 @@ def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[floa
     return _card(effect.kind, effect.name + words_text(effect), lines)
 
 
+def _meter(sure: float, nats: float) -> list[str]:
+    return [
+        f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>',
+        f"<p>{100.0 * sure:.1f} % sure, {nats:.0f} nats</p>",
+    ]
+
+
 def _noise(gain: RandomGain) -> str:
     values = [
         f'<p class="value">{escape(p.name)} {escape(value_text(getattr(gain.effect, p.name), None, p.unit))}</p>'
         for p in parameters(gain.effect)
     ]
     channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-    return _card("noise", gain.effect.name + channel, [*values, f"<p>noise: {escape(gain.effect.summary)}</p>"])
+    return _card(
+        "noise",
+        gain.effect.name + channel,
+        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_sure(gain), gain.nats)],
+    )
 
 
-def _unknown(unknown: Unknown, *, believed: bool) -> str:
+def _unknown(unknown: Unknown, learned: Learned) -> str:
+    expression = told_expression(unknown, law_numbers(unknown, learned))
     what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
-    then = "believed and fitted" if believed else "to try"
-    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(unknown.expression)}</code></p>"]
+    then = "believed and fitted" if unknown in learned.laws else "to try"
+    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
     return _card("unknown", "unknown", lines)

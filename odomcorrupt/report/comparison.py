@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 __all__ = ["comparison_text", "falls_sentence", "ladder_steps", "share_of_worst"]
 
 _BAR = 30
+_NAME = 24
+"""Columns for a model's name; a longer one has a line of its own, so that bars begin below each other."""
 
 
 def comparison_text(comparison: Comparison) -> str:
@@ -108,7 +110,7 @@ def _ladder_lines(comparison: Comparison) -> list[str]:
         bar = "#" * round(_BAR * share_of_worst(steps, error))
         nats = "" if judgement is None else _nats(comparison, judgement)
         size = f"{error * 1e3:9.1f} mm" if isfinite(error) else f"{'-':>12}"
-        lines.append(f"  {name:<24}{size}  {bar:<{_BAR}}  {nats}".rstrip())
+        lines += _named(name, f"{size}  {bar:<{_BAR}}  {nats}")
     falls = falls_sentence(comparison)
     return [*lines, f"  {falls}"] if falls else lines
 
@@ -141,11 +143,18 @@ def _trajectory_lines(comparison: Comparison) -> list[str]:
     steps: list[tuple[str, TrajectoryError]] = [("odometry, clock right", comparison.clock_trajectory)]
     steps += [(j.name, j.trajectory) for j in comparison.judgements]
     for name, e in steps:
-        lines.append(
-            f"  {name:<24}ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start; "
-            f"RPE over 1 m {_metres(e.rpe_m)}, {_degrees(e.rpe_rad)}"
+        lines += _named(
+            name,
+            f"ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start; "
+            f"RPE over 1 m {_metres(e.rpe_m)}, {_degrees(e.rpe_rad)}",
         )
     return lines
+
+
+def _named(name: str, rest: str) -> list[str]:
+    """Return a row with its name before it, or above it."""
+    above = [] if len(name) < _NAME else [f"  {name}"]
+    return [*above, f"  {'' if above else name:<{_NAME}}{rest}".rstrip()]
 
 
 def _metres(value: float) -> str:

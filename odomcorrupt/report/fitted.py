@@ -23,15 +23,15 @@ _AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "
 _MOST_EVENTS = 8
 
 
-def fit_text(result: RobotFit) -> str:
-    """Return what a fit found."""
+def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
+    """Return what a fit found; without clocks where these are told beside it."""
     truth = result.fit.noise.truth
     names = [r.name for r in result.fit.problem.recordings]
     lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
     lines += [_interval_line(result, interval) for interval in result.intervals]
     errors = iter(result.fit.standard_errors)
     lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
-    lines += clock_lines(names, result.clocks)
+    lines += clock_lines(names, result.clocks) if clocks else []
     wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
     heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
     lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")

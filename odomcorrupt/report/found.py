@@ -8,27 +8,34 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.report.advice import advice_text, limits_sentence
-from odomcorrupt.report.sentences import size
-from odomcorrupt.report.tables import ladder_text, value_text
+from odomcorrupt.report.sentences import rejection, size
+from odomcorrupt.report.sure import law_numbers, noise_sure, sure_words, told_expression
+from odomcorrupt.report.tables import clock_lines, ladder_text, value_text
 from odomcorrupt.study.likelihood.nodes import join
 from odomcorrupt.study.likelihood.windows import distance_windows, rmse
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
+    from odomcorrupt.report.sure import LawNumber
     from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.judge.compare import Judgement
     from odomcorrupt.study.search.learn import Learned
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text"]
+__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
 
 NOTHING = "nothing is missing: no known effect would explain more than chance does"
 
 
-def found_text(learned: Learned, advice: Advice) -> str:
-    """Return the findings in the order of their weight, what is open, and the sizes that would have been seen."""
-    lines = []
+def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = None, fit: Fit | None = None) -> str:
+    """Return the findings in the order of their weight, what is open, and the sizes that would have been seen.
+
+    judged : the verdict on the final model, where it is known
+    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
+    """
+    lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
         lines += ["missing, in the order of evidence, each on top of the ones before:", ladder_text(learned)]
     for gain in learned.noise:
@@ -36,18 +43,31 @@ def found_text(learned: Learned, advice: Advice) -> str:
             f"{p.name} {value_text(getattr(gain.effect, p.name), None, p.unit)}" for p in parameters(gain.effect)
         )
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-        lines.append(f"noise: {gain.effect.name}{channel}, {values}: {gain.effect.summary}")
+        sure = sure_words(noise_sure(gain))
+        lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
-        lines += _unknown_lines(unknown, believed=unknown in learned.laws)
-    if not lines:
-        lines = [NOTHING]
+        lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
+    why = rejection(judged) if judged is not None and not learned.unknown else ""
+    if why:
+        lines.append(unnamed(why, found=bool(lines)))
+    lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
 
 
-def _unknown_lines(unknown: Unknown, *, believed: bool) -> list[str]:
+def unnamed(why: str, *, found: bool) -> str:
+    """Return what to say of a model that is rejected and of which nothing that is known is missing.
+
+    found : whether something was found on the way
+    """
+    return f"nothing {'else ' if found else ''}that is known is missing, but the model is rejected: {why}"
+
+
+def _unknown_lines(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> list[str]:
     finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
-    return [finding, f"  {'believed and fitted' if believed else 'to try'}: {unknown.expression}"]
+    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
+    told = f"{told_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
+    return [finding, f"  {'believed and fitted' if believed else 'to try'}: {told}"]
 
 
 def dependence(unknown: Unknown) -> str:

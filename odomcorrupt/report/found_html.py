@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from odomcorrupt.report.advice import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.candidates_picture import draw_candidates
 from odomcorrupt.report.cards import cards
-from odomcorrupt.report.found import NOTHING, dependence
+from odomcorrupt.report.found import NOTHING, dependence, unnamed
 from odomcorrupt.report.html import ladder_table
 from odomcorrupt.report.ladder import draw_errors
 from odomcorrupt.report.page import page, picture, table
 from odomcorrupt.report.plan_picture import draw_plan
 from odomcorrupt.report.residuals import draw_residuals
+from odomcorrupt.report.sentences import rejection
 from odomcorrupt.report.unknown_picture import draw_unknown
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def found_html(story: Story, *, version: str) -> str:
     title = f"What is missing: {names}"
     body = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(learned))}.</p>',
+        f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(story))}.</p>',
         *cards(learned, ladder),
         "<h2>What to do next</h2>",
         _next(story),
@@ -84,8 +85,8 @@ _REJECTED = (
 _UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
 
 
-def _verdict(learned: Learned) -> str:
-    parts = []
+def _verdict(story: Story) -> str:
+    learned, parts = story.learned, []
     if learned.added:
         named = [look for look in learned.steps if look.added is not None]
         names = [" or ".join((str(look.added), *look.alternatives)) for look in named]
@@ -94,7 +95,9 @@ def _verdict(learned: Learned) -> str:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
-    text = "; ".join(parts) or NOTHING
+    # a ladder knows nothing of noise: what it rejects may be what was named
+    why = rejection(story.ladder.judgements[-1]) if not (learned.unknown or learned.noise) else ""
+    text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return text[0].upper() + text[1:]
 
 

@@ -10,14 +10,17 @@ from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.advice import drive_sentence
 from odomcorrupt.report.finite import finite
 from odomcorrupt.report.found import position_error
+from odomcorrupt.report.sentences import rejection
+from odomcorrupt.report.sure import clocks_found, law_numbers, noise_sure, step_sure, told_expression
 from odomcorrupt.study.judge.clock_gain import clock_gain
-from odomcorrupt.study.search.confidence import Evidence, confidence, evidence_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.report.sure import LawNumber
     from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.judge.compare import Judgement
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Learned
@@ -27,13 +30,21 @@ if TYPE_CHECKING:
 __all__ = ["learned_json"]
 
 SCHEMA = 1
-_REAL = 3.9
 
 
-def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) -> dict[str, Any]:
+def learned_json(
+    learned: Learned,
+    ladder: Sequence[Judgement],
+    advice: Advice,
+    *,
+    judged: Judgement | None = None,
+    fit: Fit | None = None,
+) -> dict[str, Any]:
     """Return what a search found, in the order it was found: clocks first, then effects, then noise.
 
     ladder : the models on the way judged on held-out halves, as `study.judge.ladder` gives them
+    judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
+    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
     """
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
@@ -41,7 +52,7 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
     for place, look in enumerate(learned.steps):
         if look.added is not None:
             effect, spread = own[look.added]
-            sure = confidence(evidence_of(look, learned))
+            sure = step_sure(look, learned)
             held_out = _held_out(ladder[place], ladder[place + 1])
             found.append(_entry(effect, spread, look.alternatives, sure) | {"held_out": held_out})
     found += [_noise(gain) for gain in learned.noise]
@@ -49,9 +60,10 @@ def learned_json(learned: Learned, ladder: Sequence[Judgement], advice: Advice) 
         {
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
+            "rejected": (judged and rejection(judged)) or None,
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
-            "unknown": [_unknown(u, believed=u in learned.laws) for u in learned.unknown],
+            "unknown": [_unknown(u, law_numbers(u, learned, fit), believed=u in learned.laws) for u in learned.unknown],
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
@@ -94,28 +106,24 @@ def _advice(advice: Advice) -> dict[str, Any]:
 def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
     """Return clock effects that are really there, those of the first run standing for all."""
     kinds = registry()
-    change = None
-    for name, position in (("time_offset", 0), ("clock_skew", 1)):
-        for clock, free, errors in zip(learned.clocks.clocks, learned.clocks.free, learned.clocks.errors, strict=True):
-            value = (clock.offset_s, clock.rate)[position]
-            # a skew makes an offset free, too, which need not be there itself
-            if free[position] and abs(value) > _REAL * errors[position]:
-                p = amplitudes(kinds[name])[0]
-                sure = confidence(Evidence(0.5 * (value / errors[position]) ** 2))
-                change = change or clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
-                held_out = {
-                    "nats_per_m": [None, None],
-                    "rmse_10m": change.after_10m,
-                    "rmse_50m": change.after_50m,
-                    "rmse_10s": change.after_10s,
-                }
-                yield _entry(kinds[name](**{p.name: value}), [errors[position]], (), sure) | {"held_out": held_out}
-                break
+    firsts = {one.name: one for one in reversed([*clocks_found(learned.clocks)])}
+    if not firsts:
+        return
+    change = clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
+    held_out = {
+        "nats_per_m": [None, None],
+        "rmse_10m": change.after_10m,
+        "rmse_50m": change.after_50m,
+        "rmse_10s": change.after_10s,
+    }
+    for one in reversed(firsts.values()):
+        effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
+        yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
 
 
 def _noise(gain: RandomGain) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
-    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), confidence(Evidence(gain.nats)))
+    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain))
     for p in parameters(gain.effect):
         entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
     return entry | {"held_out": None}
@@ -130,7 +138,7 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     }
 
 
-def _unknown(unknown: Unknown, *, believed: bool) -> dict[str, Any]:
+def _unknown(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
     return {
         "channel": unknown.channel,
         "depends_on": unknown.driver,
@@ -144,7 +152,11 @@ def _unknown(unknown: Unknown, *, believed: bool) -> dict[str, Any]:
             "wavelength_m": unknown.wavelength_m,
             "wheels": unknown.wheels,
         },
-        "expression": unknown.expression,
+        "expression": told_expression(unknown, numbers),
+        "parameters": {
+            name: {"value": number.value, "standard_error": number.error, "unit": number.unit}
+            for name, number in numbers.items()
+        },
         "in_model": believed,
     }
 

@@ -6,10 +6,11 @@ from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from odomcorrupt.study.judge.calibration import Horizon
     from odomcorrupt.study.judge.compare import Judgement
     from odomcorrupt.study.judge.failures import Failure
 
-__all__ = ["MOST", "SIGNS", "judgement_sentence", "sentence", "size"]
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size"]
 
 MOST = 8
 """Sentences told of a model; JSON has all of them."""
@@ -81,6 +82,26 @@ def judgement_sentence(judgement: Judgement) -> str:
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
     return f"{judgement.name} is rejected ({level}): {worst.question}, p {_p(worst.p)}{more}"
+
+
+def rejection(judgement: Judgement) -> str:
+    """Return by what a model is rejected, how many times too large its errors are, and what that means; "" if not."""
+    verdict = judgement.verdict
+    if not verdict.rejected:
+        return ""
+    worst = verdict.against[0]
+    said = f"{worst.question}, p {_p(worst.p)}"
+    large = [h for h in judgement.horizons if h.nees > h.nees_bounds[1]]
+    small = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
+    if large:
+        return f"{said}; {_times(max(large, key=lambda h: h.nees))}: something is left that has no name here"
+    if small:
+        return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it expects more noise than there is"
+    return f"{said}; the size of its errors is what it expects"
+
+
+def _times(h: Horizon) -> str:
+    return f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times what it expects (NEES {h.nees:.2g})"
 
 
 def _p(p: float) -> str:

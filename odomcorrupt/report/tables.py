@@ -6,6 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices
+from odomcorrupt.report.sure import clocks_found, step_sure, sure_words
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,16 +34,14 @@ def value_text(value: float, error: float | None, unit: str) -> str:
 
 
 def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
-    """Return a line for every recording whose clock is off."""
-    lines = []
-    for name, clock, free, errors in zip(names, clocks.clocks, clocks.free, clocks.errors, strict=True):
-        if not any(free):
-            continue
-        parts = [f"offset {value_text(clock.offset_s, errors[0], 's')}"]
-        if free[1]:
-            parts.append(f"skew {clock.rate * 1e6:.0f} +- {errors[1] * 1e6:.0f} ppm")
-        lines.append(f"{name}: the odometry's clock is off: {', '.join(parts)}")
-    return lines
+    """Return a line for every recording whose clock is off, with how sure that is."""
+    parts: dict[int, list[str]] = {}
+    for one in clocks_found(clocks):
+        offset = f"offset {value_text(one.value, one.error, 's')}"
+        skew = f"skew {one.value * 1e6:.0f} +- {one.error * 1e6:.2g} ppm"
+        said = offset if one.name == "time_offset" else skew
+        parts.setdefault(one.recording, []).append(f"{said} ({sure_words(one.sure)})")
+    return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
 
 
 def candidates_table(look: Round, *, most: int = 8) -> str:
@@ -84,8 +83,9 @@ def ladder_text(learned: Learned) -> str:
             before, after = look.candidates[0].rmse
             rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""
             name = look.added + words_text(look.candidates[0].score.effect)
+            sure = sure_words(step_sure(look, learned))
             lines.append(
                 f"  + {name:<16}{look.candidates[0].gain:+8.1f} nats   "
-                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s{rivals}"
+                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {sure}{rivals}"
             )
     return "\n".join(lines)

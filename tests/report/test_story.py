@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from html import unescape
 from types import SimpleNamespace
@@ -13,14 +14,18 @@ from test_report import Balanced
 
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.report.advice import advice_text, limits_sentence
 from odomcorrupt.report.candidates_picture import draw_candidates
+from odomcorrupt.report.comparison import comparison_text
 from odomcorrupt.report.figure import rendered
 from odomcorrupt.report.fitted import fit_text, laws_table
 from odomcorrupt.report.found import NOTHING, found_text, shares_text
 from odomcorrupt.report.found_html import Story, found_html
 from odomcorrupt.report.json import learned_json
 from odomcorrupt.report.plan_picture import draw_plan
+from odomcorrupt.report.sentences import rejection
+from odomcorrupt.report.sure import law_numbers, told_expression
 from odomcorrupt.report.tables import clock_lines, value_text
 from odomcorrupt.report.unknown_picture import draw_unknown
 from odomcorrupt.study.advice.advise import Advice, Choice, Limit, Untestable
@@ -28,6 +33,7 @@ from odomcorrupt.study.advice.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.advice.plan import plan_of
 from odomcorrupt.study.fitting.robot import fit_robot
 from odomcorrupt.study.judge.ladder import ladder_comparison
+from odomcorrupt.study.recordings.clock import Clock
 from odomcorrupt.study.search.actions import Action
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.random_gain import RandomGain
@@ -106,8 +112,8 @@ def poor(searched):
 def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     text = found_text(rich, ADVICE)
     assert "missing, in the order of evidence" in text
-    assert "  + unequal_wheels" in text
-    assert "noise: gauss_markov (yaw), sigma 2 %, tau 4 s: the gain of travel or turn wanders" in text
+    assert re.search(r"  \+ unequal_wheels .* mm after 10 s   sure 0\.\d\d", text)
+    assert "noise: gauss_markov (yaw), sigma 2 %, tau 4 s (sure 0.99): the gain of travel or turn wanders" in text
     assert "unknown: the yaw error depends on speed (40 nats), and no known effect explains it" in text
     assert f"believed and fitted: {UNKNOWNS[0].expression}" in text
     assert f"to try: {UNKNOWNS[1].expression}" in text
@@ -157,13 +163,72 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, ladder):
 
 
 def test_the_page_of_a_search_that_found_nothing_is_whole(poor, ladder):
-    first = replace(ladder, judgements=ladder.judgements[:1])
-    page = found_html(Story(poor, first, NONE, ""), version="0")
+    good = replace(ladder, judgements=(kept(ladder.judgements[0]),))
+    page = found_html(Story(poor, good, NONE, ""), version="0")
     parsed = Balanced()
     parsed.feed(page)
     assert not parsed.open
     assert NOTHING[1:] in unescape(page)
     assert "rejected" not in page.split("</h1>", 1)[1].split("</p>", 1)[0]
+
+
+def kept(judgement):
+    """Return a judgement that rejects nothing."""
+    return replace(judgement, verdict=replace(judgement.verdict, looks=()))
+
+
+def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, ladder):
+    first = ladder.judgements[0]
+    text = found_text(poor, NONE, judged=first)
+    assert text == f"nothing that is known is missing, but the model is rejected: {rejection(first)}"
+    assert "times what it expects (NEES " in text
+    assert "something is left that has no name here" in text
+    assert found_text(poor, NONE, judged=kept(first)) == NOTHING
+    beside = found_text(replace(rich, unknown=(), laws=()), NONE, judged=first)
+    assert "nothing else that is known is missing, but" in beside
+    page = found_html(Story(poor, replace(ladder, judgements=(first,)), NONE, ""), version="0")
+    assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
+    told = [learned_json(poor, ladder.judgements[:1], NONE, judged=one)["rejected"] for one in (first, kept(first))]
+    assert told == [rejection(first), None]
+
+
+def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(ladder):
+    first = ladder.judgements[0]
+    small = tuple(replace(h, nees=0.25, nees_bounds=(0.5, 1.5)) for h in first.horizons)
+    assert "0.5 times what it expects (NEES 0.25): it expects more noise" in rejection(replace(first, horizons=small))
+    right = tuple(replace(h, nees=1.0, nees_bounds=(0.5, 1.5)) for h in first.horizons)
+    assert rejection(replace(first, horizons=right)).endswith("the size of its errors is what it expects")
+
+
+def test_a_believed_law_is_told_with_the_numbers_of_the_model(searched):
+    law, action = SimpleNamespace(wavelength_m=0.0, expression=lambda _, k: f"yaw += v * ({k[0]:.4g} * a)"), Action
+    scored = SimpleNamespace(law=law, action=action("yaw", "v"), effect=SimpleNamespace(name="yaw_over_a"))
+    found = replace(UNKNOWNS[0], law=scored)
+    effect = user_effect("yaw_over_a", "yaw += v * (k * a)", {"k": 0.0123})
+    fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
+    learned = replace(searched, unknown=(found,), laws=(found,))
+    text = found_text(learned, NONE, fit=fit)
+    assert "believed and fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
+    numbers = law_numbers(found, learned, fit)
+    assert numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
+    assert told_expression(found, {}) == found.expression
+    assert law_numbers(found, replace(learned, laws=()), fit) == {}
+
+
+def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
+    off = replace(poor.clocks, clocks=(Clock(-9e-5, 1.5e-4),), free=((True, True),), errors=((2e-4, 5e-7),))
+    text = found_text(replace(poor, clocks=off), NONE)
+    # the offset is free beside a skew, and not there itself
+    assert text.endswith("the odometry's clock is off: skew 150 +- 0.5 ppm (sure 0.99)")
+    assert NOTHING not in text
+
+
+def test_names_too_long_for_their_column_stand_above_their_row(ladder):
+    long = replace(ladder.judgements[-1], name="with mount_yaw, region_slip and one more")
+    lines = comparison_text(replace(ladder, judgements=(ladder.judgements[0], long))).splitlines()
+    assert lines.count(f"  {long.name}") == 2
+    assert len({line.index("ATE") for line in lines if "RPE over" in line}) == 1
+    assert len({line.index(" mm  #") for line in lines if " mm  #" in line}) == 1
 
 
 def test_json_has_no_number_that_is_none(rich, poor, ladder):
@@ -214,7 +279,9 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
         free=tuple((True, True) for _ in searched.clocks.clocks),
         errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
     )
-    assert clock_lines(["a"], clocks) == ["a: the odometry's clock is off: offset 50 +- 1 ms, skew 20 +- 1 ppm"]
+    assert clock_lines(["a"], clocks) == [
+        "a: the odometry's clock is off: offset 50 +- 1 ms (sure 0.99), skew 20 +- 1 ppm (sure 0.99)"
+    ]
     assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
 
 
