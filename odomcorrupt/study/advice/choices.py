@@ -70,9 +70,21 @@ def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]
     said = {look.added, *(name for choice in found for name in choice.names)}
     for twin, kind in kinds.items():
         if kind.twin_of in said:
-            hint = kind.about.drive if kind.about else ""
+            hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
             found.append(Choice((str(kind.twin_of), twin), "", None, 0.0, hint))
     return found, told
+
+
+def _mends(drives: Drives, twin: type[Effect]) -> str:
+    """Return how to accept the twin of an effect that belongs to the set-up, which `correct` leaves alone; or ""."""
+    own = next((e for e in drives.learned.fit.effects if e.name == twin.twin_of), None)
+    if own is None or own.kind != "setup" or twin.kind == "setup":
+        return ""
+    values = ",".join(f"{p.name}={getattr(own, p.name):.4g}" for p in amplitudes(twin))
+    return (
+        f"if it is the robot and not where the truth is taken, a correction mends it only as {twin.name}: "
+        f"give `correct` --effect {twin.name}:{values}"
+    )
 
 
 def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:

@@ -26,6 +26,10 @@ SEEN = 4.2
 """An effect this many standard errors large is found nearly always."""
 HIDDEN = 4.0
 """What makes the standard error of an effect this many times larger hides it."""
+_NO_TRACK = (
+    "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
+    "drive and steer it"
+)
 _REFUSALS = ("not testable", "cannot be told")
 """How refusals begin that say something of the drive, and nothing of the effect."""
 
@@ -128,7 +132,7 @@ def untried(learned: Learned) -> list[Untestable]:
             continue
         hint = kind.about.drive if kind.about else ""
         if kind.needs_track and not track:
-            found.append(Untestable(name, "the distance between the wheels is not known; give --track", None, hint))
+            found.append(Untestable(name, _NO_TRACK, None, hint))
         else:
             found.append(Untestable(name, "nothing on this drive to try it on", None, hint))
     return found

@@ -1,0 +1,49 @@
+"""What advice says of twins across the set-up, and of wheels whose distance nobody knows."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.study.advice.choices import open_choices
+from odomcorrupt.study.advice.untestable import untried
+
+
+def learned(*effects, track_m=None):
+    problem = SimpleNamespace(recordings=(SimpleNamespace(track_m=track_m),))
+    return SimpleNamespace(
+        fit=SimpleNamespace(effects=effects, problem=problem), rounds=(SimpleNamespace(candidates=()),)
+    )
+
+
+def twin_hint(name, values, monkeypatch):
+    effect = effect_from_values(name, values)
+    look = SimpleNamespace(
+        added=name,
+        alternatives=(),
+        candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fit=None, refused=""),),
+    )
+    monkeypatch.setattr("odomcorrupt.study.advice.choices._lookalikes", lambda *_: [])
+    choices, _ = open_choices(SimpleNamespace(learned=learned(effect)), look)
+    return next(choice.hint for choice in choices if name in choice.names)
+
+
+def test_a_twin_of_the_set_up_comes_with_the_words_that_accept_it(monkeypatch):
+    """`correct` passes the set-up by, so a robot that turns elsewhere is mended only as icr_shift."""
+    hint = twin_hint("lever_arm", {"x": 0.0735, "y": 0.01}, monkeypatch)
+    assert "move the marker" in hint
+    assert hint.endswith("mends it only as icr_shift: give `correct` --effect icr_shift:x=0.0735")
+
+
+def test_twins_that_are_both_the_robots_need_no_such_words(monkeypatch):
+    assert "mends it" not in twin_hint("wheelbase", {"e": 0.01}, monkeypatch)
+
+
+@pytest.mark.parametrize(("track_m", "said"), [(None, True), (0.4, False)])
+def test_a_track_is_asked_for_only_of_robots_that_have_one(track_m, said):
+    why = {one.effect: one.why for one in untried(learned(track_m=track_m))}
+    wheeled = [name for name, kind in registry().items() if kind.needs_track and kind.kind != "noise"]
+    assert wheeled
+    assert all(("give --track where the robot has two" in why[name]) is said for name in wheeled)
