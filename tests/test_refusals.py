@@ -45,6 +45,7 @@ REFUSED = {
     "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: stands alone",
     "simulate out.mcap --effect none --effect wheel_scale": "--effect none: stands alone",
     "simulate out.mcap --effect wheel_scale:0.01": "'0.01' is not key=value; write as in wheel_scale:e=0.01",
+    "simulate out.mcap --effect wheel_scale:e=nan": "e is nan; write a number, as in wheel_scale:e=0.01",
     "simulate out.mcap --size huge": "--size huge: give weak, medium, strong or a number",
     **{f"learn {OFFICE} --track {bad}": f"{bad}; write metres between the wheels" for bad in ("0", "-1", "nan", "inf")},
     **{f"learn {OFFICE} --truth-shift {bad}": f"{bad}; write seconds" for bad in ("nan", "-inf", "soon")},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import nan, radians
+from math import isfinite, nan, radians
 from typing import TYPE_CHECKING
 
 import click
@@ -65,9 +65,13 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
         if not equals:
             raise click.UsageError(f"--effect {text}: {part!r} is not key=value; write as in wheel_scale:e=0.01")
         try:
-            values[key] = radians(float(value[:-3])) if value.endswith("deg") else float(value)
+            number = radians(float(value[:-3])) if value.endswith("deg") else float(value)
         except ValueError:
             values[key] = value
+            continue
+        if not isfinite(number):
+            raise click.UsageError(f"--effect {text}: {key} is {value}; write a number, as in wheel_scale:e=0.01")
+        values[key] = number
     return name.strip(), values
 
 
