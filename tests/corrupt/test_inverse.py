@@ -13,8 +13,9 @@ from odomcorrupt.corrupt.inverse import Drive, EffectInverse
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.increments import Increments, increments
+from odomcorrupt.increments import Increments, accumulate, increments
 from odomcorrupt.motion import corrected_increments, motion_of
 
 STRONG = (
@@ -66,6 +67,31 @@ def test_too_strong_effects_are_an_error():
     strong = EffectInverse(silent([effect_from_values("side_slip", {"k": 0.5}), Runaway(40.0)]), 1, 0)
     with pytest.raises(EffectError, match=r"too strong.*weaker"):
         strong.error(drive_of(*office(10.0, 10.0)))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("k", [0.05, -0.05])
+def test_a_law_that_sets_in_at_a_speed_is_put_in_at_every_speed(k):
+    """Of true speeds just above it no odometry speaks; that of one just below or above is at most the jump away."""
+    law = user_effect("spins", "wheels += v * (k * where(abs(v) > 0.5, 1, 0))", {"k": k})
+    model, rate = silent([law], track_m=0.4), 50.0
+    v = np.linspace(0.4, 0.6, 500)
+    t = 10**11 + (np.arange(501) * 1e9 / rate).astype(np.int64)
+    poses = accumulate(np.zeros(3), Increments(v / rate, 0.0 * v, 0.2 * v / rate))
+    whole = NoisyPath(model, 1).feed(t, poses).error_xyt
+    path = NoisyPath(model, 1)
+    parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
+    assert np.array_equal(np.concatenate(parts), whole)
+    back = corrected_increments([law], motion_of((t - t[0]) * 1e-9, poses + whole, track_m=0.4)).ds_m * rate
+    jump = np.abs(back - v) > 1e-9
+    assert np.abs(back - v).max() < 0.051 * 0.52
+    assert np.all((v[jump] > 0.48) & (v[jump] < 0.55))
+
+
+def test_a_law_that_no_odometry_obeys_is_called_too_strong():
+    law = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})
+    with pytest.raises(EffectError, match=r"too strong.*weaker"):
+        NoisyPath(silent([law]), 1).feed(*office())
 
 
 @dataclass(frozen=True, slots=True)
