@@ -35,7 +35,8 @@ def _planted(clean, text):
         (91, "yaw += 0.05 * omega * (1 - exp(-t / 120))", "time", "(1 - exp(-t / "),
         (92, "yaw += 0.06 * omega * sin(0.021 * t)", "time", "sin(0.02"),
         (93, "yaw += where(max(abs(v), abs(omega)) < 0.01, 0.01, 0)", "speed", "where(max(abs(v), abs(omega)) < 0.02"),
-        (96, "along += -0.03 * v * where(abs(t - 180) < 50, 1, 0)", "time", "where(abs(t - 1"),
+        (96, "along += -0.03 * v * where(abs(t - 200) < 90, 1, 0)", "time", "where(abs(t - "),
+        (99, "yaw += 0.3 * sign(omega) * max(abs(omega) - 0.4, 0)", "yaw_rate", "sign(omega) * max(abs(omega) - 0."),
         (97, "across += 0.15 * v * where(v < 0, 1, 0)", "speed", "where(v < -0.02"),
     ],
 )

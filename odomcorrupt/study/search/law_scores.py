@@ -34,6 +34,10 @@ __all__ = ["ScoredLaw", "best_laws", "law_price", "likeliest"]
 _KINDS = (len(VALUES) + 2) * len(every_action())
 """Drivers, and what laws act on: any of these might have come first."""
 _LEVEL = 0.01
+_MOST_PART = 0.5
+"""Of the way or the turn, the largest part that an error may be: what moves by itself is no error of moving."""
+_NEARLY = 0.7
+"""Part of the best one's nats that laws have to gain to be tried beside it."""
 _MOST_STARTS = 40
 """Laws of one driver and channel among which starts are looked for."""
 _GYRO_NATS = 4.0
@@ -49,6 +53,7 @@ class ScoredLaw:
     price : nats that it must gain, see `law_price`
     nats : log likelihood it gains, less that
     p : probability of such a score anywhere among the laws without any dependence
+    others : laws of the same driver and channel that do nearly as well, so that only a fit can tell
     """
 
     law: Law
@@ -57,6 +62,7 @@ class ScoredLaw:
     price: float
     nats: float
     p: float
+    others: tuple[ScoredLaw, ...] = ()
 
     @property
     def effect(self) -> UserEffect:
@@ -104,21 +110,40 @@ def likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
     worth = sorted(
         ((_kind(t), t.nats - law_price(t.law, t.action, count), t) for t in tried), key=lambda w: (w[0], -w[1])
     )
-    chosen = []
+    chosen: list[Tried] = []
     for _, group in groupby(worth, key=lambda w: w[0]):
         ranked = [t for _, nats, t in islice(group, _MOST_STARTS) if nats > _LEAST_NATS]
-        if ranked:
-            chosen.append(look.best_refined(ranked))
+        chosen += look.forms(ranked) if ranked else []
     groups = [exact_columns(fit, t.law, t.action) for t in chosen]
     scores = score_columns(fit, groups, believed) if groups else []
-    found = []
+    found: dict[tuple[str, str], list[ScoredLaw]] = {}
     for t, score, columns in zip(chosen, scores, groups, strict=True):
         if t.action.move == "omega" and may_be_steering(fit, columns, score.estimate):
             continue
+        if not _possible(fit, t, score.estimate):
+            continue
         price = law_price(t.law, t.action, count)
         p = score.p * 2.0 * t.law.trials * _KINDS / len(chosen)
-        found.append(ScoredLaw(t.law, t.action, score, price, 0.5 * score.statistic - price, p))
-    return found
+        scored = ScoredLaw(t.law, t.action, score, price, 0.5 * score.statistic - price, p)
+        found.setdefault(_kind(t), []).append(scored)
+    return [_with_others(kind) for kind in found.values()]
+
+
+def _possible(fit: Fit, tried: Tried, estimate: Array) -> bool:
+    """Tell whether a law that is a part of the way or of the turn is nowhere too large a part of it."""
+    part_of_itself = tried.action.move == "omega" or (tried.action.move != "1" and tried.action.target != "yaw")
+    if not part_of_itself or tried.law.wavelength_m:
+        return True
+    return all(
+        np.abs(sum(k * part(m) for k, part in zip(estimate, tried.law.parts, strict=True))).max() < _MOST_PART
+        for m in fit.problem.motions
+    )
+
+
+def _with_others(scored: Sequence[ScoredLaw]) -> ScoredLaw:
+    """Return the best of a kind, with those that come near it."""
+    best = max(scored, key=lambda s: s.nats)
+    return replace(best, others=tuple(s for s in scored if s is not best and s.nats > _NEARLY * best.nats))
 
 
 def _kind(tried: Tried) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.study.fitting.drift import ten_second_error
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.law_scores import ScoredLaw
     from odomcorrupt.study.search.rivals import Rivalry
     from odomcorrupt.study.search.unknown import Unknown
 
@@ -34,11 +36,18 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
     have = {effect.name for effect in fitted.effects}
     lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
     for one, law in lawful[:_TRIED]:
-        with_it = again(fitted, free_clocks, (*fitted.effects, law.effect))
-        gain = with_it.log_likelihood - fitted.log_likelihood - law.price
+        form, with_it = _best_form(fitted, free_clocks, law)
+        gain = with_it.log_likelihood - fitted.log_likelihood - form.price
         if gain > 0.0 and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
-            return Lawful(one, with_it, gain)
+            said = one if form is law else replace(one, law=form, expression=form.expression)
+            return Lawful(said, with_it, gain)
     return None
+
+
+def _best_form(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], law: ScoredLaw) -> tuple[ScoredLaw, Fit]:
+    """Return the form of a law that explains most when everything is fitted with it, and that fit."""
+    fits = [(form, again(fitted, free_clocks, (*fitted.effects, form.effect))) for form in (law, *law.others)]
+    return max(fits, key=lambda found: found[1].log_likelihood - found[0].price)
 
 
 def challenger(

@@ -29,7 +29,7 @@ _SCALES = (1.0, 0.5, 0.25, 0.125)
 _MOST_STEPS = 12
 _WORTH_NATS = 0.1
 _STARTS, _PLACE = 4, 3
-"""From how many laws to start, of those that have so many numbers in their shape."""
+"""From how many laws to start, several on one action if they have so many numbers in their shape."""
 _PLAIN_NATS, _PLAIN_PART = 30.0, 0.5
 """What a disc has to explain, and of what the best law explains, for rectangles to be worth their time."""
 
@@ -114,15 +114,15 @@ class QuickLook:
         here = [self._means([law], view, action.move) for view, _ in self._of(action)]
         return self._gains([law], action, here)[0]
 
-    def best_refined(self, ranked: Sequence[Tried]) -> Tried:
-        """Return the best law near any of the first few; places have many hills, and start from some that differ."""
+    def forms(self, ranked: Sequence[Tried]) -> list[Tried]:
+        """Return the best law, refined, and where it is plain, others of the first few: places have many hills."""
         starts = [ranked[0]]
         for tried in ranked[1:]:
-            if len(starts) == _STARTS or ranked[0].nats < _PLAIN_NATS or len(tried.law.shape) < _PLACE:
+            if len(starts) == _STARTS or ranked[0].nats < _PLAIN_NATS:
                 break
             if all(_differ(tried, start) for start in starts):
                 starts.append(tried)
-        return max((self.refined(start) for start in starts), key=lambda t: t.nats)
+        return [self.refined(start) for start in starts]
 
     def refined(self, tried: Tried) -> Tried:
         """Return the law of the best shape in the neighbourhood."""
@@ -185,6 +185,8 @@ def _differ(one: Tried, other: Tried) -> bool:
     """Tell whether two laws stand on different hills, for all that is known of their shapes."""
     if one.action != other.action or len(one.law.shape) != len(other.law.shape):
         return True
+    if len(one.law.shape) < _PLACE:
+        return False
     return any(abs(a - b) > s for a, b, s in zip(one.law.shape, other.law.shape, one.law.steps, strict=True))
 
 

@@ -48,6 +48,8 @@ def laws_of_values(motions: Sequence[Motion]) -> Iterator[Law]:
             yield from _thresholds(driver, motions)
         if driver in _HINGED:
             yield from _hinges(driver, motions)
+    yield Law("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # a gyro that feels it
+    yield from _saturations(motions)
     yield from _one_way()
     yield from _at_rest()
 
@@ -111,6 +113,27 @@ def _hinge(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[floa
         shape=shape,
         steps=steps,
         remade=lambda moved: _hinge(driver, trials, moved, steps, sign=sign),
+    )
+
+
+def _saturations(motions: Sequence[Motion]) -> Iterator[Law]:
+    """Yield what a gyro loses of the yaw rate beyond the largest that it can show all of."""
+    cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if cut > 0.0]
+    for cut in cuts:
+        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),))
+
+
+def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> Law:
+    cut = max(shape[0], 0.0)
+    return Law(
+        "yaw_rate",
+        f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)",
+        (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),),
+        trials * REFINING,
+        reaches=("bias",),
+        shape=shape,
+        steps=steps,
+        remade=lambda moved: _saturation(trials, moved, steps),
     )
 
 
