@@ -31,6 +31,8 @@ _RUNAWAY = 1e6
 """An increment that is changed by more than this many metres will not settle."""
 _SAME = 1e-6
 """Two changes that differ by less than this part of them are the same."""
+_JUMP = 0.5
+"""A law that sets in all at once may change less than this part of a motion."""
 
 
 def acts(effect: Effect) -> bool:
@@ -151,7 +153,9 @@ class EffectInverse:
             swinging, last = np.abs(change - last) <= _SAME * change, change
         else:
             # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for
-            # such a true one, and of the two that it swings between the one nearer to the truth stands
+            # such a true one, and of the two that it swings between the one nearer to the truth stands;
+            # what takes all of a motion away in one round and puts it back in the next is no such law
+            swinging &= change < _JUMP * np.abs(clean * dt).max(axis=1)
             if not swinging[open_].all():
                 raise self._too_strong()
             nearer = open_ & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
