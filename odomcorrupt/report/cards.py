@@ -33,7 +33,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
     found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
-    found += [_noise(gain) for gain in learned.noise]
+    found += [_noise(gain, learned) for gain in learned.noise]
     found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
 
@@ -77,7 +77,7 @@ def _meter(sure: float, nats: float) -> list[str]:
     ]
 
 
-def _noise(gain: RandomGain) -> str:
+def _noise(gain: RandomGain, learned: Learned) -> str:
     values = [
         f'<p class="value">{escape(p.name)} {escape(value_text(getattr(gain.effect, p.name), None, p.unit))}</p>'
         for p in parameters(gain.effect)
@@ -86,7 +86,7 @@ def _noise(gain: RandomGain) -> str:
     return _card(
         "noise",
         gain.effect.name + channel,
-        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_sure(gain), gain.nats)],
+        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_sure(gain, learned), gain.nats)],
     )
 
 

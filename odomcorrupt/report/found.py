@@ -43,7 +43,7 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
             f"{p.name} {value_text(getattr(gain.effect, p.name), None, p.unit)}" for p in parameters(gain.effect)
         )
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-        sure = sure_words(noise_sure(gain))
+        sure = sure_words(noise_sure(gain, learned))
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)

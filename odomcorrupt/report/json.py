@@ -55,7 +55,7 @@ def learned_json(
             sure = step_sure(look, learned)
             held_out = _held_out(ladder[place], ladder[place + 1])
             found.append(_entry(effect, spread, look.alternatives, sure) | {"held_out": held_out})
-    found += [_noise(gain) for gain in learned.noise]
+    found += [_noise(gain, learned) for gain in learned.noise]
     told: dict[str, Any] = finite(
         {
             "schema": SCHEMA,
@@ -121,9 +121,9 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
 
 
-def _noise(gain: RandomGain) -> dict[str, Any]:
+def _noise(gain: RandomGain, learned: Learned) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
-    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain))
+    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain, learned))
     for p in parameters(gain.effect):
         entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
     return entry | {"held_out": None}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.search.confidence import Evidence, confidence, evidence_of
 
 if TYPE_CHECKING:
@@ -65,9 +66,11 @@ def step_sure(look: Round, learned: Learned) -> float:
     return confidence(evidence_of(look, learned))
 
 
-def noise_sure(gain: RandomGain) -> float:
-    """Return how sure a name of noise is."""
-    return confidence(Evidence(gain.nats))
+def noise_sure(gain: RandomGain, learned: Learned) -> float:
+    """Return how sure a name of noise is; whatever depends on something looks like a gain that wanders."""
+    like_anything = gain.effect.name in WANDERING
+    left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
+    return confidence(Evidence(gain.nats, left=left))
 
 
 def sure_words(sure: float) -> str:
