@@ -10,6 +10,7 @@ measured odometry of a window should lie in the region that holds 90 % of the co
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +20,7 @@ from independent_look import INTRODUCTION, VERDICT, table
 from scipy.stats import binom
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.user import UserEffect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model import TruthNoise
 from odomcorrupt.pose import between, wrap
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from odomcorrupt.study.judge.compare import Judgement
+    from odomcorrupt.study.judge.judged import Judged
 
 HERE = Path(__file__).parent
 RUNS = 1000
@@ -185,10 +188,8 @@ def section(folder: Path, robot: Robot) -> list[str]:
         try:
             clouds[j.name] = replay(piece, runs=RUNS)
         except EffectError:
-            # what was learned wanders so much that a robot could not have driven so
-            calm = tuple(e for e in piece.model.effects if e.kind != "noise")
-            clouds[j.name] = replay(replace(piece, model=replace(piece.model, effects=calm)), runs=RUNS)
-            remarks = ["", "Its random effects are too strong to be put into this drive; the cloud is without them."]
+            clouds[j.name], left_out = tamer(piece)
+            remarks = ["", f"Its {left_out} are too strong to be put into this drive; the cloud is without them."]
     for label, values in rows(fits, comparison.judgements, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
     last = comparison.judgements[-1]
@@ -196,6 +197,19 @@ def section(folder: Path, robot: Robot) -> list[str]:
     picture = HERE / "images" / f"real_{robot.key}.png"
     draw(clouds, picture)
     return [*lines, "", f"![{robot.title}](images/{picture.name})", ""]
+
+
+def tamer(piece: Judged) -> tuple[Replay, str]:
+    """Return the cloud of a model without what no odometry of this drive obeys, and what that was."""
+    calm = tuple(e for e in piece.model.effects if e.kind != "noise")
+    for left_out, effects in (
+        ("random effects", calm),
+        ("laws", tuple(e for e in piece.model.effects if not isinstance(e, UserEffect))),
+        ("laws and random effects", tuple(e for e in calm if not isinstance(e, UserEffect))),
+    ):
+        with suppress(EffectError):
+            return replay(replace(piece, model=replace(piece.model, effects=effects)), runs=RUNS), left_out
+    return replay(replace(piece, model=replace(piece.model, effects=())), runs=RUNS), "effects"
 
 
 def rows(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.errors import EffectError
 from odomcorrupt.report.figure import BLACK, BLUE, RED, SKY, drawing, new_figure
 from odomcorrupt.study.judge.replay import replay
 
@@ -44,7 +45,10 @@ def draw_paths(comparison: Comparison) -> Figure:
         for axes in panels.flat[len(shown) :]:
             axes.remove()
         for axes, judgement in zip(panels.flat, shown, strict=False):
-            _panel(axes, paths_of(judgement), judgement.name)
+            try:
+                _panel(axes, paths_of(judgement), judgement.name)
+            except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
+                axes.set_title(f"{judgement.name}\nno odometry of this drive obeys it: no runs to show", fontsize=10)
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", ncols=4, fontsize=9)
     return figure

@@ -16,9 +16,11 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.report.comparison_json import comparison_json
 from odomcorrupt.report.figure import rendered
 from odomcorrupt.report.html import report_html
+from odomcorrupt.report.path_picture import draw_paths
 from odomcorrupt.report.pictures import PICTURES
 from odomcorrupt.report.sentences import MOST, judgement_sentence, sentence
 from odomcorrupt.study.judge.compare import compare
@@ -91,6 +93,16 @@ def test_the_cause_is_seen_in_the_first_model_and_gone_in_the_second(comparison)
     assert robot.ten_second_error_m < 0.6 * base.ten_second_error_m
     assert robot.nats.gain_per_m > 2.0 * robot.nats.gain_error
     assert robot.trajectory.ate_m < 0.3 * base.trajectory.ate_m
+
+
+def test_a_model_that_no_odometry_obeys_has_a_panel_that_says_so(comparison):
+    base, robot = comparison.judgements
+    swallows = user_effect("swallows", "along += -3 * v * abs(v)", {})
+    pieces = tuple(replace(p, model=replace(p.model, effects=(swallows,))) for p in robot.pieces)
+    figure = draw_paths(replace(comparison, judgements=(base, replace(robot, pieces=pieces))))
+    titles = [axes.get_title(loc="left") for axes in figure.axes]
+    assert "no odometry of this drive obeys it" in titles[1]
+    assert "90 % region" in titles[0]
 
 
 @pytest.mark.parametrize("name", PICTURES)

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.search.candidates import HARM
+from odomcorrupt.study.search.quick_look import QuickLook
 from odomcorrupt.study.search.refit import again
-from odomcorrupt.study.search.rivals import CHALLENGE_NATS
+from odomcorrupt.study.search.rivals import CHALLENGE_NATS, put_back
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["Lawful", "believable", "challenger"]
 
 _TRIED = 4
+_WORTH_NATS = 1.0
+"""What a new shape has to gain."""
 
 
 class Lawful(NamedTuple):
@@ -36,7 +39,7 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
     have = {effect.name for effect in fitted.effects}
     lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
     for one, law in lawful[:_TRIED]:
-        form, with_it = _best_form(fitted, free_clocks, law)
+        form, with_it = _reshaped(*_best_form(fitted, free_clocks, law), free_clocks)
         gain = with_it.log_likelihood - fitted.log_likelihood - form.price
         if gain > 0.0 and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
             said = one if form is law else replace(one, law=form, expression=form.expression)
@@ -48,6 +51,18 @@ def _best_form(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], law: Score
     """Return the form of a law that explains most when everything is fitted with it, and that fit."""
     fits = [(form, again(fitted, free_clocks, (*fitted.effects, form.effect))) for form in (law, *law.others)]
     return max(fits, key=lambda found: found[1].log_likelihood - found[0].price)
+
+
+def _reshaped(form: ScoredLaw, with_it: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[ScoredLaw, Fit]:
+    """Return a law and its fit with the shape looked for anew, now that what it explains is no noise any more."""
+    effect = next(e for e in with_it.effects if e.name == form.effect.name)
+    bare, believed = put_back(with_it, effect, free_clocks)
+    moved = replace(form, law=QuickLook(bare, believed).around(form.law, form.action))
+    if moved.law.shape == form.law.shape:
+        return form, with_it
+    others = [e for e in with_it.effects if e is not effect]
+    shaped = again(with_it, free_clocks, (*others, moved.effect))
+    return (moved, shaped) if shaped.log_likelihood > with_it.log_likelihood + _WORTH_NATS else (form, with_it)
 
 
 def challenger(

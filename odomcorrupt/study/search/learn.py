@@ -256,13 +256,16 @@ class _Search:
 
 
 def _explains_more(one: _Way, other: _Way, free_clocks: Sequence[tuple[bool, bool]]) -> bool:
-    """Tell whether one way explains plainly more than another, whichever stretches are set apart as odd."""
+    """Tell whether one way explains plainly more than another, whichever stretches are set apart as odd.
+
+    Names are the likelier before; not where the other way needed a law besides.
+    """
     worth = other.price - one.price
     same = again(other.fit, free_clocks, other.fit.effects, weights=one.fit.noise.weights)
     turned = again(one.fit, free_clocks, one.fit.effects, weights=other.fit.noise.weights)
     return min(
         one.fit.log_likelihood - same.log_likelihood + worth, turned.log_likelihood - other.fit.log_likelihood + worth
-    ) > CHALLENGE_NATS  # fmt: skip
+    ) > (ALTERNATIVE_NATS if other.laws else CHALLENGE_NATS)  # fmt: skip
 
 
 def _tested(

@@ -124,6 +124,10 @@ class QuickLook:
                 starts.append(tried)
         return [self.refined(start) for start in starts]
 
+    def around(self, law: Law, action: Action) -> Law:
+        """Return the law of the best shape near this one."""
+        return self.refined(Tried(law, action, self._gain(law, action))).law
+
     def refined(self, tried: Tried) -> Tried:
         """Return the law of the best shape in the neighbourhood."""
         best = tried
