@@ -52,9 +52,9 @@ VERDICT = """
 - **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two
   columns): a single k only says how much of the drive was straight. The fit weighs straights more, because the noise
   is smaller there; the plain look weighs what is fast. `learn` says so in its own words: the along error depends on
-  the yaw rate, no known effect explains it, and where a simple law of it gains enough, the model has that
-  (`along_over_yaw_rate` above: the 10 s error of the other half falls by two fifths on either). The odometry is
-  the velocity command here, and no wheel was asked.
+  the yaw rate, no known effect explains it, and where a simple law gains enough, the model has that
+  (`along_over_lateral_acceleration` above, of speed times yaw rate: the 10 s error of the other half falls by two
+  fifths on either). The odometry is the velocity command here, and no wheel was asked.
 """
 
 
