@@ -53,10 +53,11 @@ def settled(
 ) -> tuple[Fit, Effect]:
     """Return a fit that believes a wandering gain, with both measured beside each other, and the gain."""
     for _ in range(_ROUNDS):
-        old, effect = effect, remeasured(fitted, believed, effect)
-        if _alike(effect, old):
+        new = remeasured(fitted, believed, effect)
+        if _alike(new, effect):
             break
-        fitted = again(fitted, free_clocks, fitted.effects, random=[effect if e is old else e for e in fitted.random])
+        random = [new if e is effect else e for e in fitted.random]
+        fitted, effect = again(fitted, free_clocks, fitted.effects, random=random), new
     return fitted, effect
 
 

@@ -98,6 +98,29 @@ def test_6_the_law_has_a_noise_to_the_side_and_the_truth_may_wander(control):
     assert fit([seen], approach=choose_approach([seen])).noise.truth.wander > 0.0
 
 
+@pytest.mark.slow
+def test_6_what_is_learned_does_not_depend_on_how_far_apart_the_nodes_lie():
+    # breaks where noise that remembers is taken for white: an effect then moves by many of its errors with the nodes
+    causes = {"wheel_scale": {"e": 0.02}, "gauss_markov": {"sigma": 0.06, "tau": 6.0, "channel": "along"}}
+    # the heading of a gyro says nothing of the wheels' scale
+    run = as_recording(simulate(68, tuple(causes), parameters=causes, duration_s=600.0, yaw_from="gyro"))
+    learned = learn([run])
+    assert [gain.effect.name for gain in learned.noise] == ["gauss_markov"]
+    scale, approach = registry()["wheel_scale"](heading="gyro"), learned.fit.problem.approach
+    fits = [
+        fit([run], [scale], approach=replace(approach, spacing_s=spacing_s), random=learned.fit.random)
+        for spacing_s in (0.5, 2.0, 5.0)
+    ]
+    values, errors = (
+        np.array(found) for found in zip(*((f.effects[0].e, f.standard_errors[0]) for f in fits), strict=True)
+    )
+    assert np.ptp(values) < errors.min()
+    assert np.ptp(errors) < 0.2 * errors.min()
+    assert np.all(np.abs(values - 0.02) < 3.0 * errors)
+    white = fit([run], [scale], approach=approach)
+    assert white.standard_errors[0] < 0.3 * errors.min()
+
+
 def slipping(every: int) -> Recording:
     """Return a drive whose wheels spin for a tenth of a second in every so many seconds."""
     steps = wander(63, 240.0)
