@@ -171,8 +171,8 @@ class EffectInverse:
     def _too_strong(self) -> EffectError:
         names = ", ".join(effect.name for effect in self._effects)
         return EffectError(
-            f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle after "
-            f"{MAX_ROUNDS} rounds; make them weaker, or delete them from the model"
+            f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle; make "
+            "them weaker, or delete them from the model"
         )
 
 

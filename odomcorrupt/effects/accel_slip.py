@@ -35,7 +35,6 @@ class AccelSlip(Effect):
     )
 
     k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.1, typical=0.02)
-
     heading: str = heading_choice()
     contact: str = choice("what has to speed up to slip: the robot as a whole, or each wheel", "body", "wheels")
 
@@ -43,10 +42,10 @@ class AccelSlip(Effect):
         """Return f: behind while speeding up, ahead while braking."""
         if self.contact == "wheels":
             track_m = needed_track_m(self.name, motion.track_m)
-            rims = Rims(*(self._lost(wheel) for wheel in wheel_motions(motion, track_m)))
+            rims = Rims(*(self._gained(wheel) for wheel in wheel_motions(motion, track_m)))
             return TwistError(body_of(rims, track_m, self.heading), state)
-        return TwistError(stacked(self._lost(motion), 0.0, 0.0, motion.v), state)
+        return TwistError(stacked(self._gained(motion), 0.0, 0.0, motion.v), state)
 
-    def _lost(self, motion: Motion) -> Array:
+    def _gained(self, motion: Motion) -> Array:
         """Return the speed (n,) that is gained, below zero while speeding up."""
         return -self.k * np.abs(motion.steady_v) * motion.a

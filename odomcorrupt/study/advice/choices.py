@@ -9,7 +9,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.study.advice.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.advice.information import separation
-from odomcorrupt.study.search.learn import ALTERNATIVE_NATS
+from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

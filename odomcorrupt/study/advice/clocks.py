@@ -15,7 +15,7 @@ from odomcorrupt.study.advice.drives import best_plan, missing_motion
 from odomcorrupt.study.advice.information import clock_errors, separation
 from odomcorrupt.study.advice.untestable import HIDDEN, SEEN, Untestable
 from odomcorrupt.study.fitting.clocks import RIVALS
-from odomcorrupt.study.search.learn import ALTERNATIVE_NATS
+from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -49,7 +49,9 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
 
 def _best_form(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], law: ScoredLaw) -> tuple[ScoredLaw, Fit]:
     """Return the form of a law that explains most when everything is fitted with it, and that fit."""
-    fits = [(form, again(fitted, free_clocks, (*fitted.effects, form.effect))) for form in (law, *law.others)]
+    have = {effect.name for effect in fitted.effects}
+    forms = [form for form in (law, *law.others) if form.effect.name not in have]
+    fits = [(form, again(fitted, free_clocks, (*fitted.effects, form.effect))) for form in forms]
     return max(fits, key=lambda found: found[1].log_likelihood - found[0].price)
 
 

@@ -9,45 +9,43 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.drift import ten_second_error
-from odomcorrupt.study.fitting.events import set_apart, slip_bursts
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
-from odomcorrupt.study.fitting.tails import heavy_tails
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect, price
 from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.lawful import believable, challenger
 from odomcorrupt.study.search.members import Members
-from odomcorrupt.study.search.random_gain import RandomGain, random_gains
+from odomcorrupt.study.search.noise_names import (
+    PLAIN_NATS,
+    beside_bursts,
+    odd_steps_named,
+    wandering_gain,
+    worth_of,
+)
+from odomcorrupt.study.search.random_gain import RandomGain
 from odomcorrupt.study.search.refit import again, settled, without_idle_noise, without_idlers
-from odomcorrupt.study.search.rivals import CHALLENGE_NATS, Rivalry, put_back, rivalry
+from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS, CHALLENGE_NATS, Rivalry, put_back, rivalry
 from odomcorrupt.study.search.unknown import Unknown, unknown_dependences
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording
 
 __all__ = ["Learned", "Round", "learn"]
 
 _MOST = 6
 _MOST_NOISE = 2
-_PLAIN_NATS = 100.0
-"""What is counted in the odometry itself needs no statistics."""
 _MOST_LAWS = 2
 _WORTH_NATS = 1.0
 """What a new shape has to gain."""
-ALTERNATIVE_NATS = 3.0
-"""Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +151,7 @@ def learn(
         approach=approach,
         random=[e for e in start if e.name in WANDERING],
     )
-    search = _Search(clocks.free, {e.name for e in start}, tuple(RandomGain(e, _PLAIN_NATS) for e in encoders), most)
+    search = _Search(clocks.free, {e.name for e in start}, tuple(RandomGain(e, PLAIN_NATS) for e in encoders), most)
     way = search.from_here(fitted)
     other = search.law_first(way)
     if other is not None and _explains_more(other, way, clocks.free):
@@ -185,7 +183,7 @@ class _Search:
             candidates = next_effect(fitted, self.free)
             best = candidates[0] if candidates and not candidates[0].refused else None
             believed = believed_columns(fitted.problem, self.free)
-            gain = _wandering(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
+            gain = wandering_gain(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
             unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
             if best is None:
                 tested = _tested(fitted, self.free, rounds)
@@ -196,7 +194,7 @@ class _Search:
             if gain is not None:
                 calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
                 explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
-                if _worth(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
+                if worth_of(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
                     fitted, effect = settled(calmer, self.free, believed, gain.effect)
                     noise.append(replace(gain, effect=effect))
                     continue
@@ -227,8 +225,8 @@ class _Search:
         tested: tuple[Fit, dict[str, Rivalry]],
     ) -> _Way:
         """Return where the looks have come to: odd stretches named, one heading, nothing idle, each name tested."""
-        odd = _odd(fitted, calm=not noise and not unknown)
-        noise, fitted = _beside_bursts(noise, fitted, self.free) if odd else (noise, fitted)
+        odd = odd_steps_named(fitted, calm=not noise and not unknown)
+        noise, fitted = beside_bursts(noise, fitted, self.free) if odd else (noise, fitted)
         noise += odd
         fitted = with_one_heading(fitted, self.given, lambda said: again(fitted, self.free, said))
         fitted = without_idlers(fitted, self.free, self.given)
@@ -276,37 +274,6 @@ def _tested(
     return fitted, {e.name: rivalry(fitted, e, free_clocks) for e in fitted.effects if e.name in added}
 
 
-def _odd(fitted: Fit, *, calm: bool) -> list[RandomGain]:
-    """Return bursts of slip, or where nothing else is left, heavy tails."""
-    bursts = slip_bursts(fitted)
-    if bursts is not None:
-        return [RandomGain(bursts, _PLAIN_NATS)]
-    tails = heavy_tails(fitted) if calm else None
-    return [RandomGain(*tails)] if tails is not None else []
-
-
-def _worth(gain: RandomGain, calmer: Fit, fitted: Fit) -> float:
-    """Return the nats that a wandering gain explains, less its price; more of them once the rest is fitted with it."""
-    refitted = calmer.log_likelihood - fitted.log_likelihood - float(np.log(len(fitted.problem.nodes)))
-    return max(gain.nats, refitted)
-
-
-def _beside_bursts(
-    noise: list[RandomGain], fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]
-) -> tuple[list[RandomGain], Fit]:
-    """Drop wandering gains that are not in what is left when all that stands out is set apart: they were the bursts."""
-    wandering = {gain.effect.name for gain in noise} & set(WANDERING)
-    if not wandering:
-        return noise, fitted
-    calm = again(fitted, free_clocks, fitted.effects, random=(), weights=set_apart(fitted))
-    left = {gain.effect.name for gain in random_gains(calm, believed_columns(calm.problem, free_clocks))}
-    if wandering <= left:
-        return noise, fitted
-    stay = [gain for gain in noise if gain.effect.name not in wandering - left]
-    random = [effect for effect in fitted.random if effect.name in left]
-    return stay, again(fitted, free_clocks, fitted.effects, random=random)
-
-
 def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) -> Fit:
     """Look for the shape of an effect anew, now that what it explains is no noise any more."""
     (effect,) = (e for e in fitted.effects if e.name == name)
@@ -318,10 +285,3 @@ def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) 
     others = [e for e in fitted.effects if e is not effect]
     shaped = again(fitted, free_clocks, [*others, moved])
     return shaped if shaped.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted
-
-
-def _wandering(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGain | None:
-    """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one."""
-    gains = random_gains(fitted, believed)
-    rival = best.gain if best is not None else 0.0
-    return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None

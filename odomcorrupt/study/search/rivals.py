@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.search.law_scores import ScoredLaw
     from odomcorrupt.study.search.unknown import Unknown
 
-__all__ = ["CHALLENGE_NATS", "Rivalry", "put_back", "rivalry"]
+__all__ = ["ALTERNATIVE_NATS", "CHALLENGE_NATS", "Rivalry", "put_back", "rivalry"]
 
+ALTERNATIVE_NATS = 3.0
+"""Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
 CHALLENGE_NATS = 8.0
 """By how much a law has to explain more than a known effect, both less their prices: names are the likelier before."""
 

@@ -14,8 +14,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.pose import Array
-
-    Of = Callable[[Motion], Array]
+    from odomcorrupt.study.search.laws.law import Of
 
 __all__ = ["laws_of_headings", "laws_of_places"]
 
@@ -88,7 +87,7 @@ def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
     """Yield strips across what was visited, each turned about the middle of where the robot was in it."""
     x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
     for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
-        c, s = np.cos(angle), np.sin(angle)
+        c, s = _axis(float(angle))
         place = c * x + s * y
         low, high = np.quantile(place, _OUTER)
         middles = np.linspace(low, high, int(np.clip((high - low) / _STRIP_APART_M, _PLACES, _MOST_STRIPS)))
@@ -102,7 +101,7 @@ def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
 def _strip(shape: tuple[float, ...]) -> Law:
     """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
     angle, x, y, half = *shape[:3], max(shape[3], 0.05)
-    c, s = float(np.cos(angle)), float(np.sin(angle))
+    c, s = _axis(angle)
     middle = c * x + s * y
     return Law(
         "position",
@@ -120,7 +119,7 @@ def _box(shape: tuple[float, ...]) -> Law:
     """Return a rectangle: angle of its first axis, middle, and half of either side."""
     angle, x, y = shape[0], shape[1], shape[2]
     half, side = max(shape[3], 0.1), max(shape[4], 0.1)
-    c, s = float(np.cos(angle)), float(np.sin(angle))
+    c, s = _axis(angle)
     along, across = c * x + s * y, c * y - s * x
     return Law(
         "position",
@@ -133,6 +132,12 @@ def _box(shape: tuple[float, ...]) -> Law:
         steps=(0.2, 0.4, 0.4, 0.4, 0.4),
         remade=_box,
     )
+
+
+def _axis(angle: float) -> tuple[float, float]:
+    """Return the axis at this angle; what is nothing but rounding is not written into an expression."""
+    c, s = np.round((np.cos(angle), np.sin(angle)), 6) + 0.0
+    return float(c), float(s)
 
 
 def _less(value: float) -> str:

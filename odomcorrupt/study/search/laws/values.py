@@ -10,12 +10,11 @@ import numpy as np
 from odomcorrupt.study.search.laws.law import REFINING, Law
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.pose import Array
-
-    Of = Callable[[Motion], Array]
+    from odomcorrupt.study.search.laws.law import Of
 
 __all__ = ["VALUES", "laws_of_values"]
 
