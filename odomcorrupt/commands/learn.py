@@ -81,7 +81,13 @@ def command(
     advice = advise(learned)
     base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
     random = [gain.effect for gain in learned.noise]
-    robot = fit_robot(runs, (*learned.fit.effects, *random), law_name="diffusion", clocks=learned.clocks)
+    robot = fit_robot(
+        runs,
+        (*learned.fit.effects, *random),
+        law_name="diffusion",
+        clocks=learned.clocks,
+        shaped=learned.added,
+    )
     ladder = {"without effects": base.model}
     laws = [f"{one.channel} over {one.driver}" for one in learned.laws]
     names = [*learned.added, *laws, *(effect.name for effect in random)]

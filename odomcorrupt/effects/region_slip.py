@@ -41,8 +41,8 @@ class RegionSlip(Effect):
     )
 
     slip: float = parameter("", "part of the wheels' way that is lost inside", low=-0.1, high=0.5, typical=0.05)
-    x: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
-    y: float = parameter("m", "centre", low=-1e4, high=1e4, typical=1.0, amplitude=False)
+    x: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
+    y: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)
     heading: str = heading_choice()
     contact: str = choice(

@@ -12,7 +12,7 @@ from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.study.fitting.approach import choose_approach
 from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
 from odomcorrupt.study.search.actions import Action
-from odomcorrupt.study.search.law_scores import exact_columns
+from odomcorrupt.study.search.law_columns import LawColumns
 from odomcorrupt.study.search.laws import Law
 from odomcorrupt.study.search.learn import learn
 from odomcorrupt.study.search.score import score_columns
@@ -39,7 +39,7 @@ def kept_on_a_line(seed: int, seconds: float = 600.0):
 
 def gain_of(run):
     fitted = fit([run], approach=replace(choose_approach([run]), spacing_s=2.0))
-    columns = exact_columns(fitted, GAIN, Action("yaw", "omega"))
+    columns = LawColumns(fitted.problem).of(GAIN, Action("yaw", "omega"))
     (score,) = score_columns(fitted, [columns], believed_columns(fitted.problem, [(False, False)]))
     return fitted, columns, score
 

@@ -17,7 +17,7 @@ from odomcorrupt.study.fitting.beside_random import noise_beside
 from odomcorrupt.study.fitting.problem import pose_problem
 from odomcorrupt.study.fitting.random_process import WANDERING, with_random
 from odomcorrupt.study.likelihood.law_pieces import LawPieces
-from odomcorrupt.study.recordings.clock import Clock, clock_leaders
+from odomcorrupt.study.recordings.clock import Clock, clock_leaders, led
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -136,7 +136,7 @@ def fit(
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
         old = effects
-        effects, clocks = _moved(effects, clocks, _led(free, leaders), noise.theta)
+        effects, clocks = _moved(effects, clocks, led(free, leaders), noise.theta)
         clocks = tuple(clocks[leader] for leader in leaders)
         step = _made(old, effects, noise.theta)
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
@@ -146,14 +146,14 @@ def fit(
             weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)
     clock_errors = np.zeros(free.shape)
-    clock_errors[_led(free, leaders)] = errors[own:]
+    clock_errors[led(free, leaders)] = errors[own:]
     clock_errors = clock_errors[leaders]
     return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors, Onward(effects, clocks))
 
 
 def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
     """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
-    free = _led(np.asarray(free_clocks), clock_leaders(problem.recordings))
+    free = led(np.asarray(free_clocks), clock_leaders(problem.recordings))
     parts = [problem.columns(effect) for effect in problem.effects]
     if free.any():
         parts.append(problem.clock_columns()[:, :, free.ravel()])
@@ -179,12 +179,6 @@ def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Ar
     """Return the steps that were really made: a parameter that stands at its bound goes no farther."""
     own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
     return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
-
-
-def _led(free: Array, leaders: Sequence[int]) -> Array:
-    """Return which numbers (R, 2) are free where a clock that several runs share is free in the first of them only."""
-    led: Array = free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
-    return led
 
 
 def _moved(

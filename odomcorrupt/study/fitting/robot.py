@@ -19,10 +19,11 @@ from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.intervals import Interval, coefficient_intervals
 from odomcorrupt.study.fitting.setup import find_setup
+from odomcorrupt.study.fitting.told_errors import with_told_errors
 from odomcorrupt.study.recordings.encoders import refilled
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.recordings.trajectory import Recording
@@ -73,10 +74,13 @@ def fit_robot(
     law_name: str,
     start: MotionModel | None = None,
     clocks: Clocks | None = None,
+    shaped: Container[str] = (),
 ) -> RobotFit:
     """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
 
     Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
+
+    shaped : names of effects whose shapes were looked for in the same recordings
     """
     recordings = [refilled(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
@@ -88,6 +92,7 @@ def fit_robot(
     fitted = fit(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
+    fitted = with_told_errors(fitted, clocks.free, shaped)
     columns = believed_columns(fitted.problem, clocks.free)
     intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}

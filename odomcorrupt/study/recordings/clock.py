@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock"]
+__all__ = ["Clock", "aligned", "clock_leaders", "coarse_clock", "led"]
 
 _GRID_S = 0.05
 _SMOOTHING_S = 0.4
@@ -53,6 +53,12 @@ def clock_leaders(recordings: Sequence[Recording]) -> list[int]:
     """Return for each recording the first one that has the same clock."""
     first: dict[str, int] = {}
     return [first.setdefault(recording.clock, i) if recording.clock else i for i, recording in enumerate(recordings)]
+
+
+def led(free: Array, leaders: Sequence[int]) -> Array:
+    """Return which numbers (R, 2) are free where a clock that several runs share is free in the first of them only."""
+    own: Array = free & (np.array(leaders) == np.arange(len(leaders)))[:, None]
+    return own
 
 
 def coarse_clock(recording: Recording) -> Clock:

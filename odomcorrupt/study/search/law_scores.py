@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.search.actions import every_action, views
+from odomcorrupt.study.search.actions import every_action
+from odomcorrupt.study.search.law_columns import LawColumns
 from odomcorrupt.study.search.laws import VALUES
 from odomcorrupt.study.search.periodic import waves
 from odomcorrupt.study.search.quick_look import QuickLook, Tried
@@ -114,7 +115,8 @@ def likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
     for _, group in groupby(worth, key=lambda w: w[0]):
         ranked = [t for _, nats, t in islice(group, _MOST_STARTS) if nats > _LEAST_NATS]
         chosen += look.forms(ranked) if ranked else []
-    groups = [exact_columns(fit, t.law, t.action) for t in chosen]
+    exact = LawColumns(fit.problem)
+    groups = [exact.of(t.law, t.action) for t in chosen]
     scores = score_columns(fit, groups, believed) if groups else []
     found: dict[tuple[str, str], list[ScoredLaw]] = {}
     for t, score, columns in zip(chosen, scores, groups, strict=True):
@@ -148,14 +150,3 @@ def _with_others(scored: Sequence[ScoredLaw]) -> ScoredLaw:
 
 def _kind(tried: Tried) -> tuple[str, str]:
     return tried.law.driver, tried.action.channel
-
-
-def exact_columns(fit: Fit, law: Law, action: Action) -> Array:
-    """Return (K, 3, p): what a unit of each number of a law does to the residuals."""
-    problem = fit.problem
-    moved = []
-    for m in problem.motions:
-        seen = views(m)
-        rates = action.rates(seen, m.track_m)
-        moved.append([sum((part(seen[v]) * m.dt_s)[:, None] * rate for v, rate in rates) for part in law.parts])
-    return np.stack([problem.nodes.column(np.concatenate(errors)) for errors in zip(*moved, strict=True)], axis=2)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.search.candidates import HARM
+from odomcorrupt.study.search.law_columns import topmost
 from odomcorrupt.study.search.quick_look import QuickLook
 from odomcorrupt.study.search.refit import again
 from odomcorrupt.study.search.rivals import CHALLENGE_NATS, put_back
@@ -59,8 +60,9 @@ def _reshaped(form: ScoredLaw, with_it: Fit, free_clocks: Sequence[tuple[bool, b
     """Return a law and its fit with the shape looked for anew, now that what it explains is no noise any more."""
     effect = next(e for e in with_it.effects if e.name == form.effect.name)
     bare, believed = put_back(with_it, effect, free_clocks)
-    moved = replace(form, law=QuickLook(bare, believed).around(form.law, form.action))
-    if moved.law.shape == form.law.shape:
+    law, action = topmost(bare, believed, *QuickLook(bare, believed).around(form.law, form.action))
+    moved = replace(form, law=law, action=action)
+    if (law.shape, action) == (form.law.shape, form.action):
         return form, with_it
     others = [e for e in with_it.effects if e is not effect]
     shaped = again(with_it, free_clocks, (*others, moved.effect))

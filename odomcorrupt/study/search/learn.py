@@ -16,6 +16,7 @@ from odomcorrupt.study.fitting.clocks import Clocks, find_clocks
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
+from odomcorrupt.study.fitting.told_errors import with_told_errors
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect, price
 from odomcorrupt.study.search.heading import with_one_heading
@@ -158,9 +159,12 @@ def learn(
         way = other
     kept = {effect.name for effect in way.fit.effects}
     believed_laws = tuple(one for one in way.laws if one.law is not None and one.law.effect.name in kept)
+    told = with_told_errors(way.fit, clocks.free, kept - search.given)
+    errors = tuple((float(offset), float(rate)) for offset, rate in told.clock_errors)
+    clocks = replace(clocks, clocks=told.problem.clocks, errors=errors)
     return Learned(
-        clocks, way.rounds, way.noise, (*believed_laws, *way.unknown), believed_laws, way.margins, way.fit,
-        ten_second_error(way.fit),
+        clocks, way.rounds, way.noise, (*believed_laws, *way.unknown), believed_laws, way.margins, told,
+        ten_second_error(told),
     )  # fmt: skip
 
 
@@ -281,7 +285,8 @@ def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) 
         return fitted
     bare, believed = put_back(fitted, effect, free_clocks)
     still = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
-    moved = Members(bare, believed).best([still, *type(effect).scan(fitted.problem.motions)])
+    look = Members(bare, believed)
+    moved = look.topmost(look.best([still, *type(effect).scan(fitted.problem.motions)]))
     others = [e for e in fitted.effects if e is not effect]
     shaped = again(fitted, free_clocks, [*others, moved])
     return shaped if shaped.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted

@@ -11,6 +11,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.errors import EffectError
+from odomcorrupt.study.search.hilltop import hilltop
 from odomcorrupt.study.search.sampled import Glance
 from odomcorrupt.study.search.score import left_over
 
@@ -27,6 +28,8 @@ UNUSUAL_NATS = 4.0
 """What a word other than the usual one, a heading from a gyro, has to explain on top."""
 _AT_A_GLANCE, _REFINEMENTS = (0.4, 0.2, 0.1), (0.1, 0.05, 0.02)
 """Steps of shapes, in parts of their typical sizes: first about, then exactly."""
+_SIMPLEX = 0.1
+"""How far the last look goes at first, in parts of typical sizes."""
 _WORTH_NATS = 0.2
 _LARGE = 12
 """Of a larger family so many are looked at exactly."""
@@ -62,6 +65,16 @@ class Members:
         words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
         touches = [self._refined(self._climbed(other)) for other in _said_otherwise(best, words)]
         return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
+
+    def topmost(self, effect: Effect) -> Effect:
+        """Return an effect of the best shape near this one's, which has one: worth its time once it is believed."""
+        shapes = [p for p in parameters(effect) if not p.amplitude]
+
+        def shaped(values: Array) -> Effect:
+            return replace(effect, **{p.name: _bounded(v, p) for p, v in zip(shapes, values, strict=True)})  # type: ignore[type-var]
+
+        start, steps = np.array([(getattr(effect, p.name), _SIMPLEX * p.typical) for p in shapes]).T
+        return shaped(hilltop(lambda values: self._gain(shaped(values)), start, steps))
 
     def _highest(self, family: Sequence[Effect]) -> tuple[float, Effect]:
         """Return the chi-square and the member of the highest hill; of a large family, of those that may be on it."""
@@ -137,8 +150,12 @@ def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
 
 def _beside(effect: Effect, p: Parameter, fraction: float) -> list[Effect]:
     """Return the effect with one number of its shape a step down and up."""
-    values = [float(np.clip(getattr(effect, p.name) + s * fraction * p.typical, p.low, p.high)) for s in (-1.0, 1.0)]
+    values = [_bounded(getattr(effect, p.name) + s * fraction * p.typical, p) for s in (-1.0, 1.0)]
     return [replace(effect, **{p.name: value}) for value in values]  # type: ignore[type-var]  # effects are dataclasses
+
+
+def _bounded(value: float, p: Parameter) -> float:
+    return float(np.clip(value, p.low, p.high))
 
 
 def _said_otherwise(effect: Effect, words: Sequence[str]) -> list[Effect]:

@@ -124,9 +124,10 @@ class QuickLook:
                 starts.append(tried)
         return [self.refined(start) for start in starts]
 
-    def around(self, law: Law, action: Action) -> Law:
-        """Return the law of the best shape near this one."""
-        return self.refined(Tried(law, action, self._gain(law, action))).law
+    def around(self, law: Law, action: Action) -> tuple[Law, Action]:
+        """Return the law of the best shape near this one, and the direction in which it acts."""
+        best = self.refined(Tried(law, action, self._gain(law, action)))
+        return best.law, best.action
 
     def refined(self, tried: Tried) -> Tried:
         """Return the law of the best shape in the neighbourhood."""

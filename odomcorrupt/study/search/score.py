@@ -2,8 +2,7 @@
 
 One whitened column per parameter; an effect of two parameters is tested as a group. Two gates guard against false
 names: the plain chi-square, Bonferroni-corrected over the library (right when the noise model is right), and a
-moderated cluster-robust F (right when it is not: the sum over blocks of the run shows how much a score really varies;
-few blocks borrow strength from the others, as limma does for few arrays).
+moderated cluster-robust F (right when it is not: the sum over blocks of the run shows how much a score really varies).
 """
 
 from __future__ import annotations
@@ -15,6 +14,8 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
+from odomcorrupt.study.fitting.blocks import PRIOR_DOF, between_blocks, block_of, inflation, shared_variance
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -24,11 +25,10 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
 
-__all__ = ["ColumnScore", "Score", "block_of", "left_over", "score_columns", "score_tests"]
+__all__ = ["ColumnScore", "Score", "left_over", "score_columns", "score_tests"]
 
 _SEPARABLE = 0.02
 """A column that loses all but this part of its length to what is believed already cannot be told from it."""
-_PRIOR_DOF = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,22 +85,6 @@ def left_over(fit: Fit, believed: Array) -> Left:
     return Left(basis, r - basis @ (basis.T @ r))
 
 
-def block_of(fit: Fit) -> NDArray[np.int64]:
-    """Return the block (K,) each interval belongs to: stretches of time, never across runs, about 15 s each."""
-    nodes, run = fit.problem.nodes, fit.problem.run
-    total = float(np.sum(nodes.end_s - nodes.start_s))
-    wanted = int(np.clip(total / 15.0, 20, 60))
-    length = total / wanted
-    within = np.concatenate([_elapsed(nodes.end_s[run == r], length) for r in np.unique(run)])
-    block: NDArray[np.int64] = np.unique(np.stack((run, within)), axis=1, return_inverse=True)[1].ravel()
-    return block
-
-
-def _elapsed(end_s: Array, length: float) -> NDArray[np.int64]:
-    index: NDArray[np.int64] = ((end_s - end_s[0]) / length).astype(np.int64)
-    return index
-
-
 def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list[Score]:
     """Test every candidate effect at its present values (usually the identity) on a fitted model.
 
@@ -119,15 +103,13 @@ def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list
 def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[ColumnScore]:
     """Test a family of groups of columns (K, 3, p), each beside what is believed (K, 3, q)."""
     left = left_over(fit, believed)
-    block = np.repeat(block_of(fit), 3)
+    block = np.repeat(block_of(fit.problem), 3)
     tests = []
     for group in groups:
         raw = fit.noise.whitener.whiten(group)
         tests.append(_test(left.residual, left.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
-    # the family's common opinion on how much scores vary between blocks
-    weights = np.array([t.dof for t in usable])
-    shared = max(float(np.sum(weights * [t.variance for t in usable]) / weights.sum()), 1.0) if usable else 1.0
+    shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
     return [_judged(t, shared, len(usable)) for t in tests]
 
 
@@ -159,13 +141,9 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     blocks = int(block.max()) + 1
     length = np.sqrt(max(float(best @ best), 1e-300))
     unit = best / length
-    z = float(unit @ r)
-    s = np.bincount(block, unit * r, blocks)
-    a = np.bincount(block, unit * unit, blocks)
-    variance = float(np.sum((s - a * z) ** 2 / np.maximum(1.0 - a, 1e-6)))
-    dof = max(float(1.0 / np.sum(a**2) - 1.0), 0.5)
+    ((variance,), (dof,)) = between_blocks(block, unit[:, None], r)
     held_out = _held_out(r, column, block, blocks)
-    return _Test(estimate, covariance, statistic, variance, dof, separable=True, held_out=held_out)
+    return _Test(estimate, covariance, statistic, float(variance), float(dof), separable=True, held_out=held_out)
 
 
 def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) -> Array:
@@ -184,19 +162,19 @@ def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) ->
 
 def _judged(test: _Test, shared: float, family: int) -> ColumnScore:
     count = len(test.estimate)
-    inflation = max(1.0, (_PRIOR_DOF * shared + test.dof * test.variance) / (_PRIOR_DOF + test.dof))
+    inflated = float(inflation(np.array(test.variance), np.array(test.dof), shared))
     if test.separable:
         plain = chi2.sf(test.statistic, count)
-        robust = fisher_f.sf(test.statistic / (count * inflation), count, _PRIOR_DOF + test.dof)
+        robust = fisher_f.sf(test.statistic / (count * inflated), count, PRIOR_DOF + test.dof)
         p = min(1.0, family * float(max(plain, robust)))
     else:
         p = 1.0
     gains = test.held_out
     return ColumnScore(
         estimate=test.estimate,
-        standard_error=np.sqrt(np.diag(test.covariance) * inflation),
+        standard_error=np.sqrt(np.diag(test.covariance) * inflated),
         statistic=test.statistic,
-        inflation=inflation,
+        inflation=inflated,
         p=p,
         separable=test.separable,
         held_out_nats=float(gains.sum()),

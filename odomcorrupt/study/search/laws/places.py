@@ -101,12 +101,11 @@ def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
 def _strip(shape: tuple[float, ...]) -> Law:
     """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
     angle, x, y, half = *shape[:3], max(shape[3], 0.05)
-    c, s = _axis(angle)
-    middle = c * x + s * y
+    axis = _axis(angle)
     return Law(
         "position",
-        f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(middle)}) < {half:.4g}, 1, 0)",
-        (_band(c, s, middle, half),),
+        f"k * where(abs({_ahead(axis, x, y)}) < {half:.4g}, 1, 0)",
+        (_band(axis, x, y, half),),
         2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * REFINING**3,
         reaches=("body", "both", "ground"),
         shape=(angle, x, y, half),
@@ -119,13 +118,13 @@ def _box(shape: tuple[float, ...]) -> Law:
     """Return a rectangle: angle of its first axis, middle, and half of either side."""
     angle, x, y = shape[0], shape[1], shape[2]
     half, side = max(shape[3], 0.1), max(shape[4], 0.1)
-    c, s = _axis(angle)
-    along, across = c * x + s * y, c * y - s * x
+    c, s = along = _axis(angle)
+    across = (-s, c)
     return Law(
         "position",
-        f"k * where(abs({c:.4g} * x + {s:.4g} * y {_less(along)}) < {half:.4g}, 1, 0)"
-        f" * where(abs({c:.4g} * y - {s:.4g} * x {_less(across)}) < {side:.4g}, 1, 0)",
-        (lambda m: _band(c, s, along, half)(m) * _band(-s, c, across, side)(m),),
+        f"k * where(abs({_ahead(along, x, y)}) < {half:.4g}, 1, 0)"
+        f" * where(abs({_ahead(across, x, y)}) < {side:.4g}, 1, 0)",
+        (lambda m: _band(along, x, y, half)(m) * _band(across, x, y, side)(m),),
         2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * REFINING**5,
         reaches=("body", "both", "ground", "bias"),
         shape=(angle, x, y, half, side),
@@ -140,8 +139,15 @@ def _axis(angle: float) -> tuple[float, float]:
     return float(c), float(s)
 
 
-def _less(value: float) -> str:
-    return f"- {value:.4g}" if value >= 0.0 else f"+ {-value:.4g}"
+def _ahead(axis: tuple[float, float], x: float, y: float) -> str:
+    """Return how far along an axis something is from a place."""
+    (c, s), sign = axis, "-" if axis[1] < 0.0 else "+"
+    return f"{c:.4g} * (x {_less(x)}) {sign} {abs(s):.4g} * (y {_less(y)})"
+
+
+def _less(metres: float) -> str:
+    """Return a number to be taken away, to a millimetre: some maps begin half a million metres away."""
+    return f"{'-' if metres >= 0.0 else '+'} {round(abs(metres), 3):.10g}"
 
 
 def _spread(values: Array) -> Array:
@@ -158,5 +164,6 @@ def _within(x: float, y: float, radius: float) -> Of:
     return lambda m: (np.hypot(m.x - x, m.y - y) < radius).astype(np.float64)
 
 
-def _band(c: float, s: float, middle: float, half: float) -> Of:
-    return lambda m: (np.abs(c * m.x + s * m.y - middle) < half).astype(np.float64)
+def _band(axis: tuple[float, float], x: float, y: float, half: float) -> Of:
+    c, s = axis
+    return lambda m: (np.abs(c * (m.x - x) + s * (m.y - y)) < half).astype(np.float64)

@@ -1,0 +1,75 @@
+"""Shapes that were looked for: found to the top of their hill, in any frame, and their errors say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.simulate import simulate
+from odomcorrupt.study.fitting.approach import choose_approach
+from odomcorrupt.study.fitting.blocks import between_blocks, inflation, shared_variance
+from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.fitting.told_errors import with_told_errors
+from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.study.search.hilltop import hilltop
+from odomcorrupt.study.search.laws.places import _box, _strip
+from odomcorrupt.study.search.learn import learn
+
+FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
+"""Where a map in UTM may begin, m."""
+
+
+def test_a_ridge_is_followed_to_its_top():
+    # no single number moved alone gains anything on the way
+    top = hilltop(lambda v: -50.0 * (v[0] - v[1]) ** 2 - 5.0 * (v[0] + v[1] - 6.0) ** 2, np.zeros(2), np.full(2, 0.1))
+    assert top == pytest.approx([3.0, 3.0], abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [84, 86])
+def test_a_patch_is_found_as_far_as_its_errors_say_and_where_the_map_begins_far_away(seed):
+    run = simulate(seed, "region_slip", duration_s=400.0)
+    recording = as_recording(run)
+    moved = Trajectory(recording.truth.stamps_ns, recording.truth.xyt + FAR_AWAY)
+    here, there = (learn([r]) for r in (recording, replace(recording, truth=moved)))
+    for learned, origin in ((here, np.zeros(3)), (there, FAR_AWAY)):
+        (patch,) = learned.fit.effects
+        sought = run.answer["parameters"]
+        assert patch.name == "region_slip"
+        assert abs(patch.slip - sought["slip"]) < 3.0 * learned.fit.standard_errors[0]
+        assert patch.slip == pytest.approx(sought["slip"], rel=0.03)
+        assert patch.radius == pytest.approx(sought["radius"], rel=0.15)
+        assert (patch.x - origin[0], patch.y - origin[1]) == pytest.approx((sought["x"], sought["y"]), abs=0.15)
+    assert there.error_m == pytest.approx(here.error_m, rel=0.02)
+
+
+def test_the_error_of_a_slip_grows_where_its_place_was_looked_for_too():
+    run = simulate(84, "region_slip", duration_s=300.0)
+    recording, free = as_recording(run), [(False, False)]
+    patch = effect_from_values("region_slip", run.answer["parameters"])
+    fitted = fit([recording], [patch], approach=choose_approach([recording]))
+    known, sought = (with_told_errors(fitted, free, names).standard_errors[0] for names in ((), ("region_slip",)))
+    assert known >= fitted.standard_errors[0]
+    assert 1.1 * known < sought < 4.0 * known
+
+
+def test_estimates_that_blocks_disagree_on_have_larger_errors():
+    rng = np.random.default_rng(1)
+    block, pull = np.repeat(np.arange(40), 30), np.ones((1200, 1))
+    calm = rng.standard_normal(1200)
+    told = []
+    for together in (0.0, 1.0):  # what all innovations of a block share
+        variance, dof = between_blocks(block, pull, calm + together * np.repeat(rng.standard_normal(40), 30))
+        told.append(float(inflation(variance, dof, shared_variance(variance, dof))[0]))
+    assert told[0] == pytest.approx(1.0, abs=0.3)
+    assert told[1] == pytest.approx(31.0, rel=0.5)
+
+
+@pytest.mark.parametrize("law", [_strip((0.3, *FAR_AWAY[:2], 0.6)), _box((0.3, *FAR_AWAY[:2], 0.6, 1.2))])
+def test_a_place_far_from_the_origin_is_written_to_a_millimetre(law):
+    assert "512345)" in law.text
+    assert "4998765)" in law.text
