@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.draws import again
+from odomcorrupt.effects.draws import again, autoregression
 from odomcorrupt.effects.effect import (
     About,
     Effect,
@@ -24,6 +24,8 @@ from odomcorrupt.effects.effect import (
 if TYPE_CHECKING:
     from numpy.random import Generator
 
+    from odomcorrupt.pose import Array
+
 
 class _Walk(NamedTuple):
     rng: Generator
@@ -32,39 +34,65 @@ class _Walk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GyroBiasWalk(Effect):
-    """f = (0, 0, -bias), the bias a random walk from zero: variance density^2 t. It goes on while standing."""
+    """f = (0, 0, -bias), the bias a random walk from zero: variance density^2 t. It goes on while standing.
+
+    With a time tau it is drawn back to zero, b' = -b / tau + white noise, of deviation density sqrt(tau / 2).
+    """
 
     name: ClassVar[str] = "gyro_bias_walk"
     kind: ClassVar[Kind] = "noise"
     summary: ClassVar[str] = "the yaw rate's offset wanders, also while standing"
     about: ClassVar[About | None] = About(
-        equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t)",
-        typical="1e-3 to 3e-2 deg/s per sqrt(s), which is 2e-5 to 5e-4 rad/s per sqrt(s)",
-        source="Woodman 2007, An introduction to inertial navigation (bias instability as a random walk)",
+        equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t); with tau Gauss-Markov of "
+        "deviation density sqrt(tau / 2)",
+        typical="1e-3 to 3e-2 deg/s per sqrt(s), which is 2e-5 to 5e-4 rad/s per sqrt(s); tau of minutes to hours "
+        "for a gyro, of seconds where a steered wheel or a castor has play",
+        source="Woodman 2007, An introduction to inertial navigation (bias instability as a random walk); "
+        "IEEE Std 952-1997, annex C (exponentially correlated noise)",
         confused_with=("gyro_bias", "gauss_markov"),
         drive="stand still for a minute, more than once",
     )
 
     density: float = parameter("rad/s/sqrt(s)", "standard deviation after one second", low=0.0, high=0.05, typical=2e-4)
+    tau: float = parameter(
+        "s", "time in which it comes back to zero; 0: it never does", low=0.0, high=1e5, typical=10.0, amplitude=False
+    )
 
     def start(self, rng: Generator) -> State:
-        """Return a bias of zero and what it will be drawn from."""
-        return _Walk(rng, 0.0)
+        """Return a bias, zero if it never comes back, and what it will be drawn from."""
+        if not self.tau:
+            return _Walk(rng, 0.0)
+        rng = again(rng)
+        return _Walk(rng, self._spread * float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the bias as it is at the end of each interval."""
         rng = again(state.rng)
-        kick = self.density * np.sqrt(motion.dt_s) * rng.standard_normal(len(motion))
-        bias = np.cumsum(np.concatenate(([state.bias], kick)))
-        return TwistError(stacked(0.0, 0.0, -bias[1:], motion.v), _Walk(rng, float(bias[-1])))
+        keep, kick = self._kept(motion.dt_s)
+        kicks = np.sqrt(kick) * rng.standard_normal(len(motion))
+        bias = autoregression(state.bias, keep, kicks)
+        last = float(bias[-1]) if len(bias) else state.bias
+        return TwistError(stacked(0.0, 0.0, -bias, motion.v), _Walk(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
-        """Return the walk's growing variance."""
+        """Return the walk's growing variance, or that to which it is drawn back."""
         nothing = np.zeros_like(motion.v)
-        variance = self.density**2 * np.cumsum(motion.dt_s)
+        variance = nothing + self._spread**2 if self.tau else self.density**2 * np.cumsum(motion.dt_s)
         return Moments(np.zeros((len(motion), 3)), stacked(nothing, nothing, variance, nothing))
 
     def gains(self, motion: Motion) -> tuple[Gain, ...]:
-        """Return the bias: nothing at first, it forgets nothing."""
+        """Return the bias: what it forgets, and what it is kicked by."""
         one = np.ones_like(motion.v)
-        return (Gain(stacked(0.0, 0.0, -one, one), one, self.density**2 * motion.dt_s, 0.0),)
+        return (Gain(stacked(0.0, 0.0, -one, one), *self._kept(motion.dt_s), self._spread**2),)
+
+    @property
+    def _spread(self) -> float:
+        """Its standard deviation at the start, rad/s."""
+        return float(self.density * np.sqrt(0.5 * self.tau))
+
+    def _kept(self, dt_s: Array) -> tuple[Array, Array]:
+        """Return what part (n,) of it is kept over each interval, and the variance of its kicks."""
+        if not self.tau:
+            return np.ones_like(dt_s), self.density**2 * dt_s
+        keep = np.exp(-dt_s / self.tau)
+        return keep, self._spread**2 * (1.0 - keep**2)

@@ -6,11 +6,11 @@ from html import escape
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.report.found import dependence
 from odomcorrupt.report.sentences import size
 from odomcorrupt.report.sure import law_numbers, noise_sure, step_sure, told_expression
-from odomcorrupt.report.tables import clock_lines, value_text, words_text
+from odomcorrupt.report.tables import clock_lines, noise_text, numbers_text, words_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,10 +51,7 @@ def _clock(line: str) -> str:
 
 def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
     sure = step_sure(look, learned)
-    values = [
-        f'<p class="value">{escape(p.name)} {escape(value_text(getattr(effect, p.name), error, p.unit))}</p>'
-        for p, error in zip(amplitudes(effect), errors, strict=True)
-    ]
+    values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
     if look.alternatives:
         lines.append(f"<p>or {escape(', '.join(look.alternatives))}: these data cannot tell</p>")
@@ -78,10 +75,7 @@ def _meter(sure: float, nats: float) -> list[str]:
 
 
 def _noise(gain: RandomGain, learned: Learned) -> str:
-    values = [
-        f'<p class="value">{escape(p.name)} {escape(value_text(getattr(gain.effect, p.name), None, p.unit))}</p>'
-        for p in parameters(gain.effect)
-    ]
+    values = [f'<p class="value">{escape(number)}</p>' for number in noise_text(gain.effect)]
     channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
     return _card(
         "noise",

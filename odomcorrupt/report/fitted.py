@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.tables import clock_lines, value_text, words_text
+from odomcorrupt.report.tables import clock_lines, numbers_text, words_text
 from odomcorrupt.study.fitting.events import events
 
 if TYPE_CHECKING:
@@ -59,11 +59,7 @@ def _plain(result: RobotFit) -> bool:
 
 
 def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
-    values = [
-        f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}"
-        for p, error in zip(amplitudes(effect), errors, strict=True)
-    ]
-    return f"  {effect.name}{words_text(effect)}: {', '.join(values)}"
+    return f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
 
 
 def _event_lines(found: Sequence[Event]) -> list[str]:

@@ -6,11 +6,10 @@ from itertools import pairwise
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import parameters
 from odomcorrupt.report.advice import advice_text, limits_sentence
 from odomcorrupt.report.sentences import rejection, size
 from odomcorrupt.report.sure import law_numbers, noise_sure, sure_words, told_expression
-from odomcorrupt.report.tables import clock_lines, ladder_text, value_text
+from odomcorrupt.report.tables import clock_lines, ladder_text, noise_text, value_text
 from odomcorrupt.study.likelihood.nodes import join
 from odomcorrupt.study.likelihood.windows import distance_windows, rmse
 
@@ -39,9 +38,7 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     if learned.added:
         lines += ["missing, in the order of evidence, each on top of the ones before:", ladder_text(learned)]
     for gain in learned.noise:
-        values = ", ".join(
-            f"{p.name} {value_text(getattr(gain.effect, p.name), None, p.unit)}" for p in parameters(gain.effect)
-        )
+        values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
         sure = sure_words(noise_sure(gain, learned))
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes, choices
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.sure import clocks_found, step_sure, sure_words
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.search.candidates import Candidate
     from odomcorrupt.study.search.learn import Learned, Round
 
-__all__ = ["candidates_table", "clock_lines", "ladder_text", "value_text"]
+__all__ = ["candidates_table", "clock_lines", "ladder_text", "noise_text", "numbers_text", "value_text"]
 
 
 def value_text(value: float, error: float | None, unit: str) -> str:
@@ -31,6 +31,26 @@ def value_text(value: float, error: float | None, unit: str) -> str:
         value, error, unit = value * 1e2, None if error is None else error * 1e2, "%"
     spread = "" if error is None else f" +- {error:.2g}"
     return f"{value:.4g}{spread} {unit}"
+
+
+def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
+    """Return an effect's numbers in words: amplitudes with their errors, then its shape, places in metres."""
+    own = amplitudes(effect)
+    told = zip(own, errors, strict=True)
+    sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in told]
+    shapes = [p for p in parameters(effect) if not p.amplitude]
+    return sizes + [f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes]
+
+
+def noise_text(effect: Effect) -> list[str]:
+    """Return a random effect's numbers in words; a time of zero is none."""
+    told = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
+    return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in told]
+
+
+def _shape_text(value: float, unit: str) -> str:
+    """Return a number of a shape; of a place all that lies before the millimetres, however far away the map begins."""
+    return f"{round(value, 3):.10g} m" if unit == "m" else value_text(value, None, unit)
 
 
 def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:

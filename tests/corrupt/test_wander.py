@@ -20,6 +20,7 @@ RANDOM = {
     "gain": ("gauss_markov", {"sigma": 0.04, "tau": 3.0}),
     "turning gain": ("gauss_markov", {"sigma": 0.03, "tau": 3.0, "channel": "yaw"}),
     "walk": ("gyro_bias_walk", {"density": 3e-4}),
+    "bias that comes back": ("gyro_bias_walk", {"density": 2e-3, "tau": 4.0}),
     "bursts of both wheels": ("slip_burst", {"rate": 0.3, "slip": 0.2, "duration": 0.3}),
     "bursts of a wheel": ("slip_burst", {"rate": 0.1, "slip": 0.1, "duration": 0.3}),
     "losses": ("lost_increments", {"fraction": 0.02}),

@@ -30,6 +30,13 @@ def test_a_bias_walk_goes_on_at_rest_and_a_gain_does_not():
     assert not drawn("gauss_markov", {"sigma": 0.1}, motion(**STOP)).any()
 
 
+def test_a_bias_with_a_time_comes_back_and_is_as_wide_as_it_says():
+    bias = drawn("gyro_bias_walk", {"density": 1e-3, "tau": 8.0}, motion(0.0, 0.0, seconds=4000.0))[:, 2]
+    assert bias.std() == pytest.approx(1e-3 * np.sqrt(8.0 / 2.0), rel=0.15)
+    lag = round(8.0 * 50)
+    assert np.corrcoef(bias[:-lag], bias[lag:])[0, 1] == pytest.approx(np.exp(-1.0), abs=0.15)
+
+
 def test_a_gain_acts_on_its_channel_alone():
     along = drawn("gauss_markov", {"sigma": 0.1}, motion(**CIRCLE))
     yaw = drawn("gauss_markov", {"sigma": 0.1, "channel": "yaw"}, motion(**CIRCLE))

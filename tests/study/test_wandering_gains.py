@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hidden import as_recording
+from scipy.signal import lfilter
+from wandering import RATE_HZ, noisy_path, recording, wander
 
+from odomcorrupt.increments import Increments
+from odomcorrupt.laws import Coefficients
 from odomcorrupt.simulate import simulate
 from odomcorrupt.study.search.learn import learn
 
@@ -46,3 +50,17 @@ def test_bursts_do_not_widen_the_noise_of_every_step_and_do_not_turn_a_gyro():
     (bursts,) = found
     assert (bursts.name, bursts.heading) == ("slip_burst", "gyro")
     assert noisy.trans_trans < 2.0 * clean.trans_trans
+
+
+def test_a_bias_that_comes_back_is_no_walk_that_runs_away():
+    # as a walk, this one would have wandered 3 deg/s away after ten minutes; it never does more than 0.4
+    rng, drive = np.random.default_rng(304), wander(304)
+    keep = np.exp(-1.0 / RATE_HZ / 8.0)
+    kicks = 0.005 * np.sqrt(1.0 - keep**2) * rng.standard_normal(len(drive))
+    bias = lfilter([1.0], [1.0, -keep], kicks)
+    steps = Increments(drive.ds_m, drive.dl_m, drive.dtheta_rad + bias / RATE_HZ)
+    noisy = noisy_path(steps, Coefficients(0.005, 0.005, 0.01, 0.005), 304)
+    (found,) = [gain.effect for gain in learn([recording(drive, noisy, seed=304)]).noise]
+    assert found.name == "gyro_bias_walk"
+    assert found.density * np.sqrt(found.tau / 2.0) == pytest.approx(0.005, rel=0.3)
+    assert 4.0 < found.tau < 16.0

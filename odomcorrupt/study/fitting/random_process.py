@@ -25,6 +25,7 @@ __all__ = [
     "FINELY",
     "WANDERING",
     "Process",
+    "bias_of",
     "processes",
     "processes_like",
     "root_of",
@@ -49,13 +50,19 @@ _BREAK_S = 1e3
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density."""
+    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density.
+
+    variance : where it is stationary, at scale 1
+    numbers : how many it is charged for; a walk that comes back has one more than one that does not
+    """
 
     kind: type[Effect]
     fixed: dict[str, str | float]
     scale: str
     unit: Callable[[Motion], Array]
     tau: float | None
+    variance: float = 1.0
+    numbers: int = 2
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
@@ -100,24 +107,33 @@ def root_of(effect: Effect, problem: Problem) -> Array:
     return root
 
 
-def processes(taus_s: Sequence[float] = _TAUS_S) -> list[Process]:
-    """Return the processes to try, with these correlation times."""
+def processes() -> list[Process]:
+    """Return the processes to try; a bias that comes back very soon is hardly told from noise of every step."""
+    return _processes(_TAUS_S, _TAUS_S[1:])
+
+
+def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Process]:
+    """Return gains with these correlation times, a walk, and biases that come back in these times."""
     kinds = registry()
     markov = [
         Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
         for channel, unit in (("along", _along), ("yaw", _turn))
         for tau in taus_s
     ]
-    return [*markov, Process(kinds["gyro_bias_walk"], {}, "density", _bias, None)]
+    walk = kinds["gyro_bias_walk"]
+    biases = [Process(walk, {"tau": tau}, "density", bias_of, tau, 0.5 * tau, 3) for tau in biases_s]
+    return [*markov, Process(walk, {"tau": 0.0}, "density", bias_of, None), *biases]
 
 
 def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
     """Return the process of an effect, or those with correlation times about its own, too."""
-    tau_s = getattr(effect, "tau", _LADDER_S[0])
+    tau_s = getattr(effect, "tau", 0.0)
     near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
     channel = getattr(effect, "channel", None)
-    every = processes(sorted({tau_s, *near}))
-    return [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
+    taus_s = sorted({tau_s, *near})
+    every = _processes(taus_s, taus_s)
+    own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
+    return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
 
 
 def _along(motion: Motion) -> Array:
@@ -128,7 +144,8 @@ def _turn(motion: Motion) -> Array:
     return stacked(0.0, 0.0, motion.omega, motion.v)
 
 
-def _bias(motion: Motion) -> Array:
+def bias_of(motion: Motion) -> Array:
+    """Return what (n, 3) a unit of a bias of the yaw rate does."""
     return stacked(0.0, 0.0, 1.0, motion.v)
 
 
@@ -151,7 +168,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
     hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
-    prior = np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
+    prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
     root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
     rooted: Array = unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
     return rooted

@@ -199,7 +199,7 @@ class _Search:
                 calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
                 explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
                 if worth_of(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
-                    fitted, effect = settled(calmer, self.free, believed, gain.effect)
+                    fitted, effect = settled(calmer, self.free, gain.effect)
                     noise.append(replace(gain, effect=effect))
                     continue
             if lawful is not None and best is not None and lawful.nats < best.gain + CHALLENGE_NATS:

@@ -15,6 +15,7 @@ from scipy.linalg import eigh
 
 from odomcorrupt.study.fitting.random_process import (
     FINELY,
+    bias_of,
     processes,
     processes_like,
     rooted,
@@ -59,11 +60,13 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
         Columns of what is believed already.
 
     """
-    price = float(np.log(len(fit.problem.nodes)))
+    log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found = []
     for process in processes():
-        design = rooted(fit.problem, process)
+        price = 0.5 * process.numbers * log_count
+        # a walk is rough at every scale: with few knots it would lose to a bias that comes back
+        design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, believed, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         if nats - price > NAMED_NATS and (effect.name, getattr(effect, "channel", "")) not in have:
@@ -89,8 +92,8 @@ def remeasured(fit: Fit, believed: Array, effect: Effect) -> Effect:
 
 def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
-    if process.tau is None:
-        # a walk starts anywhere: the constant is not its business
+    if process.unit is bias_of:
+        # about what a bias wanders, and where a walk starts, is not its business
         believed = np.concatenate((believed, unit_column(fit.problem, process)[:, :, None]), axis=2)
     left = left_over(fit, believed)
     white, r = left.of(fit.noise.whitener.whiten(design)), left.residual

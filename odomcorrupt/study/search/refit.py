@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.study.fitting.gauss_newton import Fit, fit
+from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.search.random_gain import remeasured
 
@@ -48,12 +48,11 @@ def again(
     )
 
 
-def settled(
-    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], believed: Array, effect: Effect
-) -> tuple[Fit, Effect]:
+def settled(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], effect: Effect) -> tuple[Fit, Effect]:
     """Return a fit that believes a wandering gain, with both measured beside each other, and the gain."""
     for _ in range(_ROUNDS):
-        new = remeasured(fitted, believed, effect)
+        # a clock that moves may win or lose an interval: columns are those of this fit
+        new = remeasured(fitted, believed_columns(fitted.problem, free_clocks), effect)
         if _alike(new, effect):
             break
         random = [new if e is effect else e for e in fitted.random]
