@@ -54,15 +54,19 @@ class Drive:
         return motion_of((self.stamps_ns - self.stamps_ns[0]) * 1e-9, self.xyt, track_m=TRACK_M)
 
 
-def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0) -> Drive:
-    """Return a drive with all that is hard: stops, reverse, turns on the spot, headings beyond pi, a repeated stamp."""
+def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0, *, sideways: bool = False) -> Drive:
+    """Return a drive with all that is hard: stops, reverse, turns on the spot, headings beyond pi, a repeated stamp.
+
+    sideways : whether the robot also slides from side to side
+    """
     t_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
     t_s += 0.2 / rate_hz * np.sin(7.0 * t_s)
     phase = t_s[:-1] % 15.0
     v = np.interp(phase, [0, 1, 4, 5, 6, 7, 9, 10, 12, 15], [0, 0.8, 0.8, 0, 0, -0.4, -0.4, 0, 0, 0])
     omega = np.interp(phase, [0, 2, 3, 4, 5, 10, 11, 12, 13, 15], [0, 0, 0.9, 0.9, 0, 0, 1.2, -1.2, 0, 0])
+    vy = 0.3 * v * np.sin(t_s[:-1]) if sideways else np.zeros_like(v)
     dt = np.diff(t_s)
-    steps = Increments(v * dt, np.zeros_like(v), omega * dt + np.where(np.arange(len(v)) % 1000 < 500, 0.0, 0.5 * dt))
+    steps = Increments(v * dt, vy * dt, omega * dt + np.where(np.arange(len(v)) % 1000 < 500, 0.0, 0.5 * dt))
     xyt = accumulate(np.array([0.3, -0.2, 3.0]), steps)
     repeated = np.sort(np.append(np.arange(len(t_s)), len(t_s) // 3))
     return Drive(100 * 10**9 + np.round(t_s * 1e9).astype(np.int64)[repeated], xyt[repeated])
@@ -127,7 +131,7 @@ def _check_facts(effect_class: type[Effect]) -> None:
 
 
 def _check_identity(still: Effect) -> None:
-    drive = contract_drive()
+    drive = contract_drive(sideways=still.needs_sideways)
     _require(not still.acts, still, "acts at its identity")
     f, _ = _error(still, drive.motion)
     _require(not f.any(), still, "f is not zero at its identity")
@@ -140,7 +144,7 @@ def _check_identity(still: Effect) -> None:
 
 
 def _check_numbers(effect: Effect) -> None:
-    drive = contract_drive()
+    drive = contract_drive(sideways=effect.needs_sideways)
     motion = drive.motion
     before = copy.deepcopy(motion)
     state = effect.start(stream(1, 0, effect.name))
@@ -159,7 +163,7 @@ def _check_numbers(effect: Effect) -> None:
 
 
 def _check_cuts(effect: Effect) -> None:
-    drive = contract_drive()
+    drive = contract_drive(sideways=effect.needs_sideways)
     motion, steps = drive.motion, _steps(drive)
     normals = np.random.default_rng(2).standard_normal((len(steps), 4))
     f, _ = _error(effect, motion)
@@ -186,14 +190,14 @@ def _check_cuts(effect: Effect) -> None:
 
 
 def _check_seeds(effect: Effect) -> None:
-    drive = contract_drive()
+    drive = contract_drive(sideways=effect.needs_sideways)
     errors = [_path([effect], seed, noise=0.02).feed(drive.stamps_ns, drive.xyt).error_xyt for seed in (1, 1, 2)]
     _require(np.array_equal(errors[0], errors[1]), effect, "the same seed gives different numbers")
     _require(not np.array_equal(errors[0], errors[2]), effect, "different seeds give the same numbers")
 
 
 def _check_round_trip(effect: Effect) -> None:
-    drive = contract_drive()
+    drive = contract_drive(sideways=effect.needs_sideways)
     odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
     _require(np.abs(odometry - drive.xyt).max() > 100.0 * _BACK_M or not effect.acts, effect, "corrupts nothing")
     t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9

@@ -82,6 +82,7 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "twin_of": kind.twin_of,
         "drive": about.drive if about else None,
         "needs_track": kind.needs_track,
+        "needs_sideways": kind.needs_sideways,
     }
 
 
@@ -97,6 +98,8 @@ def _page(kind: type[Effect]) -> str:
     lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
     if kind.needs_track:
         lines.append("  needs the distance between the wheels: --track, or [robot] track in a model file")
+    if kind.needs_sideways:
+        lines.append("  for robots that can drive sideways, on mecanum or other omnidirectional wheels")
     if kind.about is not None:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]

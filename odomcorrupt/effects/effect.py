@@ -117,6 +117,7 @@ class Effect:
     layer : "motion" for a function f of the odometry's motion; "record" for what happens between the wheels and the
         message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
     needs_track : it acts on single wheels and cannot do without the track
+    needs_sideways : only a robot that can drive sideways can have it
     reads_truth : f reads acceleration, pose or distance, so a correction has to find them as it goes
     twin_of : name of the effect with the very same f, where no recording can tell the two apart
     """
@@ -128,6 +129,7 @@ class Effect:
     clock: ClassVar[bool] = False
     layer: ClassVar[Layer] = "motion"
     needs_track: ClassVar[bool] = False
+    needs_sideways: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None
 

@@ -32,7 +32,8 @@ def test_every_effect_is_explained(name):
 def test_names_are_those_of_the_catalogue():
     catalogue = """wheel_scale unequal_wheels wheelbase lever_arm mount_yaw icr_shift gyro_bias gyro_bias_walk
         gyro_scale side_slip accel_slip speed_scale region_slip slope turn_asymmetry scale_drift backlash slip_burst
-        gauss_markov heavy_tails quantization lost_increments time_offset clock_skew"""
+        gauss_markov heavy_tails quantization lost_increments time_offset clock_skew
+        sideways_scale"""
     assert set(catalogue.split()) <= set(registry())
 
 

@@ -123,12 +123,15 @@ def _short_of(candidate: Candidate) -> str:
 
 
 def untried(learned: Learned) -> list[Untestable]:
-    """Return effects that never became candidates: single wheels without a track, places never visited twice."""
+    """Return effects that never became candidates: single wheels without a track, places never visited twice.
+
+    Not those of robots that drive sideways: this one does not.
+    """
     have = {e.name for e in learned.fit.effects} | {c.score.effect.name for c in learned.rounds[-1].candidates}
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
     found = []
     for name, kind in registry().items():
-        if name in have or kind.kind == "noise" or kind.clock or kind.twin_of is not None:
+        if name in have or kind.kind == "noise" or kind.clock or kind.twin_of is not None or kind.needs_sideways:
             continue
         hint = kind.about.drive if kind.about else ""
         if kind.needs_track and not track:

@@ -18,7 +18,7 @@ from odomcorrupt.increments import Increments, accumulate
 from odomcorrupt.motion import corrected_increments, error_of, motion_of
 from odomcorrupt.study.likelihood.nodes import Nodes, join, lay_nodes
 from odomcorrupt.study.recordings.clock import Clock, aligned, clock_leaders
-from odomcorrupt.study.recordings.drivers import driving_motion
+from odomcorrupt.study.recordings.drivers import drives_sideways, driving_motion
 from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ class Problem:
         """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
         parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
         ds, dl, dtheta = np.concatenate(parts, axis=1)
-        # a differential robot's sideways travel is an artefact of smoothing; a holonomic one's is real
-        sideways = dl if np.abs(dl).sum() > 0.1 * np.abs(ds).sum() else np.zeros_like(dl)
+        sideways = dl if drives_sideways(self.motions) else np.zeros_like(dl)
         return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
 
     def columns(self, effect: Effect) -> Array:

@@ -18,12 +18,14 @@ from odomcorrupt.pose import rotate
 from odomcorrupt.study.recordings.clock import aligned, coarse_clock
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.pose import Array
     from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 
-__all__ = ["Side", "choose_side", "driving_motion", "truth_noise"]
+__all__ = ["Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
 
 Side = Literal["odometry", "truth"]
 
@@ -32,10 +34,21 @@ TRUTH_SMOOTHING_S = (0.5, 2.0)
 _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 """Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
 _JITTER_S = 0.2
+_SIDEWAYS = 0.1
+"""Part of the way that is driven sideways by a robot which can."""
 _BIAS = 0.002
 _FEW = 50
 _SHARED, _PLAINLY = 0.7, 3.0
 """Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
+
+
+def drives_sideways(motions: Sequence[Motion]) -> bool:
+    """Tell whether a robot can drive sideways; a differential one's sideways speed is an artefact of smoothing."""
+    along, across = (
+        sum(float(np.abs(v * m.dt_s).sum()) for m, v in speeds)
+        for speeds in ([(m, m.v) for m in motions], [(m, m.vy) for m in motions])
+    )
+    return across > _SIDEWAYS * along
 
 
 def driving_motion(recording: Recording, side: Side, *, place: Motion | None = None) -> Motion:

@@ -18,6 +18,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.fitting.drift import ten_second_error
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
+from odomcorrupt.study.recordings.drivers import drives_sideways
 from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.score import Score, score_tests
 from odomcorrupt.study.search.steering import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
@@ -61,15 +62,19 @@ def library(fitted: Fit) -> list[tuple[Effect, ...]]:
     """Return every registered systematic effect that the model does not have, at its identity.
 
     An effect with shapes comes as the family of shapes worth trying. Clocks are apart, a twin is named as an
-    alternative of the one it cannot be told from, and single wheels need a track.
+    alternative of the one it cannot be told from, single wheels need a track, and not every robot drives sideways.
     """
     have = {effect.name for effect in fitted.effects}
     motions = fitted.problem.motions
-    track = all(m.track_m is not None for m in motions)
+    track, sideways = all(m.track_m is not None for m in motions), drives_sideways(motions)
     kinds = [
         kind
         for name, kind in registry().items()
-        if name not in have and kind.kind != "noise" and not kind.clock and kind.twin_of is None
+        if name not in have
+        and kind.kind != "noise"
+        and not kind.clock
+        and kind.twin_of is None
+        and (sideways or not kind.needs_sideways)
     ]
     families = [tuple(kind.scan(motions)) for kind in kinds if track or not kind.needs_track]
     return [family for family in families if family]

@@ -1,0 +1,31 @@
+"""Rollers slip: what a robot with omnidirectional wheels drives sideways is not what its wheels say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+
+
+@dataclass(frozen=True, slots=True)
+class SidewaysScale(Effect):
+    """f = (0, e vy, 0): only the sideways part of the way is wrong."""
+
+    name: ClassVar[str] = "sideways_scale"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "sideways the robot goes farther or less far than its wheels say"
+    needs_sideways: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="f = (0, e vy, 0)",
+        typical="-1 to -10 %: rollers of mecanum wheels slip and have play when the robot goes sideways (an estimate)",
+        source="Tlale & de Villiers 2008, Kinematics and dynamics modelling of a mecanum wheeled mobile platform",
+        confused_with=("wheel_scale", "mount_yaw", "side_slip"),
+        drive="sideways to and fro, at two headings, and straights as long",
+    )
+
+    e: float = parameter("", "true over nominal sideways way, minus one", low=-0.5, high=0.5, typical=0.03)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f, proportional to the sideways speed."""
+        return TwistError(stacked(0.0, self.e * motion.vy, 0.0, motion.v), state)
