@@ -97,12 +97,12 @@ def words_text(effect: Effect) -> str:
 
 def ladder_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
-    lines = []
+    lines, own = [], {effect.name: effect for effect in learned.fit.effects}
     for look in learned.steps:
         if look.added is not None:
             before, after = look.candidates[0].rmse
             rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""
-            name = look.added + words_text(look.candidates[0].score.effect)
+            name = look.added + words_text(own[look.added])
             sure = sure_words(step_sure(look, learned))
             lines.append(
                 f"  + {name:<16}{look.candidates[0].gain:+8.1f} nats   "

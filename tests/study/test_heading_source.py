@@ -53,3 +53,13 @@ def test_two_causes_that_share_the_heading_are_not_taken_for_a_gyro():
     assert set(found) == set(causes)
     assert found["wheel_scale"].heading == "wheels"
     assert found["wheelbase"].e == pytest.approx(-0.02, rel=0.15)
+
+
+def test_where_a_gyro_drifts_the_wheels_have_no_say_in_the_heading():
+    # the residuals have two stories: wheels turn the robot and a track undoes it, or the gyro has a scale of its own
+    causes = {"wheel_scale": {"e": 0.01}, "gyro_scale": {"e": 0.012}, "gyro_bias": {"bias": 0.002}}
+    run = as_recording(simulate(93, tuple(causes), parameters=causes, duration_s=300.0, yaw_from="gyro"))
+    found = {e.name: e for e in learn([run]).fit.effects}
+    assert set(found) == {"wheel_scale", "wheelbase", "gyro_bias"}
+    assert found["wheel_scale"].heading == "gyro"
+    assert found["wheelbase"].e == pytest.approx(0.012, rel=0.15)

@@ -17,6 +17,7 @@ from odomcorrupt.study.fitting.told_errors import with_told_errors
 from odomcorrupt.study.recordings.trajectory import Trajectory
 from odomcorrupt.study.search.hilltop import hilltop
 from odomcorrupt.study.search.laws.places import _box, _strip
+from odomcorrupt.study.search.laws.values import laws_of_values
 from odomcorrupt.study.search.learn import learn
 
 FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
@@ -73,3 +74,15 @@ def test_estimates_that_blocks_disagree_on_have_larger_errors():
 def test_a_place_far_from_the_origin_is_written_to_a_millimetre(law):
     assert "512345)" in law.text
     assert "4998765)" in law.text
+
+
+def test_no_law_hangs_on_an_acceleration_that_is_noise():
+    recording = as_recording(simulate(87, None, duration_s=120.0))
+    (motion,) = fit([recording], approach=choose_approach([recording])).problem.motions
+    written = [
+        float(law.text.split(" < ")[-1].split(" > ")[-1].split(",")[0])
+        for law in laws_of_values([motion])
+        if "where(a * sign(v)" in law.text
+    ]
+    assert len(written) > 20
+    assert min(map(abs, written)) >= 0.1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import as_recording
@@ -11,6 +13,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 from odomcorrupt.increments import Increments
 from odomcorrupt.laws import Coefficients
 from odomcorrupt.simulate import simulate
+from odomcorrupt.study.recordings.trajectory import Trajectory
 from odomcorrupt.study.search.learn import learn
 
 pytestmark = pytest.mark.slow
@@ -64,3 +67,14 @@ def test_a_bias_that_comes_back_is_no_walk_that_runs_away():
     assert found.name == "gyro_bias_walk"
     assert found.density * np.sqrt(found.tau / 2.0) == pytest.approx(0.005, rel=0.3)
     assert 4.0 < found.tau < 16.0
+
+
+def test_headings_of_a_truth_that_err_alike_for_a_second_are_no_bias_of_the_robot():
+    # as those of a SLAM that is taken for the truth
+    rng, drive = np.random.default_rng(305), wander(305)
+    keep = np.exp(-1.0 / RATE_HZ / 1.0)
+    kicks = 0.01 * np.sqrt(1.0 - keep**2) * rng.standard_normal(len(drive) + 1)
+    told = recording(drive, noisy_path(drive, Coefficients(0.005, 0.005, 0.01, 0.005), 305), seed=305)
+    truth = told.truth.xyt + np.stack((0.0 * kicks, 0.0 * kicks, lfilter([1.0], [1.0, -keep], kicks)), axis=1)
+    learned = learn([replace(told, truth=Trajectory(told.truth.stamps_ns, truth))])
+    assert [gain.effect.name for gain in learned.noise] == []

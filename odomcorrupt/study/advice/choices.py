@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.advice.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.advice.information import separation
 from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS
@@ -60,7 +60,6 @@ def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]
         gain = _telling(drives, rivals[look.added], rivals[name])
         plan, nats = best_plan(drives, gain)
         if nats < TOO_FEW_NATS and name in dearer:
-            # a patch as large as the floor: the same thing in more words
             continue
         if nats < TOO_FEW_NATS:
             found.append(Choice((look.added, name), "", None, nats))
@@ -90,12 +89,14 @@ def _mends(drives: Drives, twin: type[Effect]) -> str:
 def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:
     """Return what would explain this very effect on these drives, and is no alternative for its price alone.
 
-    Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart.
+    Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart. What needs a
+    shape to do the same, a patch as large as the floor, is the same thing in more words.
     """
     added = look.candidates[0]
     effect = _as_fitted(added)
     beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
-    possible = [c for c in look.candidates[1:] if c.refused in ("", _OUTDONE)]
+    others = [c for c in look.candidates[1:] if all(p.amplitude for p in parameters(c.score.effect))]
+    possible = [c for c in others if c.refused in ("", _OUTDONE)]
     return [
         c
         for c in possible

@@ -16,11 +16,15 @@ if TYPE_CHECKING:
 
 __all__ = ["with_one_heading"]
 
+_ALIKE_NATS = 1.0
+
 
 def with_one_heading(fitted: Fit, given: set[str], again: Callable[[Sequence[Effect]], Fit]) -> Fit:
     """Return the fit whose effects agree on the source of the heading: the wheels, unless a gyro explains plainly more.
 
-    One effect by itself may say "gyro" where two of the wheels' only make up for each other in the heading.
+    One effect by itself may say "gyro" where two of the wheels' only make up for each other in the heading. Where a
+    gyro's bias is believed there is a gyro, and it need not explain more: what wheels do to the heading and what a
+    gyro's scale does may be one and the same.
 
     Parameters
     ----------
@@ -31,11 +35,13 @@ def with_one_heading(fitted: Fit, given: set[str], again: Callable[[Sequence[Eff
     """
     open_to_both = [e for e in fitted.effects if "heading" in choices(e) and e.name not in given]
     words = {getattr(e, "heading", "") for e in open_to_both}
-    if "gyro" not in words:
+    biased = any(e.name == "gyro_bias" for e in fitted.effects)
+    if not words or ("gyro" not in words and not biased):
         return fitted
     found: dict[str, Fit] = {}
     for word in ("wheels", "gyro"):
         said = [replace(e, heading=word) if e in open_to_both else e for e in fitted.effects]  # type: ignore[type-var]
         found[word] = fitted if words == {word} else again(said)
-    better = found["gyro"].log_likelihood > found["wheels"].log_likelihood + UNUSUAL_NATS
+    price = -_ALIKE_NATS if biased else UNUSUAL_NATS
+    better = found["gyro"].log_likelihood > found["wheels"].log_likelihood + price
     return found["gyro" if better else "wheels"]

@@ -33,6 +33,8 @@ _OF_WHEELS = ("speed", "acceleration", "time")
 """Drivers that a wheel has of its own; and time, which may load one side."""
 _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Drivers that a rate of the heading may depend on which is there at rest, too: a gyro's."""
+_LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
+"""m/s^2 and rad/s^2 below which noise crosses a threshold, of ticks say: correction sees no smooth truth."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
@@ -77,7 +79,8 @@ def _cuts(driver: str, motions: Sequence[Motion]) -> Array:
 
 def _threshold(driver: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, above: bool) -> Law:
     text, value = VALUES[driver]
-    (cut,) = shape
+    least = _LEAST.get(driver, 0.0)
+    cut = shape[0] if abs(shape[0]) >= least else float(np.copysign(least, shape[0]))
     return Law(
         driver,
         f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
