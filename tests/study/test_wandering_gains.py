@@ -72,9 +72,9 @@ def test_a_bias_that_comes_back_is_no_walk_that_runs_away():
 def test_headings_of_a_truth_that_err_alike_for_a_second_are_no_bias_of_the_robot():
     # as those of a SLAM that is taken for the truth
     rng, drive = np.random.default_rng(305), wander(305)
-    keep = np.exp(-1.0 / RATE_HZ / 1.0)
-    kicks = 0.01 * np.sqrt(1.0 - keep**2) * rng.standard_normal(len(drive) + 1)
+    keep, kicks = np.exp(-1.0 / RATE_HZ / 1.0), rng.standard_normal(len(drive) + 1)
+    smooth = lfilter([1.0], [1.0, -keep], lfilter([1.0], [1.0, -keep], kicks))
+    off = np.stack((0.0 * smooth, 0.0 * smooth, 0.02 * smooth / smooth.std()), axis=1)
     told = recording(drive, noisy_path(drive, Coefficients(0.005, 0.005, 0.01, 0.005), 305), seed=305)
-    truth = told.truth.xyt + np.stack((0.0 * kicks, 0.0 * kicks, lfilter([1.0], [1.0, -keep], kicks)), axis=1)
-    learned = learn([replace(told, truth=Trajectory(told.truth.stamps_ns, truth))])
-    assert [gain.effect.name for gain in learned.noise] == []
+    truth = Trajectory(told.truth.stamps_ns, told.truth.xyt + off)
+    assert [gain.effect.name for gain in learn([replace(told, truth=truth)]).noise] == []
