@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.corrupt.drift import LEG_M
 from odomcorrupt.effects.effect import parameters
 
@@ -19,6 +20,8 @@ _WHY_NOT = {
     "lost_increments": "nothing says which increments were lost",
     "heavy_tails": "the noise was drawn, and nobody kept the draws",
 }
+_NEAR_M = 0.2
+"""An error of place that hardly matters to a patch of the floor."""
 _RANDOM = "it wandered at random, and nobody recorded how"
 
 
@@ -43,7 +46,7 @@ def correction_summary(corrected: Corrected) -> str:
             f"{names}: acts by place or heading in the frame of the truth, which was taken to be "
             f"{corrected.frames.odom}; if it is not, say with --start X,Y,THETA where in it this drive began."
         )
-    parts += _remains(corrected)
+    parts += _remains(corrected) + _misplaced(corrected)
     given = {effect.name for effect in undone}
     aside = [effect.name for effect in corrected.model.setup.effects if effect.name not in given]
     aside += ["clocks"] * (bool(corrected.model.setup.clocks) and not any(effect.clock for effect in undone))
@@ -86,6 +89,16 @@ def _remains(corrected: Corrected) -> list[str]:
     if drift.leg_expected_m is not None and drift.leg_expected_rad is not None:
         remains += f", {_size(drift.leg_expected_m, drift.leg_expected_rad)} per {LEG_M:.0f} m"
     return [f"{remains} (1 sigma)."]
+
+
+def _misplaced(corrected: Corrected) -> list[str]:
+    """Say what odometry alone cannot know: where the robot is in a long drive."""
+    names = ", ".join(effect.name for effect in corrected.effects.undone if asks_for_places(effect))
+    off_m = corrected.drift.end_expected_m
+    if not names or corrected.model.noise.coefficients.silent or not off_m > _NEAR_M:
+        return []
+    where = f"{names}: taken out where the corrected odometry says the robot is, which by the end is {off_m:.3g} m off"
+    return [f"{where} (1 sigma): in a long drive that is another place. `compare`, which has the truth, knows better."]
 
 
 def _size(metres: float, radians: float) -> str:

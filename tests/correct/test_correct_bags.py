@@ -147,6 +147,16 @@ def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     assert differ(other, silent) > 0.05
 
 
+def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, capsys):
+    patch = ["--effect", "region_slip:slip=0.05,x=1,y=1,radius=2", "--start", "0,0,0"]
+    model = tmp_path / "robot.toml"
+    model.write_text(NOISE)
+    for name, noise, said in (("noisy", ["--model", str(model)], True), ("silent", [], False)):
+        out = tmp_path / f"{name}.mcap"
+        assert run(["correct", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
+        assert ("in a long drive that is another place" in capsys.readouterr().err) is said
+
+
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
 def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
     target = tmp_path / "out.mcap"
