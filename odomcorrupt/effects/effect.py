@@ -153,6 +153,10 @@ class Effect:
         """
         return (cls(),)
 
+    def plain(self) -> Self:
+        """Return the same effect in the words that a person would choose, where there are several."""
+        return self
+
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
         """Return the state before the first interval; None for an effect without memory."""
         return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -44,6 +44,11 @@ class Slope(Effect):
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - directions need no drive
         """Return directions over half a turn, 15 degrees apart; the creep's sign does the other half."""
         return tuple(cls(direction=math.pi * i / _DIRECTIONS) for i in range(_DIRECTIONS))
+
+    def plain(self) -> Self:
+        """Return a creep of more than zero, and the direction in which it goes."""
+        turned = self.direction + (math.pi if self.creep < 0.0 else 0.0)
+        return replace(self, creep=abs(self.creep), direction=math.remainder(turned, 2.0 * math.pi))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the way down, seen from the body."""

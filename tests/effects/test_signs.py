@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from manoeuvres import CIRCLE, RATE_HZ, REVERSE, SPIN, STOP, STRAIGHT, error, motion, total
 
+from odomcorrupt.effects.slope import Slope
 from odomcorrupt.errors import EffectError
+from odomcorrupt.motion import error_of
 
 CASES = [
     # effect, values, manoeuvre, seconds, track, what the truth has more than the odometry: m along, m left, rad
@@ -120,3 +122,12 @@ def test_a_parked_robot_that_sways_has_no_backlash():
 def test_effects_of_single_wheels_ask_for_the_track(name):
     with pytest.raises(EffectError, match="track"):
         error(name, {"travel": 0.004}, motion(**STRAIGHT))
+
+
+def test_a_slope_is_told_as_a_creep_towards_where_it_goes():
+    drive = motion(**CIRCLE)
+    for creep, direction in ((-0.015, 0.5), (0.01, 4.0)):
+        told = (slope := Slope(creep=creep, direction=direction)).plain()
+        assert told.creep > 0.0
+        assert -np.pi <= told.direction <= np.pi
+        assert error_of(told, drive) == pytest.approx(error_of(slope, drive), abs=1e-12)

@@ -32,7 +32,7 @@ _EDGE = 0.05
 
 
 def with_told_errors(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], shaped: Container[str] = ()) -> Fit:
-    """Return the fit with the errors of its effects' amplitudes and of its clocks as they are told.
+    """Return the fit with the errors of its effects' amplitudes and of its clocks as they are told, in plain words.
 
     shaped : names of effects whose shapes were looked for in these data, too; those of others are taken as known
     """
@@ -59,7 +59,8 @@ def with_told_errors(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], shap
     free, leaders = np.asarray(free_clocks), clock_leaders(problem.recordings)
     clock_errors = np.zeros(free.shape)
     clock_errors[led(free, leaders)] = errors[own:]
-    return dataclasses.replace(fitted, standard_errors=errors[:own], clock_errors=clock_errors[leaders])
+    told = dataclasses.replace(problem, effects=tuple(effect.plain() for effect in problem.effects))
+    return dataclasses.replace(fitted, problem=told, standard_errors=errors[:own], clock_errors=clock_errors[leaders])
 
 
 def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:

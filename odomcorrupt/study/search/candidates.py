@@ -148,7 +148,8 @@ def _objection(score: Score) -> str:
         if error * _KNOWN > 0.5 * max(p.high, -p.low):
             return "not testable on this drive"
         if abs(value) > room:
-            return f"{p.name} would be {value:.3g}, beyond what is physically possible"
+            why = "beyond what is physically possible" if room > 0.0 else "of a sign that it cannot have"
+            return f"{p.name} would be {value:.3g}, {why}"
     if score.p >= LEVEL:
         return "no evidence"
     if score.held_out_nats <= score.held_out_error:
