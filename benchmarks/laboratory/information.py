@@ -48,7 +48,7 @@ def expected_information(case: Case) -> dict[str, float | str | bool]:
     nearest, apart = "", total
     for name, kind in registry().items():
         family = kind.scan(base.problem.motions)
-        if kind.kind == "noise" or len(family) != 1 or same_class(name) in own:
+        if kind.kind == "noise" or kind.needs_sideways or len(family) != 1 or same_class(name) in own:
             continue
         column = base.noise.whitener.whiten(base.problem.columns(family[0]))
         left = white - column @ np.linalg.lstsq(column, white, rcond=None)[0]

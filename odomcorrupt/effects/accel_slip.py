@@ -34,7 +34,7 @@ class AccelSlip(Effect):
         drive="speed up and brake hard, at two speeds, with turns on the spot between: a late clock delays these too",
     )
 
-    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.1, typical=0.02)
+    k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.2, typical=0.02)
     heading: str = heading_choice()
     contact: str = choice("what has to speed up to slip: the robot as a whole, or each wheel", "body", "wheels")
 
