@@ -41,6 +41,8 @@ WANDERING = ("gauss_markov", "gyro_bias_walk")
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
 """Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
+_QUICKEST_S = 3.0
+"""A bias that came back sooner would hardly be told from noise of every step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots to a correlation time: a few show that a process is there, more show how rough it is."""
@@ -63,6 +65,11 @@ class Process:
     tau: float | None
     variance: float = 1.0
     numbers: int = 2
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether it is a bias that does not walk away."""
+        return self.tau is not None and self.unit is bias_of
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
@@ -131,7 +138,7 @@ def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
     near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
     channel = getattr(effect, "channel", None)
     taus_s = sorted({tau_s, *near})
-    every = _processes(taus_s, taus_s)
+    every = _processes(taus_s, [t for t in taus_s if t >= _QUICKEST_S or t == tau_s])
     own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
     return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
 

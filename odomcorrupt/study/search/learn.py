@@ -25,7 +25,6 @@ from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.noise_names import (
     PLAIN_NATS,
     beside_bursts,
-    is_restless,
     odd_steps_named,
     wandering_gain,
     worth_of,
@@ -184,12 +183,11 @@ class _Search:
         noise = list(self.encoders)
         laws: list[Unknown] = [first.law] if first is not None and first.law is not None else []
         tested: tuple[Fit, dict[str, Rivalry]] = (fitted, {})
-        restless: set[str] = set()
         while True:
             candidates = next_effect(fitted, self.free)
             best = candidates[0] if candidates and not candidates[0].refused else None
             believed = believed_columns(fitted.problem, self.free)
-            gain = wandering_gain(fitted, believed, best, restless) if len(fitted.random) < _MOST_NOISE else None
+            gain = wandering_gain(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
             unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
             if best is None:
                 tested = _tested(fitted, self.free, rounds)
@@ -201,11 +199,9 @@ class _Search:
                 calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
                 explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
                 if worth_of(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
-                    calmer, effect = settled(calmer, self.free, gain.effect)
-                    if not is_restless(effect):
-                        fitted, noise = calmer, [*noise, replace(gain, effect=effect)]
-                        continue
-                    restless.add(effect.name)
+                    fitted, effect = settled(calmer, self.free, gain.effect)
+                    noise.append(replace(gain, effect=effect))
+                    continue
             if lawful is not None and best is not None and lawful.nats < best.gain + CHALLENGE_NATS:
                 lawful = None
             if lawful is not None:

@@ -15,36 +15,23 @@ from odomcorrupt.study.search.refit import again
 from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.search.candidates import Candidate
 
-__all__ = ["PLAIN_NATS", "beside_bursts", "is_restless", "odd_steps_named", "wandering_gain", "worth_of"]
+__all__ = ["PLAIN_NATS", "beside_bursts", "odd_steps_named", "wandering_gain", "worth_of"]
 
 PLAIN_NATS = 100.0
 """What is counted in the odometry itself needs no statistics."""
-_RESTLESS_S = 3.0
-"""A truth by SLAM has headings that err alike for about so long."""
 
 
-def wandering_gain(
-    fitted: Fit, believed: Array, best: Candidate | None, without: Container[str] = ()
-) -> RandomGain | None:
-    """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one.
-
-    without : names that are not asked for
-    """
-    gains = [gain for gain in random_gains(fitted, believed) if gain.effect.name not in without]
+def wandering_gain(fitted: Fit, believed: Array, best: Candidate | None) -> RandomGain | None:
+    """Return the wandering gain that explains more than every cause does; anything unmodelled looks like one."""
+    gains = random_gains(fitted, believed)
     rival = best.gain if best is not None else 0.0
     return gains[0] if gains and gains[0].nats > rival + ALTERNATIVE_NATS else None
-
-
-def is_restless(effect: Effect) -> bool:
-    """Tell whether a bias of the yaw rate comes back so soon that it may be the truth's headings that wander."""
-    return effect.name == "gyro_bias_walk" and 0.0 < getattr(effect, "tau", 0.0) < _RESTLESS_S
 
 
 def worth_of(gain: RandomGain, calmer: Fit, fitted: Fit) -> float:

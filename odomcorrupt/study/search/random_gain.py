@@ -31,11 +31,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.fitting.random_process import Process
 
-__all__ = ["NAMED_NATS", "RandomGain", "random_gains", "remeasured"]
+__all__ = ["COMING_BACK_NATS", "NAMED_NATS", "RandomGain", "random_gains", "remeasured"]
 
 _SCALES = (1e-6, 0.3)
 NAMED_NATS = 6.0
 """Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
+COMING_BACK_NATS = 25.0
+"""What a bias that comes back has to gain: headings of a truth by SLAM err alike for seconds, and gain up to 20."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +64,18 @@ def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
     """
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
-    found = []
+    found: dict[tuple[str, str], tuple[RandomGain, float]] = {}
     for process in processes():
-        price = 0.5 * process.numbers * log_count
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, believed, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
-        if nats - price > NAMED_NATS and (effect.name, getattr(effect, "channel", "")) not in have:
-            found.append(RandomGain(effect, nats - price))
-    return sorted(found, key=lambda g: g.nats, reverse=True)
+        gain = RandomGain(effect, nats - 0.5 * process.numbers * log_count)
+        key = (effect.name, getattr(effect, "channel", ""))
+        if key not in found or gain.nats > found[key][0].nats:
+            found[key] = gain, COMING_BACK_NATS if process.comes_back else NAMED_NATS
+    named = [gain for key, (gain, least) in found.items() if gain.nats > least and key not in have]
+    return sorted(named, key=lambda g: g.nats, reverse=True)
 
 
 def remeasured(fit: Fit, believed: Array, effect: Effect) -> Effect:
