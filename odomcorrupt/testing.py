@@ -160,6 +160,8 @@ def _check_numbers(effect: Effect) -> None:
     for again in (kept, state):
         _require(np.array_equal(effect.twist_error(motion, again).f, f), effect, "changes the state it is given")
     _require(effect.acts, effect, "does not act at its typical size")
+    same = np.allclose(effect.plain().twist_error(motion, effect.plain().start(stream(1, 0, effect.name))).f, f)
+    _require(same, effect, "does something else in plain words")
 
 
 def _check_cuts(effect: Effect) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -100,6 +100,10 @@ def twice_too_small(self, motion):
     return Moments(np.zeros((len(motion), 3)), stacked(self.k**2 / 2.0, 0.0, 0.0, motion.v))
 
 
+def blunt(self):
+    return replace(self, k=abs(self.k))
+
+
 NOISE = {"start": begins, "moments": twice_too_small}
 
 
@@ -111,6 +115,7 @@ NOISE = {"start": begins, "moments": twice_too_small}
         ({"twist_error": meddling}, {}, "changes v of the motion"),
         ({"twist_error": forgetful}, {}, "cut into pieces of 1"),
         ({"twist_error": placeless}, {}, "reads_truth"),
+        ({"plain": blunt}, {}, "in plain words"),
         ({"twist_error": wasteful, **NOISE}, {"kind": "noise"}, "changes the state"),
         ({"twist_error": seedless, **NOISE}, {"kind": "noise"}, "stated variance"),
         ({}, {"summary": ""}, "summary"),

@@ -44,10 +44,8 @@ _SHARED, _PLAINLY = 0.7, 3.0
 
 def drives_sideways(motions: Sequence[Motion]) -> bool:
     """Tell whether a robot can drive sideways; a differential one's sideways speed is an artefact of smoothing."""
-    along, across = (
-        sum(float(np.abs(v * m.dt_s).sum()) for m, v in speeds)
-        for speeds in ([(m, m.v) for m in motions], [(m, m.vy) for m in motions])
-    )
+    along = sum(float(np.abs(m.v * m.dt_s).sum()) for m in motions)
+    across = sum(float(np.abs(m.vy * m.dt_s).sum()) for m in motions)
     return across > _SIDEWAYS * along
 
 
