@@ -176,7 +176,8 @@ def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: A
 
     What an encoder did is undone first, for the other effects are functions of the motion it should have reported.
     Acceleration, pose and distance are the truth's: they are found as the correction is, round by round. Correction
-    knows nothing of the draws of a random effect, so these contribute nothing; clocks are not its business.
+    knows nothing of the draws of a random effect, so these contribute nothing, but for what the report itself shows;
+    clocks are not its business.
 
     Parameters
     ----------
@@ -193,9 +194,9 @@ def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: A
 
     """
     systematic = [e for e in effects if e.kind != "noise" and not e.clock]
-    for effect in sorted((e for e in systematic if e.layer == "record"), key=lambda e: e.name):
-        f = error_of(effect, motion)
-        motion = replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
+    shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]
+    for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
+        motion = effect.restored(motion) if effect.restorable else _plus(motion, error_of(effect, motion))
     twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
     for effect in systematic:
         if effect.layer == "motion" and not effect.reads_truth:
@@ -204,6 +205,10 @@ def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: A
     if seeking:
         twist = _settled(seeking, motion, twist, place_xyt)
     return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
+
+
+def _plus(motion: Motion, f: Array) -> Motion:
+    return replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
 
 def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None) -> Array:

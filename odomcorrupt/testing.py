@@ -32,6 +32,8 @@ __all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
 
 TRACK_M = 0.4
 _BACK_M = 1e-6
+_RESTORED = 0.2
+"""Part of what it did that may remain when it is put right."""
 _RUNS = 400
 _SIGMAS = 6.0
 """A sample's moment may miss its expectation by this many of its own standard errors: never by chance."""
@@ -89,6 +91,7 @@ def check_effect(effect_class: type[Effect]) -> None:
         if sample.kind == "noise":
             _check_seeds(sample)
             _check_moments(sample)
+            _check_restored(sample)
         elif not sample.clock:
             _check_round_trip(sample)
     _check_identity(still)
@@ -208,6 +211,17 @@ def _check_round_trip(effect: Effect) -> None:
     off = float(np.abs(back - drive.xyt).max())
     near = off <= _BACK_M + effect.lost_m
     _require(near, effect, f"correcting what it corrupted is off by {off:.1e} m; is reads_truth set?")
+
+
+def _check_restored(effect: Effect) -> None:
+    if not effect.restorable:
+        return
+    drive = contract_drive(sideways=effect.needs_sideways)
+    odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
+    t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9
+    back = accumulate(odometry[0], corrected_increments([effect], motion_of(t_s, odometry, track_m=TRACK_M)))
+    before, after = (np.linalg.norm((path - drive.xyt)[:, :2], axis=1).max() for path in (odometry, back))
+    _require(after < _RESTORED * before, effect, f"restorable, but of {before:.3g} m remain {after:.3g} m")
 
 
 def _check_moments(effect: Effect) -> None:

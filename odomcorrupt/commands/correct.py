@@ -58,7 +58,7 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
     """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
 
     It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
-    Random effects cannot be undone; the summary names them.
+    Random effects cannot be undone, but for lost increments; the summary names them.
     """
     import numpy as np
 

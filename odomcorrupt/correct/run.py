@@ -44,11 +44,11 @@ class Effects:
 
 
 def split_effects(model: MotionModel) -> Effects:
-    """Sort a model's effects: random ones cannot be undone, for nobody recorded what was drawn."""
+    """Sort a model's effects: random ones cannot be undone, unless the odometry itself shows what was drawn."""
     active = [effect for effect in model.effects if effect.acts]
     return Effects(
-        tuple(effect for effect in active if effect.kind != "noise"),
-        tuple(effect for effect in active if effect.kind == "noise"),
+        tuple(effect for effect in active if effect.kind != "noise" or effect.restorable),
+        tuple(effect for effect in active if effect.kind == "noise" and not effect.restorable),
     )
 
 

@@ -17,7 +17,6 @@ __all__ = ["correction_summary"]
 
 _WHY_NOT = {
     "quantization": "what fell between two ticks was never reported",
-    "lost_increments": "nothing says which increments were lost",
     "heavy_tails": "the noise was drawn, and nobody kept the draws",
 }
 _NEAR_M = 0.2

@@ -73,6 +73,7 @@ class Patcher:
         self.changes = Changes()
         self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
         self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
+        self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
         drawn = any(wanders(e, model.track_m) for e in model.effects)
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
@@ -135,13 +136,16 @@ class Patcher:
         for target, _ in parts:
             own = back[start : start + len(target.stamps_ns)]
             start += len(own)
-            self._patch_twist(block, target, TwistChange(change.known[own], change.added[own], change.covariance[own]))
+            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.stood[own])
+            self._patch_twist(block, target, part)
 
     def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
         added = change.added
         moved = change.known & _nonzero(added) & finite_rows(added)
         if moved.any():
             twist = gather(block, target.layout, target.item, "twist")
+            if self._restores:
+                moved &= ~(change.stood & _has_already(twist[:, PLANAR], added))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             for column, place in enumerate(PLANAR):
                 twist[rows, place] += added[rows, column]
@@ -201,6 +205,12 @@ def _nonzero(xyt: Array) -> NDArray[np.bool_]:
     """Tell which rows (n,) of (n, 3) are not all zero."""
     moved: NDArray[np.bool_] = (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
     return moved
+
+
+def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
+    """Tell which twists (n, 3) tell of the motion that a pose, which lost an increment, gets back."""
+    has: NDArray[np.bool_] = np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
+    return has
 
 
 def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:

@@ -118,6 +118,7 @@ class Effect:
         message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
     needs_track : it acts on single wheels and cannot do without the track
     needs_sideways : only a robot that can drive sideways can have it
+    restorable : the report itself shows what it did, so that it can be put right even where it was chance
     reads_truth : f reads acceleration, pose or distance, so a correction has to find them as it goes
     twin_of : name of the effect with the very same f, where no recording can tell the two apart
     """
@@ -130,6 +131,7 @@ class Effect:
     layer: ClassVar[Layer] = "motion"
     needs_track: ClassVar[bool] = False
     needs_sideways: ClassVar[bool] = False
+    restorable: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None
 
@@ -168,6 +170,10 @@ class Effect:
     def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - layer "record"
         """Return the increments (n, 3) that are reported where `steps` should be."""
         return Recorded(steps, state)
+
+    def restored(self, motion: Motion) -> Motion:
+        """Return the motion that should have been reported, as far as what was reported shows it; for `restorable`."""
+        return motion
 
     def drawn(self, normals: Array, state: State) -> Drawn:
         """Return what is drawn where the law draws standard normals (n, 4)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -25,8 +25,19 @@ from odomcorrupt.effects.effect import (
 
 if TYPE_CHECKING:
     from numpy.random import Generator
+    from numpy.typing import NDArray
 
     from odomcorrupt.pose import Array
+
+_STILL = 1e-9
+"""What an increment of zero may be by rounding, metres or radians."""
+_MOVING_MPS = 0.05
+_ARM_M = 0.2
+"""How far wheels are from the middle, about: a turn on the spot moves them, too."""
+_MOST_IN_A_ROW = 3
+_LONGEST_S = 0.25
+"""Who stands for longer than this may have stopped."""
+_CAUGHT_UP = 1.35
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +45,14 @@ class LostIncrements(Effect):
     """Each increment is lost with probability `fraction`: the reported pose stands still while the robot goes on.
 
     On average it looks like a scale error of the same size, but which increments are lost is chance: it counts as
-    noise, and a correction that scaled the others up would miss what is seen plainly in the log.
+    noise. A correction that scaled the others up would miss what is seen plainly in the log: an increment of zero
+    between neighbours that move, which is put right by what these say.
     """
 
     name: ClassVar[str] = "lost_increments"
     kind: ClassVar[Kind] = "noise"
     layer: ClassVar[Layer] = "record"
+    restorable: ClassVar[bool] = True
     summary: ClassVar[str] = "some increments of the odometry are lost, with the way they stood for"
     about: ClassVar[About | None] = About(
         equation="reported increment = 0 with probability fraction",
@@ -65,6 +78,18 @@ class LostIncrements(Effect):
         lost = rng.uniform(size=len(steps)) < self.fraction
         return Recorded(np.where(lost[:, None], 0.0, steps), rng)
 
+    def restored(self, motion: Motion) -> Motion:
+        """Return the motion with those that are plainly lost as fast as their neighbours."""
+        gone = lost(motion)
+        if not (self.acts and gone.any()):
+            return motion
+        middle = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
+        kept = {name: getattr(motion, name)[~gone] for name in ("v", "vy", "omega")}
+        return replace(
+            motion, **{name: np.where(gone, np.interp(middle, middle[~gone], speed), getattr(motion, name))
+                       for name, speed in kept.items()}
+        )  # fmt: skip
+
     def moments(self, motion: Motion) -> Moments:
         """Return the mean loss and its variance."""
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
@@ -75,3 +100,32 @@ class LostIncrements(Effect):
         twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
         variance = self.fraction * (1.0 - self.fraction)
         return (Gain(twist, np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
+
+
+def moving(motion: Motion) -> NDArray[np.bool_]:
+    """Return in which intervals (n,) the odometry reports a motion that it could not be mistaken about."""
+    fast: NDArray[np.bool_] = np.hypot(motion.v, motion.vy) + _ARM_M * np.abs(motion.omega) > _MOVING_MPS
+    return fast
+
+
+def lost(motion: Motion) -> NDArray[np.bool_]:
+    """Return which increments (n,) are zero, alone or a few in a row, between neighbours that move.
+
+    A count that only came late is none of them: a neighbour catches up, and the two beside it go farther than those
+    around them.
+    """
+    gone = np.zeros(len(motion), dtype=bool)
+    still = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s < _STILL
+    going = np.flatnonzero(~still)
+    way = ((np.hypot(motion.v, motion.vy) + _ARM_M * np.abs(motion.omega)) * motion.dt_s)[going]
+    fast = moving(motion)[going]
+    last, following = going[1:-2], going[2:-1]
+    gap = following - last - 1
+    ends_s = np.cumsum(motion.dt_s)
+    gap_s = ends_s[following - 1] - ends_s[last]
+    alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
+    caught_up = way[1:-2] + way[2:-1] > _CAUGHT_UP * (way[:-3] + way[3:])
+    found = alone & fast[1:-2] & fast[2:-1] & ~caught_up
+    for begin, count in zip(last[found], gap[found], strict=True):
+        gone[begin + 1 : begin + 1 + count] = True
+    return gone & (motion.dt_s > 0.0)  # a stamp that came twice lost nothing

@@ -122,6 +122,19 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
 
 
+@pytest.mark.parametrize("twist", ["model", "keep"])
+def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist, capsys):
+    # breaks where what is seen in the log counts as chance, or where a twist that lost nothing gets the motion twice
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    losses = ["--effect", "lost_increments:fraction=0.05"]
+    assert run([str(source), str(wrong), *losses, "--seed", "3", "--twist", twist]) == 0
+    assert run(["correct", str(wrong), str(right), *losses]) == 0
+    assert "Taken out: lost_increments" in capsys.readouterr().err
+    was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
+    assert differ(back.xyt, was.xyt) < 0.1 * differ(off.xyt, was.xyt)
+    assert np.mean(np.abs(back.twist - was.twist).max(axis=1) > 0.05) < 0.01
+
+
 def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, capsys):
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]

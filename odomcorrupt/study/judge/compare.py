@@ -24,6 +24,7 @@ from odomcorrupt.study.judge.verdict import Verdict, pits_of, verdict_of, whiten
 from odomcorrupt.study.likelihood.nodes import join
 from odomcorrupt.study.likelihood.windows import rmse, time_windows
 from odomcorrupt.study.recordings.clock import Clock, aligned
+from odomcorrupt.study.recordings.encoders import refilled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -186,6 +187,7 @@ def _notes(model: MotionModel, pieces: Sequence[Judged]) -> tuple[str, ...]:
 def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
     """Return the model with its numbers estimated on these recordings alone, its effects the same."""
     effects = (*model.effects, *model.setup.effects)
+    recordings = [refilled(recording, effects) for recording in recordings]
     again = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
     random = [e for e in model.effects if e.kind == "noise"]
     count = len(model.effects) - len(random)

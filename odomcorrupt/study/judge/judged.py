@@ -132,7 +132,8 @@ def horizons_of(pieces: Sequence[Judged], distances_m: Sequence[float]) -> tuple
 
 
 def _noisy(model: MotionModel) -> list[Effect]:
-    return [effect for effect in model.effects if effect.kind == "noise"]
+    """Return what is still random when the odometry is put right where it shows what was lost."""
+    return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
 def _truth_noise(nodes: Nodes, q: Array, *, headed: bool) -> TruthNoise:

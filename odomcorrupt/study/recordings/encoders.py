@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.increments import Increments, accumulate, increments
+from odomcorrupt.effects.lost_increments import lost, moving
+from odomcorrupt.increments import accumulate, increments
+from odomcorrupt.motion import corrected_increments, motion_of
 from odomcorrupt.study.recordings.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
@@ -22,12 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["encoder_effects", "refilled"]
 
-_MOVING_MPS = 0.05
-_ARM_M = 0.2
-"""How far wheels are from the middle, about: a turn on the spot moves them, too."""
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
-_CAUGHT_UP = 1.35
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth can tell."""
 _LATTICE = 0.9
@@ -41,37 +37,22 @@ def encoder_effects(recording: Recording) -> list[Effect]:
     if step is not None:
         # coarse ticks stand still between two counts: nothing is lost there
         return [effect_from_values("quantization", {"step": step})]
-    lost, moving = _lost(recording)
-    if lost.sum() >= _FEWEST_LOST and lost.sum() > _LEAST_LOST * moving:
-        return [effect_from_values("lost_increments", {"fraction": float(lost.sum() / moving)})]
+    motion = motion_of(recording.odometry_s, recording.odometry.xyt)
+    gone = lost(motion)
+    count, of = int(gone.sum()), int((gone | moving(motion)).sum())
+    if count >= _FEWEST_LOST and count > _LEAST_LOST * of:
+        return [effect_from_values("lost_increments", {"fraction": count / of})]
     return []
 
 
 def refilled(recording: Recording, effects: Sequence[Effect]) -> Recording:
-    """Return the recording with lost increments filled with the mean of their neighbours, where effects name them."""
-    lost, _ = _lost(recording)
-    if not lost.any() or not any(effect.name == "lost_increments" for effect in effects):
+    """Return the recording with what its own odometry shows put right, where effects name it."""
+    restorable = [effect for effect in effects if effect.restorable]
+    if not restorable:
         return recording
-    steps = increments(recording.odometry.xyt)
-    rows = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
-    at = np.flatnonzero(lost)
-    rows[at] = 0.5 * (rows[at - 1] + rows[at + 1])
-    xyt = accumulate(recording.odometry.xyt[0], Increments(*np.ascontiguousarray(rows.T)))
+    motion = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    xyt = accumulate(recording.odometry.xyt[0], corrected_increments(restorable, motion))
     return replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
-
-
-def _lost(recording: Recording) -> tuple[NDArray[np.bool_], int]:
-    """Return which increments (n,) stand still alone between neighbours that move, and how many move at all."""
-    steps = increments(recording.odometry.xyt)
-    way = np.hypot(steps.ds_m, steps.dl_m) + _ARM_M * np.abs(steps.dtheta_rad)
-    speed = way / np.diff(recording.odometry_s)
-    still = (np.abs(steps.ds_m) < 1e-12) & (np.abs(steps.dl_m) < 1e-12) & (np.abs(steps.dtheta_rad) < 1e-12)
-    moving = speed > _MOVING_MPS
-    lost = np.zeros(len(steps), dtype=bool)
-    # a count that only came late is caught up by a neighbour: the two beside it then go farther than those around them
-    caught_up = way[1:-3] + way[3:-1] > _CAUGHT_UP * (way[:-4] + way[4:])
-    lost[2:-2] = still[2:-2] & moving[1:-3] & moving[3:-1] & ~caught_up
-    return lost, max(int(moving.sum() + lost.sum()), 1)
 
 
 def _tick(recording: Recording) -> float | None:
