@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 class AccelSlip(Effect):
     """f = (-k abs(v) a, 0, 0): a slip ratio in proportion to the acceleration of the body; or of each rim, of its own.
 
+    Where both wheels slip by the same ratio, the faster one loses more, and the robot turns less than it reports: that
+    is the axle's contact. How much of a turn's acceleration a wheel feels besides is a matter of the robot's inertia.
+
     It is a total derivative, -k/2 d(v abs(v)), and cancels from stop to stop; that is why v is the speed that a is the
     rate of, the body's own. Whatever its strength, it can be put in and taken out.
     """
@@ -27,7 +30,7 @@ class AccelSlip(Effect):
     summary: ClassVar[str] = "wheels slip when the robot speeds up, and skid when it brakes"
     reads_truth: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
-        equation="f_along = -k abs(v) a; contact = wheels: f_wheel = -k abs(u) du/dt of each rim u",
+        equation="f_along = -k abs(v) a; of each rim u, contact = axle: f_wheel = -k abs(u) a, wheels: -k abs(u) du/dt",
         typical="a slip of 0.5 to 6 % at 1 m/s^2 (an estimate)",
         source="Rajamani, Vehicle Dynamics and Control (slip ratio and longitudinal tyre force)",
         confused_with=("time_offset", "backlash", "speed_scale"),
@@ -36,16 +39,20 @@ class AccelSlip(Effect):
 
     k: float = parameter("s^2/m", "slip ratio per acceleration", low=0.0, high=0.2, typical=0.02)
     heading: str = heading_choice()
-    contact: str = choice("what has to speed up to slip: the robot as a whole, or each wheel", "body", "wheels")
+    contact: str = choice(
+        "what slips, and at whose acceleration: the robot as a whole, each wheel at the robot's, or each at its own",
+        "body", "axle", "wheels",
+    )  # fmt: skip
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: behind while speeding up, ahead while braking."""
-        if self.contact == "wheels":
-            track_m = needed_track_m(self.name, motion.track_m)
-            rims = Rims(*(self._gained(wheel) for wheel in wheel_motions(motion, track_m)))
-            return TwistError(body_of(rims, track_m, self.heading), state)
-        return TwistError(stacked(self._gained(motion), 0.0, 0.0, motion.v), state)
+        if self.contact == "body":
+            return TwistError(stacked(self._gained(motion, motion.a), 0.0, 0.0, motion.v), state)
+        track_m = needed_track_m(self.name, motion.track_m)
+        wheels = wheel_motions(motion, track_m)
+        rims = Rims(*(self._gained(wheel, motion.a if self.contact == "axle" else wheel.a) for wheel in wheels))
+        return TwistError(body_of(rims, track_m, self.heading), state)
 
-    def _gained(self, motion: Motion) -> Array:
-        """Return the speed (n,) that is gained, below zero while speeding up."""
-        return -self.k * np.abs(motion.steady_v) * motion.a
+    def _gained(self, motion: Motion, faster: Array) -> Array:
+        """Return the speed (n,) that something moving so gains, below zero while speeding up."""
+        return -self.k * np.abs(motion.steady_v) * faster

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.effects import registry
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.fitting.gauss_newton import fit
 from odomcorrupt.study.likelihood.windows import phased_rmse
 from odomcorrupt.study.recordings.clock import Clock, aligned, clock_leaders, coarse_clock
@@ -76,10 +76,22 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     )
 
 
+def _rivals(*, wheels: bool) -> list[Effect]:
+    """Return the rivals as they are tried: of wheels that slip, all that lies between two kinds of contact.
+
+    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest.
+    """
+    kinds = [registry()[name] for name in RIVALS]
+    if not wheels:
+        return [kind() for kind in kinds if not kind.needs_track]
+    slips = [effect_from_values("accel_slip", {"contact": contact}) for contact in ("axle", "wheels")]
+    return [*slips, *(kind() for kind in kinds if kind.name != "accel_slip")]
+
+
 def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
-    rivals = [kinds[name]() for name in RIVALS if runs[0].track_m is not None or not kinds[name].needs_track]
+    rivals = _rivals(wheels=runs[0].track_m is not None)
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise = None

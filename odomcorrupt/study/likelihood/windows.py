@@ -23,7 +23,16 @@ if TYPE_CHECKING:
     from odomcorrupt.study.likelihood.nodes import Nodes
     from odomcorrupt.study.recordings.trajectory import Recording
 
-__all__ = ["WINDOW_S", "WindowErrors", "distance_windows", "phased_rmse", "rmse", "time_windows", "window_errors"]
+__all__ = [
+    "WINDOW_S",
+    "WindowErrors",
+    "distance_windows",
+    "phased_misses",
+    "phased_rmse",
+    "rmse",
+    "time_windows",
+    "window_errors",
+]
 
 WINDOW_S = 10.0
 
@@ -75,23 +84,28 @@ def rmse(windows: Nodes) -> float:
     return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
 
 
+def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:
+    """Return squared position errors (n,), m^2, at the ends of windows, at five phases: steadier than one cut."""
+    phases = np.arange(5) / 5.0
+    return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
+
+
 def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
-    """Return the root mean square position error (m) over windows at five phases: steadier than one cut of the run."""
-    misses = [_misses(recording, length_s, phase) for recording in recordings for phase in np.arange(5) / 5.0]
-    miss = np.concatenate([np.zeros((0, 2)), *misses])
-    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+    """Return the root mean square position error (m) of `phased_misses`; NaN if no window is whole."""
+    squared = np.concatenate(phased_misses(recordings, length_s))
+    return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
 
 
-def _misses(recording: Recording, length_s: float, phase: float) -> Array:
-    """Return how far odometry ends from the truth (n, 2) in `time_windows`, m; what happens on the way is not asked."""
+def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
+    """Return how far odometry ends from the truth in `time_windows`, (n,) m^2; what happens on the way is not asked."""
     ends = _time_ends(recording, length_s, phase)
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     picked = ends.picked
     odometry_xyt, truth_xyt = recording.odometry.at(truth_s[picked], recording.origin_ns), recording.truth.xyt[picked]
     first, last = ends.kept, ends.kept + 1
     went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
-    miss: Array = went[:, :2]
-    return miss
+    squared: Array = np.sum(went[:, :2] ** 2, axis=1)
+    return squared
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
-from odomcorrupt.study.fitting.drift import ten_second_error
+from odomcorrupt.study.fitting.drift import drift
 from odomcorrupt.study.fitting.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.likelihood.windows import WINDOW_S
 from odomcorrupt.study.recordings.drivers import drives_sideways
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["HARM", "Candidate", "library", "next_effect", "price"]
+__all__ = ["Candidate", "library", "next_effect", "price"]
 
 LEVEL = 0.01
 """Probability of naming any effect on data without one."""
@@ -36,8 +36,6 @@ _SHORTLIST = 4
 _WORTH_A_REFIT = 0.25
 """Part of the leader's evidence below which a refit would not turn the tables."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
-HARM = 1.02
-"""An effect that the drift hardly depends on moves it up or down by about a hundredth, by chance."""
 _KNOWN = 4.2
 """An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 
@@ -172,21 +170,29 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
         p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)
     }
     moved = replace(score.effect, **values)  # type: ignore[type-var]  # effects are dataclasses
-    again = fit(
-        problem.recordings,
-        (*problem.effects, moved),
-        clocks=problem.clocks,
-        free_clocks=free_clocks,
-        approach=problem.approach,
-        start=fitted.noise.free,
-        weights=fitted.noise.weights,
-        random=fitted.random,
-    )
-    gain = again.log_likelihood - fitted.log_likelihood - price(score.effect, trials, len(problem.nodes))
-    before, after = ten_second_error(fitted), ten_second_error(again)
+    worth = price(score.effect, trials, len(problem.nodes))
+
+    def refit(free: Sequence[tuple[bool, bool]] | None) -> Fit:
+        return fit(
+            problem.recordings,
+            (*problem.effects, moved),
+            clocks=problem.clocks,
+            free_clocks=free,
+            approach=problem.approach,
+            start=fitted.noise.free,
+            weights=fitted.noise.weights,
+            random=fitted.random,
+        )
+
+    again = refit(free_clocks)
+    gain = again.log_likelihood - fitted.log_likelihood - worth
+    if gain <= 0.0 and np.any(free_clocks):
+        # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss
+        gain = refit(None).log_likelihood - fitted.log_likelihood - worth
+    before, after = drift(fitted), drift(again)
     refused = ""
     if gain <= 0.0:
         refused = "gains nothing when everything is fitted together"
-    elif after > HARM * before:
+    elif after.worse_than(before):
         refused = _SPOILS
-    return Candidate(score, again, gain, (before, after), refused)
+    return Candidate(score, again, gain, (before.rmse, after.rmse), refused)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.study.fitting.drift import ten_second_error
-from odomcorrupt.study.search.candidates import HARM
+from odomcorrupt.study.fitting.drift import drift
 from odomcorrupt.study.search.law_columns import topmost
 from odomcorrupt.study.search.quick_look import QuickLook
 from odomcorrupt.study.search.refit import again
@@ -42,7 +41,7 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
     for one, law in lawful[:_TRIED]:
         form, with_it = _reshaped(*_best_form(fitted, free_clocks, law), free_clocks)
         gain = with_it.log_likelihood - fitted.log_likelihood - form.price
-        if gain > 0.0 and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
+        if gain > 0.0 and not drift(with_it).worse_than(drift(fitted)):
             said = one if form is law else replace(one, law=form, expression=form.expression)
             return Lawful(said, with_it, gain)
     return None
@@ -81,6 +80,6 @@ def challenger(
             continue
         with_it = again(fitted, free_clocks, (*others, law.effect))
         gain = with_it.log_likelihood - fitted.log_likelihood - law.price + rivalries[effect.name].price
-        if gain > CHALLENGE_NATS and ten_second_error(with_it) <= HARM * ten_second_error(fitted):
+        if gain > CHALLENGE_NATS and not drift(with_it).worse_than(drift(fitted)):
             return Lawful(one, with_it, gain)
     return None
