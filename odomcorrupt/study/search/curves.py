@@ -24,6 +24,8 @@ _HATS = {
     "distance": 8,
 }
 _GRID = 4
+_FINEST = 0.05
+"""Part of a driver's range that hats are apart, or more: noise of the odometry itself is in the driver and the error."""
 
 
 def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
@@ -42,13 +44,22 @@ def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tup
         moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])
         if len(moving) < 100:
             continue
-        knots = np.unique(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
+        knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
         if len(knots) > 2:
             drivers[name] = _hats(value, knots)
     drivers["heading"] = _harmonics
     xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
     drivers["position"] = _tiles(xs, ys)
     return drivers
+
+
+def _apart(knots: Array) -> Array:
+    """Return ascending knots without those that lie too near to the one before."""
+    least, kept = _FINEST * (knots[-1] - knots[0]), [knots[0]]
+    for knot in knots[1:]:
+        if knot - kept[-1] > least:
+            kept.append(knot)
+    return np.array(kept)
 
 
 def _spread(values: Array) -> Array:
