@@ -25,7 +25,7 @@ _HATS = {
 }
 _GRID = 4
 _FINEST = 0.05
-"""Part of a driver's range that hats are apart, or more: noise of the odometry itself is in the driver and the error."""
+"""Part of a driver's range that hats are apart, at least: noise of the odometry is in the driver and the error alike."""
 
 
 def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
