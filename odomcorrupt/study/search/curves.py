@@ -25,7 +25,7 @@ _HATS = {
 }
 _GRID = 4
 _FINEST = 0.05
-"""Part of a driver's range that hats are apart, at least: noise of the odometry is in the driver and the error alike."""
+"""Part of the range of a driver that hats are apart: noise of the odometry is in the driver and the error alike."""
 
 
 def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
