@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.search.actions import Action
+    from odomcorrupt.study.search.law_samples import LawSamples
     from odomcorrupt.study.search.laws import Law
     from odomcorrupt.study.search.score import ColumnScore
 
@@ -95,7 +96,7 @@ def best_laws(laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
     return sorted(found, key=lambda s: s.nats, reverse=True)
 
 
-def likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
+def likeliest(fit: Fit, believed: Array, samples: LawSamples | None = None) -> list[ScoredLaw]:
     """Return the best law of each driver and channel, scored exactly, whether or not chance would do as well.
 
     Parameters
@@ -103,10 +104,12 @@ def likeliest(fit: Fit, believed: Array) -> list[ScoredLaw]:
     fit : the fitted model
     believed : (K, 3, q)
         Columns of what is believed already.
+    samples
+        Those of the same problem, where it is asked more than once.
 
     """
     count = len(fit.problem.nodes)
-    look = QuickLook(fit, believed)
+    look = QuickLook(fit, believed, samples)
     tried = look.everything() + [Tried(law, action, nats) for law, action, nats in waves(fit, believed)]
     worth = sorted(
         ((_kind(t), t.nats - law_price(t.law, t.action, count), t) for t in tried), key=lambda w: (w[0], -w[1])

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from odomcorrupt.study.fitting.drift import drift
 from odomcorrupt.study.search.law_columns import topmost
 from odomcorrupt.study.search.quick_look import QuickLook
 from odomcorrupt.study.search.refit import again
-from odomcorrupt.study.search.rivals import CHALLENGE_NATS, put_back
+from odomcorrupt.study.search.rivals import ALTERNATIVE_NATS, CHALLENGE_NATS, put_back
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,16 +37,19 @@ class Lawful(NamedTuple):
 
 
 def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: Sequence[Unknown]) -> Lawful | None:
-    """Return the plainest dependence whose law gains and does not spoil the path."""
+    """Return the plainest dependence whose law gains and does not spoil the path; of some as plain, as fits say."""
     have = {effect.name for effect in fitted.effects}
     lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
+    best, plainest = None, -np.inf
     for one, law in lawful[:_TRIED]:
+        if one.nats < plainest - ALTERNATIVE_NATS:
+            break
         form, with_it = _reshaped(*_best_form(fitted, free_clocks, law), free_clocks)
         gain = with_it.log_likelihood - fitted.log_likelihood - form.price
-        if gain > 0.0 and not drift(with_it).worse_than(drift(fitted)):
+        if gain > max(0.0, best.nats if best else 0.0) and not drift(with_it).worse_than(drift(fitted)):
             said = one if form is law else replace(one, law=form, expression=form.expression)
-            return Lawful(said, with_it, gain)
-    return None
+            best, plainest = Lawful(said, with_it, gain), max(plainest, one.nats)
+    return best
 
 
 def _best_form(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], law: ScoredLaw) -> tuple[ScoredLaw, Fit]:
@@ -73,13 +78,18 @@ def challenger(
 ) -> Lawful | None:
     """Return a law that explains plainly more than a known effect which was added, believed in its place."""
     for effect in fitted.effects:
-        one = rivalries[effect.name].better_law() if effect.name in rivalries else None
-        law = one.law if one is not None else None
-        others = [e for e in fitted.effects if e is not effect]
-        if one is None or law is None or law.effect.name in {e.name for e in others}:
+        if effect.name not in rivalries:
             continue
-        with_it = again(fitted, free_clocks, (*others, law.effect))
-        gain = with_it.log_likelihood - fitted.log_likelihood - law.price + rivalries[effect.name].price
-        if gain > CHALLENGE_NATS and not drift(with_it).worse_than(drift(fitted)):
-            return Lawful(one, with_it, gain)
+        own, others = rivalries[effect.name], [e for e in fitted.effects if e is not effect]
+        best = None
+        for one, law in own.better_laws():
+            if law.effect.name in {e.name for e in others}:
+                continue
+            with_it = again(fitted, free_clocks, (*others, law.effect))
+            gain = with_it.log_likelihood - fitted.log_likelihood - law.price + own.price
+            least = best.nats if best else CHALLENGE_NATS
+            if gain > least and not drift(with_it).worse_than(drift(fitted)):
+                best = Lawful(one, with_it, gain)
+        if best is not None:
+            return best
     return None

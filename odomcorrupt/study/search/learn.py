@@ -20,6 +20,8 @@ from odomcorrupt.study.fitting.told_errors import with_told_errors
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect, price
 from odomcorrupt.study.search.heading import with_one_heading
+from odomcorrupt.study.search.law_samples import LawSamples
+from odomcorrupt.study.search.law_scores import likeliest
 from odomcorrupt.study.search.lawful import believable, challenger
 from odomcorrupt.study.search.members import Members
 from odomcorrupt.study.search.noise_names import (
@@ -188,9 +190,11 @@ class _Search:
             best = candidates[0] if candidates and not candidates[0].refused else None
             believed = believed_columns(fitted.problem, self.free)
             gain = wandering_gain(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
-            unknown = unknown_dependences(fitted, believed) if best is None or gain is not None else []
+            unknown, samples = [], LawSamples(fitted.problem)
+            if best is None or gain is not None:
+                unknown = unknown_dependences(fitted, believed, likeliest(fitted, believed, samples))
             if best is None:
-                tested = _tested(fitted, self.free, rounds)
+                tested = _tested(fitted, self.free, rounds, samples)
             lawful = None
             if len(laws) < _MOST_LAWS and (best is None or gain is not None):
                 lawful = challenger(fitted, self.free, tested[1]) if best is None else None
@@ -238,7 +242,7 @@ class _Search:
         if bursts:  # what they do is no noise of every step
             fitted = again(fitted, self.free, (*fitted.effects, *bursts))
         if tested[0] is not fitted:
-            tested = _tested(fitted, self.free, rounds)
+            tested = _tested(fitted, self.free, rounds, LawSamples(fitted.problem))
         margins = {name: own.margin for name, own in tested[1].items()}
         return _Way(tuple(rounds), tuple(noise), tuple(laws), tuple(unknown), fitted, margins)
 
@@ -271,11 +275,11 @@ def _explains_more(one: _Way, other: _Way, free_clocks: Sequence[tuple[bool, boo
 
 
 def _tested(
-    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rounds: Sequence[Round]
+    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rounds: Sequence[Round], samples: LawSamples
 ) -> tuple[Fit, dict[str, Rivalry]]:
     """Return a fit, and for each of its effects that was added how laws do in its place."""
     added = {look.added for look in rounds}
-    return fitted, {e.name: rivalry(fitted, e, free_clocks) for e in fitted.effects if e.name in added}
+    return fitted, {e.name: rivalry(fitted, e, free_clocks, samples) for e in fitted.effects if e.name in added}
 
 
 def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) -> Fit:

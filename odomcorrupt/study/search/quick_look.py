@@ -1,4 +1,4 @@
-"""A quick look at a thousand laws: each is averaged over every interval between nodes, from a few of its increments."""
+"""A quick look at a thousand laws, each as it is on average over every interval between nodes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.study.search.actions import MOVES, actions_on, views
-from odomcorrupt.study.search.laws import laws
-from odomcorrupt.study.search.sampled import sampled
+from odomcorrupt.study.search.actions import actions_on
+from odomcorrupt.study.search.law_samples import LawSamples
 from odomcorrupt.study.search.score import left_over
 
 if TYPE_CHECKING:
@@ -45,28 +44,18 @@ class Tried(NamedTuple):
 class QuickLook:
     """What laws would explain of what the believed columns (K, 3, q) leave, about."""
 
-    def __init__(self, fit: Fit, believed: Array) -> None:
+    def __init__(self, fit: Fit, believed: Array, samples: LawSamples | None = None) -> None:
         self._whiten, self._left = fit.noise.whitener.whiten, left_over(fit, believed)
         self._pull = fit.noise.whitener.pulled(self._left.residual)
-        self._motions, self._nodes = fit.problem.motions, fit.problem.nodes
-        self._seen = views(sampled(self._nodes, self._motions))
-        self._whole = [views(m) for m in self._motions]
-        self._units: dict[Action, list[tuple[str, Array]]] = {}
+        self._motions = fit.problem.motions
+        self._samples = LawSamples(fit.problem) if samples is None else samples
 
     def everything(self) -> list[Tried]:
         """Return the likeliest laws of every driver on everything that they may act on."""
-        every = laws(self._motions)
-        means: dict[tuple[str, frozenset[str], str], Array] = {}
         found: list[Tried] = []
         for action in actions_on(self._motions):
-            mine = [law for law in every if not action.reaches.isdisjoint(law.reaches)]
-            weighed_by = "omega" if action.move == "omega" else "v"
-            here = []
-            for view, _ in self._of(action):
-                key = (view, action.reaches, weighed_by)
-                if key not in means:
-                    means[key] = self._means(mine, view, weighed_by)
-                here.append(means[key])
+            mine = self._samples.reaching(action)
+            here = [self._samples.means_of_all(view, action) for view, _ in self._samples.units(action)]
             kept = self._promising(mine, action, here)
             first = _first_of(mine)
             parts = np.concatenate([np.arange(first[i], first[i + 1]) for i in kept])
@@ -82,9 +71,9 @@ class QuickLook:
         """
         score = sum(
             np.einsum("ki,ki->k", unit, self._pull) @ mean
-            for (_, unit), mean in zip(self._of(action), means, strict=True)
+            for (_, unit), mean in zip(self._samples.units(action), means, strict=True)
         )
-        white = [self._whiten(unit).reshape(-1, 3) for _, unit in self._of(action)]
+        white = [self._whiten(unit).reshape(-1, 3) for _, unit in self._samples.units(action)]
         length = sum(
             np.einsum("k,kj,kj->j", np.einsum("ki,ki->k", w, x), m, n)
             for w, m in zip(white, means, strict=True)
@@ -111,7 +100,7 @@ class QuickLook:
         return [max(turned, key=lambda t: t.nats)]
 
     def _gain(self, law: Law, action: Action) -> float:
-        here = [self._means([law], view, action.move) for view, _ in self._of(action)]
+        here = [self._samples.means([law], view, action.move) for view, _ in self._samples.units(action)]
         return self._gains([law], action, here)[0]
 
     def forms(self, ranked: Sequence[Tried]) -> list[Tried]:
@@ -145,36 +134,15 @@ class QuickLook:
         law, action = tried.law, tried.action
         found = [Tried(law, turned, self._gain(law, turned)) for turned in action.neighbours(scale)]
         if others := list(law.neighbours(scale)):
-            here = [self._means(others, view, action.move) for view, _ in self._of(action)]
+            here = [self._samples.means(others, view, action.move) for view, _ in self._samples.units(action)]
             gains = self._gains(others, action, here)
             found += [Tried(other, action, gain) for other, gain in zip(others, gains, strict=True)]
         return found
 
-    def _of(self, action: Action) -> list[tuple[str, Array]]:
-        """Return the views of an action, and what (K, 3) a unit of error there does to the residuals of an interval."""
-        if action not in self._units:
-            track_m = self._motions[0].track_m
-            moved = [(m.dt_s, action.rates(v, track_m)) for m, v in zip(self._motions, self._whole, strict=True)]
-            self._units[action] = [
-                (view, self._nodes.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
-                for i, (view, _) in enumerate(moved[0][1])
-            ]
-        return self._units[action]
-
-    def _means(self, tried: Sequence[Law], view: str, move: str) -> Array:
-        """Return the means (K, J) of the laws' parts over the intervals, weighted by how far each sample moves."""
-        seen, count = self._seen[view], len(self._nodes)
-        values = np.stack([part(seen) for law in tried for part in law.parts], axis=1)
-        weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
-        weight = weight / weight.sum(axis=1, keepdims=True)
-        means: Array = np.einsum("ks,ksj->kj", weight, values.reshape(count, -1, values.shape[1]))
-        return means
-
     def _gains(self, tried: Sequence[Law], action: Action, means: Sequence[Array]) -> list[float]:
         """Return half the chi-square that each law explains, from its means on each view."""
-        columns = sum(
-            unit[:, :, None] * mean[:, None, :] for (_, unit), mean in zip(self._of(action), means, strict=True)
-        )
+        units = (unit for _, unit in self._samples.units(action))
+        columns = sum(unit[:, :, None] * mean[:, None, :] for unit, mean in zip(units, means, strict=True))
         raw = self._whiten(np.asarray(columns))
         own = np.einsum("ij,ij->j", raw, raw)
         gains: list[float] = _chi_squares(self._left.of(raw), own, self._left.residual, _first_of(tried)).tolist()

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.gauss_newton import Fit
+    from odomcorrupt.study.search.law_samples import LawSamples
     from odomcorrupt.study.search.law_scores import ScoredLaw
     from odomcorrupt.study.search.unknown import Unknown
 
@@ -64,19 +65,20 @@ class Rivalry:
         """By how many nats the effect explains more than the best law would, both less their prices."""
         return self.nats - max((law.nats for law in self.laws), default=0.0)
 
-    def better_law(self) -> Unknown | None:
-        """Return the dependence that explains plainly more than the effect, or None."""
+    def better_laws(self) -> list[tuple[Unknown, ScoredLaw]]:
+        """Return the dependence whose law explains plainly more than the effect, and those nearly as plain."""
         if self.margin > -CHALLENGE_NATS:
-            return None
-        for one in unknown_dependences(self.bare, self.believed, self.laws):
-            if one.law is not None and 0.5 * one.law.score.statistic - one.law.price > self.nats + CHALLENGE_NATS:
-                return one
-        return None
+            return []
+        found = unknown_dependences(self.bare, self.believed, self.laws)
+        better = [(one, one.law) for one in found if one.law is not None]
+        least = self.nats + CHALLENGE_NATS
+        better = [(one, law) for one, law in better if 0.5 * law.score.statistic - law.price > least]
+        return [(one, law) for one, law in better if one.nats > better[0][0].nats - ALTERNATIVE_NATS]
 
 
-def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> Rivalry:
+def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]], samples: LawSamples) -> Rivalry:
     """Put an effect of a fit to the test against every law."""
     bare, believed = put_back(fit, effect, free_clocks)
     (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
     worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
-    return Rivalry(bare, believed, 0.5 * own.statistic - worth, worth, likeliest(bare, believed))
+    return Rivalry(bare, believed, 0.5 * own.statistic - worth, worth, likeliest(bare, believed, samples))
