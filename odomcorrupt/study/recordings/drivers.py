@@ -7,7 +7,7 @@ carries the noise itself, sample by sample: take the truth then. The odometry's 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -37,6 +37,7 @@ _JITTER_S = 0.2
 _SIDEWAYS = 0.1
 """Part of the way that is driven sideways by a robot which can."""
 _BIAS = 0.002
+_LEAST_BIAS, _PLAIN_SIDE = 2e-4, 3.0
 _FEW = 50
 _SHARED, _PLAINLY = 0.7, 3.0
 """Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
@@ -105,6 +106,9 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     sees it; above, the truth drives. Second differences of increments over 0.2 s show the odometry's own noise with its
     full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops. What the truth
     shows, too, is no noise: motors hunt, and on a drive that hardly turns that is all the turning there is.
+
+    Where all the noise there is plainly lives in the odometry, a tenth of that is enough: on straights, where there
+    is no motion beside it, a law would find it.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
@@ -114,12 +118,16 @@ def choose_side(recording: Recording, node_s: float) -> Side:
         return "odometry"
     rough = np.diff(step, n=2, axis=0)[moving]
     square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
-    own_noise = square.mean(axis=0) / 6.0
     # a drive that never turns has no noise of turns either
-    bias = own_noise / np.maximum((step**2).mean(axis=0), 1e-30) * (grid[1] - grid[0]) / node_s
-    noisy = bias > _BIAS
-    if noisy.any():
-        noisy &= _plainly_own(recording, moving, grid)
+    per_noise = (grid[1] - grid[0]) / node_s / np.maximum((step**2).mean(axis=0), 1e-30)
+    noisy = square.mean(axis=0) / 6.0 * per_noise > _BIAS
+    shared = _shared(recording, moving, grid)
+    if shared is None:
+        return "truth" if noisy.any() else "odometry"
+    noisy &= shared.part + _PLAINLY * shared.error < _SHARED
+    lives_here = shared.odometrys > _PLAIN_SIDE * np.maximum(shared.truths, 0.0)
+    lives_here &= shared.odometrys > _PLAINLY * shared.noise_error
+    noisy |= lives_here & (shared.odometrys * per_noise > _LEAST_BIAS)
     return "truth" if noisy.any() else "odometry"
 
 
@@ -129,8 +137,23 @@ def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
     return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
 
 
-def _plainly_own(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> NDArray[np.bool_]:
-    """Return for travel and turn (2,) whether what looks rough in the odometry is plainly not what the truth does, too.
+class _Shared(NamedTuple):
+    """Of travel and turn (2,): which part of the odometry's roughness the truth has, too, and what is each one's own.
+
+    part, error : and its standard error
+    odometrys, truths : variance of a step that is noise of the one alone
+    noise_error : standard error of the odometry's
+    """
+
+    part: Array
+    error: Array
+    odometrys: Array
+    truths: Array
+    noise_error: Array
+
+
+def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Shared | None:
+    """Return what the sides' roughness has in common; None where the truth has no headings or too little is seen.
 
     Noise of either side is in one of the factors alone, so their mean product is what they have in common. A truth
     that cannot tell is too noisy to drive; one without headings is not asked.
@@ -141,10 +164,16 @@ def _plainly_own(recording: Recording, moving: NDArray[np.bool_], grid: Array) -
     own = np.diff(_steps(seen.odometry, grid, recording.origin_ns), n=2, axis=0)[chosen]
     other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[chosen]
     if len(own) < _FEW or not np.isfinite(other).all():
-        return np.ones(2, dtype=bool)
+        return None
     bound = 5.0 * np.median(np.abs(own), axis=0)
     own = np.clip(own, -bound, bound)
     common, whole = own * other, np.maximum((own**2).mean(axis=0), 1e-30)
-    share, error = common.mean(axis=0) / whole, common.std(axis=0) / np.sqrt(len(common)) / whole
-    plainly: NDArray[np.bool_] = share + _PLAINLY * error < _SHARED
-    return plainly
+    other = np.clip(other, -bound, bound)
+    alone = (own**2 - own * other) / 6.0
+    return _Shared(
+        part=common.mean(axis=0) / whole,
+        error=common.std(axis=0) / np.sqrt(len(common)) / whole,
+        odometrys=alone.mean(axis=0),
+        truths=(other**2 - own * other).mean(axis=0) / 6.0,
+        noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
+    )
