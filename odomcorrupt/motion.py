@@ -24,7 +24,9 @@ __all__ = [
     "SpeedMemory",
     "accelerations",
     "corrected_increments",
+    "corrected_twist",
     "error_of",
+    "followed",
     "motion_of",
     "slopes",
 ]
@@ -172,12 +174,18 @@ def error_of(effect: Effect, motion: Motion) -> Array:
 
 
 def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
-    """Return the increments u = u' + f(u') of the truth, from the odometry's motion u'.
+    """Return the increments of the truth, from the odometry's motion: those of `corrected_twist`."""
+    twist = corrected_twist(effects, motion, place_xyt)
+    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
 
-    What an encoder did is undone first, for the other effects are functions of the motion it should have reported.
-    Acceleration, pose and distance are the truth's: they are found as the correction is, round by round. Correction
-    knows nothing of the draws of a random effect, so these contribute nothing, but for what the report itself shows;
-    clocks are not its business.
+
+def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Array:
+    """Return the twist u = u' + f(u') of the truth (n, 3), from the odometry's motion u'.
+
+    What an encoder did is undone first, for the other effects are functions of the motion it should have reported; what
+    the truth follows on the robot comes last. Acceleration, pose and distance are the truth's: they are found as the
+    correction is, round by round. Correction knows nothing of the draws of a random effect, so these contribute
+    nothing, but for what the report itself shows; clocks are not its business.
 
     Parameters
     ----------
@@ -198,21 +206,37 @@ def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: A
     for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
         motion = effect.restored(motion) if effect.restorable else _plus(motion, error_of(effect, motion))
     twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
-    for effect in systematic:
-        if effect.layer == "motion" and not effect.reads_truth:
+    moving = [e for e in systematic if e.layer == "motion"]
+    robots = [e for e in moving if e.kind != "setup"]
+    for effect in robots:
+        if not effect.reads_truth:
             twist += error_of(effect, motion)
-    seeking = [e for e in systematic if e.layer == "motion" and e.reads_truth]
+    seeking, setup = [e for e in robots if e.reads_truth], [e for e in moving if e.kind == "setup"]
     if seeking:
-        twist = _settled(seeking, motion, twist, place_xyt)
-    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
+        twist = _settled(seeking, setup, motion, twist, place_xyt)
+    return followed(setup, motion, twist)
+
+
+def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
+    """Return the twist (n, 3) of what the truth follows on a robot that truly moves so.
+
+    A marker off the axis swings as the robot turns, not as its odometry says that it does; and a tracker's turned axes
+    show the swing as well. So these effects act one after the other, by name: the lever arm before the mounting.
+    """
+    for effect in sorted(setup, key=lambda e: e.name):
+        v, vy, omega = np.ascontiguousarray(twist.T)
+        twist = twist + error_of(effect, replace(motion, v=v, vy=vy, omega=omega))
+    return twist
 
 
 def _plus(motion: Motion, f: Array) -> Motion:
     return replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
 
-def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None) -> Array:
-    """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion itself.
+def _settled(
+    effects: Sequence[Effect], setup: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None
+) -> Array:
+    """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion, as it is followed.
 
     Whatever they read lies in the past of an interval, but for its own acceleration: dividing by what that does
     (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength. What jumps looks at
@@ -223,9 +247,10 @@ def _settled(effects: Sequence[Effect], motion: Motion, known: Array, place_xyt:
     stiff = np.ones((len(known), 1))
     truth = known
     for number in range(MAX_ROUNDS):
-        steps = truth * dt
+        shown = followed(setup, motion, truth)
+        steps = shown * dt
         path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
-        faster = accelerations(truth, motion.dt_s)
+        faster = accelerations(shown, motion.dt_s)
         seen = replace(
             motion,
             acceleration=faster.rate,

@@ -163,6 +163,9 @@ def _check_numbers(effect: Effect) -> None:
     for again in (kept, state):
         _require(np.array_equal(effect.twist_error(motion, again).f, f), effect, "changes the state it is given")
     _require(effect.acts, effect, "does not act at its typical size")
+    elsewhere = replace(motion, x=motion.x + 3.0, y=motion.y - 2.0, theta=motion.theta + 1.0)
+    there = effect.twist_error(elsewhere, state).f
+    _require(np.array_equal(there, f) or effect.reads_places, effect, "depends on places; set reads_places")
     same = np.allclose(effect.plain().twist_error(motion, effect.plain().start(stream(1, 0, effect.name))).f, f)
     _require(same, effect, "does something else in plain words")
 

@@ -9,7 +9,6 @@ import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.correct.clock import ClockPutRight
 from odomcorrupt.correct.path import CorrectedPath, MeasuredPath
-from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.corrupt.run import corrupt_bag
 from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.laws import Coefficients
@@ -125,7 +124,7 @@ def correct_bag(
                 watch(block)
             writer.provenance("odomcorrupt_correct", _provenance(model))
         losses = tuple(reader.losses)
-    strayed = tuple(effect for effect in still if start_xyt is None and asks_for_places(effect))
+    strayed = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
     drift, frames = transform.drift.result(), transform.driver.frames
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     assert frames is not None  # noqa: S101 - as above

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.corrupt.drift import LEG_M
 from odomcorrupt.effects.effect import parameters
 
@@ -92,7 +91,7 @@ def _remains(corrected: Corrected) -> list[str]:
 
 def _misplaced(corrected: Corrected) -> list[str]:
     """Say what odometry alone cannot know: where the robot is in a long drive."""
-    names = ", ".join(effect.name for effect in corrected.effects.undone if asks_for_places(effect))
+    names = ", ".join(effect.name for effect in corrected.effects.undone if effect.reads_places)
     off_m = corrected.drift.end_expected_m
     if not names or corrected.model.noise.coefficients.silent or not off_m > _NEAR_M:
         return []

@@ -74,6 +74,7 @@ class EffectInverse:
         # the order in which effects are listed never matters: the f add up, and an encoder's flaws go by name
         started.sort(key=lambda pair: pair[0].name)
         motion = [pair for pair in started if pair[0].layer == "motion"]
+        motion.sort(key=lambda pair: pair[0].kind == "setup")
         self._effects = tuple(effect for effect, _ in motion)
         self._states = [state for _, state in motion]
         self._recording = [pair for pair in started if pair[0].layer == "record"]
@@ -137,6 +138,8 @@ class EffectInverse:
             f_next = np.zeros((n, 3))
             states = []
             for effect, state in zip(self._effects, self._states, strict=True):
+                if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
+                    motion = _motion(clean - f + f_next, drive, faster, distance[1:], self._track_m)
                 # an effect may draw from its state: every round must see the same draws
                 with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
                     answer = effect.twist_error(motion, copy.deepcopy(state))

@@ -120,6 +120,7 @@ class Effect:
     needs_sideways : only a robot that can drive sideways can have it
     restorable : the report itself shows what it did, so that it can be put right even where it was chance
     reads_truth : f reads acceleration, pose or distance, so a correction has to find them as it goes
+    reads_places : f depends on where the robot is or heads in the world, which the odometry's frame may not be
     twin_of : name of the effect with the very same f, where no recording can tell the two apart
     """
 
@@ -133,6 +134,7 @@ class Effect:
     needs_sideways: ClassVar[bool] = False
     restorable: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
+    reads_places: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None
 
     __slots__ = ()

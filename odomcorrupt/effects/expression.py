@@ -36,6 +36,7 @@ __all__ = [
     "CHANNELS",
     "FUNCTIONS",
     "PAST",
+    "PLACES",
     "SIDES",
     "TRUTH_VARIABLES",
     "VARIABLES",
@@ -48,6 +49,7 @@ SIDES = ("left", "right", "wheels")
 """What may be added to besides: the rim speeds of single wheels, or of both."""
 TRUTH_VARIABLES = ("a", "alpha", "x", "y", "theta", "distance")
 """What is read from the true motion; the rest is the odometry's."""
+PLACES = ("x", "y", "theta")
 ACCELERATIONS = ("a", "alpha")
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
 PAST = " before"

@@ -31,6 +31,7 @@ class RegionSlip(Effect):
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the wheels slip on one patch of the floor"
     reads_truth: ClassVar[bool] = True
+    reads_places: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
         equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro; "
         "contact = wheels: f_wheel = -slip u of each wheel that is inside",

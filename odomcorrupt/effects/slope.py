@@ -27,6 +27,7 @@ class Slope(Effect):
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the robot creeps towards one side of the world as it drives"
     reads_truth: ClassVar[bool] = True
+    reads_places: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
         equation="f = creep abs(v) (cos(direction - theta), sin(direction - theta), 0)",
         typical="0.3 to 3 % of the way on ramps of 2 to 5 degrees (an estimate)",

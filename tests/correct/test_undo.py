@@ -9,7 +9,6 @@ import pytest
 
 from odomcorrupt.correct.clock import ClockPutRight, true_stamps
 from odomcorrupt.correct.path import CorrectedPath, corrected_knots
-from odomcorrupt.correct.place import asks_for_places
 from odomcorrupt.correct.undo import undo_effects
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.path import NoisyPath
@@ -60,7 +59,8 @@ def test_every_systematic_effect_is_taken_out_exactly(name):
     assert left < 1e-9
 
 
-MIXTURE = tuple(map(usual, ("unequal_wheels", "gyro_bias", "accel_slip", "slope", "region_slip", "backlash")))
+NAMES = ("unequal_wheels", "gyro_bias", "accel_slip", "slope", "region_slip", "backlash", "lever_arm", "mount_yaw")
+MIXTURE = tuple(map(usual, NAMES))
 
 
 def test_a_mixture_is_taken_out_across_a_jump_of_the_pose():
@@ -87,10 +87,10 @@ def test_places_are_those_of_the_frame_that_effects_read():
 
 
 def test_effects_that_ask_for_places_are_known():
-    asking = {name for name in SYSTEMATIC if asks_for_places(usual(name))}
+    asking = {name for name in SYSTEMATIC if usual(name).reads_places}
     assert asking == {"slope", "region_slip"}
-    assert asks_for_places(user_effect("bend", "yaw += k * sin(theta)", {"k": 0.01}))
-    assert not asks_for_places(user_effect("skid", "along += k * a", {"k": 0.01}))
+    assert user_effect("bend", "yaw += k * sin(theta)", {"k": 0.01}).reads_places
+    assert not user_effect("skid", "along += k * a", {"k": 0.01}).reads_places
 
 
 def test_messages_with_the_same_stamp_keep_what_they_moved():

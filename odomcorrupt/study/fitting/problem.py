@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.motion import corrected_increments, error_of, motion_of
+from odomcorrupt.motion import corrected_twist, error_of, followed, motion_of
 from odomcorrupt.study.likelihood.nodes import Nodes, join, lay_nodes
 from odomcorrupt.study.recordings.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.recordings.drivers import drives_sideways, driving_motion
@@ -24,7 +24,7 @@ from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.effects.effect import Effect, Motion, Parameter
     from odomcorrupt.pose import Array
     from odomcorrupt.study.fitting.approach import Approach
     from odomcorrupt.study.recordings.drivers import Side
@@ -52,12 +52,13 @@ def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None
         if reading:
             smooth = seen = driving_motion(left, "odometry", place=seen) if again or seen is None else seen
             motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
-        steps = corrected_increments([e for e in effects if not e.reads_truth], motion)
-        more = np.zeros((len(motion), 3))
-        for effect in effects:
+        robots = [e for e in effects if e.kind != "setup"]
+        twist = corrected_twist([e for e in robots if not e.reads_truth], motion)
+        for effect in robots:
             if effect.reads_truth and effect.kind != "noise":
-                more += error_of(effect, motion) * motion.dt_s[:, None]
-        whole = Increments(steps.ds_m + more[:, 0], steps.dl_m + more[:, 1], steps.dtheta_rad + more[:, 2])
+                twist += error_of(effect, motion)
+        twist = followed([e for e in effects if _follows(e)], motion, twist)
+        whole = Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
         xyt = accumulate(recording.odometry.xyt[0], whole)
         left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
     return left
@@ -97,10 +98,16 @@ class Problem:
         """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
         blocks = []
         for p in amplitudes(effect):
-            error = [-_slope(effect, p.name, p.step, m) * m.dt_s[:, None] for m in self.motions]
+            error = [-self._shown(effect, p, m) * m.dt_s[:, None] for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error)))
         # an expression of numbers alone has none
         return np.stack(blocks, axis=2) if blocks else np.zeros((len(self.nodes), 3, 0))
+
+    def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
+        """Return the derivative (n, 3) of what the truth follows with respect to a parameter."""
+        slope = _slope(effect, p.name, p.step, motion)
+        after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
+        return followed(after, motion, slope)
 
     def clock_columns(self) -> Array:
         """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks; a shared one is its first run's."""
@@ -122,6 +129,8 @@ def pose_problem(
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
     seen = [driving_motion(recording, approach.side) for recording in on_time]
+    if approach.side == "truth":
+        seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
     own = seen if approach.side == "odometry" else [None] * len(seen)
     left = [undo(recording, effects, seen=motion) for recording, motion in zip(on_time, own, strict=True)]
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
@@ -138,11 +147,26 @@ def pose_problem(
     )
 
 
+def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
+    """Return the motion of the robot from that of what the truth follows, which is linear in it."""
+    if not setup or not len(motion):
+        return motion
+    still = np.zeros((len(motion), 3))
+    back = np.linalg.inv([followed(setup, motion, still + unit)[0] for unit in np.eye(3)])
+    v, vy, omega = np.ascontiguousarray((np.stack((motion.v, motion.vy, motion.omega), axis=1) @ back).T)
+    return replace(motion, v=v, vy=vy, omega=omega, acceleration=motion.acceleration @ back)
+
+
 def _seen(was: Motion, now: Recording, side: Side) -> Motion:
     """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
     if side == "truth":
         return was
     return replace(was, acceleration=driving_motion(now, side, place=was).acceleration)
+
+
+def _follows(effect: Effect) -> bool:
+    """Tell whether an effect is of what the truth follows on the robot."""
+    return effect.kind == "setup" and not effect.clock
 
 
 def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:

@@ -74,11 +74,11 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         if cut.outliers:
             notes.append(f"{path.name}: {cut.outliers} outliers (jumps there and back) left out")
         if len(cut.rows) > 1:
-            what = "reset" if path is odometry else "jump that lasts"
+            what = ("reset", "resets") if path is odometry else ("jump that lasts", "jumps that last")
             where = ", ".join(
                 _jump(odometry, path, a[-1], b[0]) for a, b in zip(cut.rows[:6], cut.rows[1:7], strict=False)
             )
-            notes.append(f"{path.name}: {len(cut.rows) - 1} {what}{'s' * (len(cut.rows) > 2)} ({where})")
+            notes.append(f"{path.name}: {len(cut.rows) - 1} {what[len(cut.rows) > 2]} ({where})")
         pieces.append([path.only(rows) for rows in cut.rows])
     both = [(one, other) for one in pieces[0] for other in pieces[1] if _shared_s(one, other) >= SHORTEST_S]
     moved = _long_ones([pair for pair in both if _moves(pair[0])])

@@ -1,0 +1,34 @@
+"""A marker anywhere on the robot, turned as it may be: it swings as the robot truly turns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.pose import compose
+from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.study.search.learn import learn
+
+CURVATURE = -0.02
+
+
+@pytest.mark.parametrize("yaw", [0.0, np.pi / 3])
+def test_a_far_marker_on_a_robot_that_bends_is_where_it_is_and_nothing_besides(yaw):
+    # breaks where the lever is multiplied by the odometry's turn: lever times bend are then a scale and a mounting
+    told = wander(701, 300.0)
+    driven = Increments(told.ds_m, told.dl_m, told.dtheta_rad + CURVATURE * told.ds_m)
+    run = recording(driven, noisy_path(told, Coefficients(0.01, 0.01, 0.01, 0.005), 701), seed=701)
+    rng = np.random.default_rng(701)
+    marker = compose(accumulate(np.zeros(3), driven), np.array([0.3, -0.25, yaw]))
+    marker = marker + rng.standard_normal(marker.shape) * [1e-3, 1e-3, 2e-3]
+    learned = learn([replace(run, truth=Trajectory(run.truth.stamps_ns, marker))])
+    found = {effect.name: effect for effect in learned.fit.effects}
+    assert set(found) == {"lever_arm", "unequal_wheels"} | ({"mount_yaw"} if yaw else set())
+    assert (found["lever_arm"].x, found["lever_arm"].y) == pytest.approx((0.3, -0.25), abs=0.002)
+    assert found["unequal_wheels"].curvature == pytest.approx(CURVATURE, abs=0.002)
+    assert not yaw or found["mount_yaw"].yaw == pytest.approx(yaw, abs=0.002)
