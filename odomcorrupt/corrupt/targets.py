@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -22,6 +23,7 @@ __all__ = [
     "localisation_side_of",
     "plain",
     "resolve_frames",
+    "says_truth",
     "side_of",
 ]
 
@@ -46,6 +48,14 @@ class Frames:
 def plain(name: str) -> str:
     """Return a frame or topic without leading slashes: with or without, it is the same one."""
     return name.lstrip("/")
+
+
+_TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|mocap|vicon|optitrack|motion_capture|qualisys")
+
+
+def says_truth(topic: str) -> bool:
+    """Tell whether a topic's name says that it is the truth, which no drift of the odometry moves."""
+    return bool(_TRUTH.search(topic.lower()))
 
 
 def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str:

@@ -29,6 +29,7 @@ from odomcorrupt.corrupt.targets import (
     find_driver,
     localisation_side_of,
     plain,
+    says_truth,
     side_of,
 )  # fmt: skip
 from odomcorrupt.corrupt.witnesses import frame_of, may_be_placed
@@ -245,7 +246,8 @@ class Transform:
                 self._refuse_parent(channel, item, frames)
             return "left" if driving else None
         if channel.msgtype == ODOMETRY:
-            return "left" if driving or plain(item.frame_id) == frames.odom else None
+            here = plain(item.frame_id) == frames.odom and not says_truth(channel.topic)
+            return "left" if driving or here else None
         side = side_of(item.frame_id, item.child_frame_id, frames)
         if side is None and self.options.keep_localisation:
             side = localisation_side_of(item.frame_id, item.child_frame_id, frames)

@@ -135,6 +135,16 @@ def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist
     assert np.mean(np.abs(back.twist - was.twist).max(axis=1) > 0.05) < 0.01
 
 
+def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    effect = ["--effect", "wheelbase:e=0.05"]
+    assert run([str(source), str(wrong), *effect, "--keep-truth", "/truth"]) == 0
+    assert run(["correct", str(wrong), str(right), *effect, "--odom", "/odom"]) == 0
+    was = rows_of(source, "/odom")
+    assert np.array_equal(rows_of(right, "/truth").xyt, was.xyt)
+    assert differ(rows_of(right, "/odom").xyt, was.xyt) < 1e-6
+
+
 def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, capsys):
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import difflib
-import re
 from typing import TYPE_CHECKING, Literal
 
+from odomcorrupt.corrupt.targets import says_truth
 from odomcorrupt.errors import TopicError
 from odomcorrupt.study.sources.address import plain
 
@@ -32,13 +32,6 @@ POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
 EDGES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", TRANSFORM)
 """Message types of which an edge can be read."""
 FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth"}
-
-_TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|mocap|vicon|optitrack|motion_capture|qualisys")
-
-
-def _truth_like(name: str) -> bool:
-    """Tell whether a topic's name says that it is the truth."""
-    return bool(_TRUTH.search(name.lower()))
 
 
 def near(asked: str, there: Iterable[str]) -> str:
@@ -93,7 +86,7 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
     fitting = {c.topic for c in free if c.msgtype in types}
     if len(fitting) > 1:
         # a truth is no odometry, and of several truths the one that says so is meant
-        said = {topic for topic in fitting if _truth_like(topic) is (role == "truth")}
+        said = {topic for topic in fitting if says_truth(topic) is (role == "truth")}
         fitting = said or fitting
     if len(fitting) == 1:
         topic = fitting.pop()
