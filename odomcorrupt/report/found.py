@@ -10,6 +10,7 @@ from odomcorrupt.report.advice import advice_text, limits_sentence
 from odomcorrupt.report.sentences import rejection, size
 from odomcorrupt.report.sure import law_numbers, noise_sure, sure_words, told_expression
 from odomcorrupt.report.tables import clock_lines, ladder_text, noise_text, value_text
+from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.likelihood.nodes import join
 from odomcorrupt.study.likelihood.windows import distance_windows, rmse
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.advice.advise import Advice
     from odomcorrupt.study.fitting.gauss_newton import Fit
     from odomcorrupt.study.judge.compare import Judgement
+    from odomcorrupt.study.search.disagreement import Disagreement
     from odomcorrupt.study.search.learn import Learned
     from odomcorrupt.study.search.unknown import Unknown
 
@@ -44,12 +46,26 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
+    lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
     if why:
         lines.append(unnamed(why, found=bool(lines)))
     lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
+
+
+def _disagreement_line(one: Disagreement, learned: Learned) -> str:
+    says = ", ".join(
+        f"{value_text(value, error, one.unit)} in {name}"
+        for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+    )
+    slow = [gain.effect.name for gain in learned.noise if gain.effect.name in WANDERING]
+    noise = f" ({slow[0]} may be nothing but that)" if slow else ""
+    return (
+        f"the recordings disagree about {one.effect}: {says}. Something was changed between them{noise}: "
+        "learn from those that belong together"
+    )
 
 
 def unnamed(why: str, *, found: bool) -> str:

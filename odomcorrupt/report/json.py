@@ -68,6 +68,19 @@ def learned_json(
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
             ],
+            "disagreements": [
+                {
+                    "effect": one.effect,
+                    "parameter": one.parameter,
+                    "unit": one.unit,
+                    "p": one.p,
+                    "recordings": [
+                        {"name": name, "value": value, "standard_error": error}
+                        for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+                    ],
+                }
+                for one in learned.disagreements
+            ],
             "ladder": [_step(judgement) for judgement in ladder],
             **_advice(advice),
         }

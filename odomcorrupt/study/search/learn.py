@@ -19,6 +19,7 @@ from odomcorrupt.study.fitting.random_process import WANDERING
 from odomcorrupt.study.fitting.told_errors import with_told_errors
 from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
 from odomcorrupt.study.search.candidates import Candidate, next_effect, price
+from odomcorrupt.study.search.disagreement import Disagreement, disagreements
 from odomcorrupt.study.search.heading import with_one_heading
 from odomcorrupt.study.search.law_samples import LawSamples
 from odomcorrupt.study.search.law_scores import likeliest
@@ -92,6 +93,7 @@ class Learned:
     margins : by how many nats each known effect that was added explains more than the best law would instead
     fit : the final fit
     error_m : its position error after 10 s on the fitted data
+    disagreements : what the recordings do not agree about
     """
 
     clocks: Clocks
@@ -102,6 +104,7 @@ class Learned:
     margins: Mapping[str, float]
     fit: Fit
     error_m: float
+    disagreements: tuple[Disagreement, ...] = ()
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -166,7 +169,7 @@ def learn(
     clocks = replace(clocks, clocks=told.problem.clocks, errors=errors)
     return Learned(
         clocks, way.rounds, way.noise, (*believed_laws, *way.unknown), believed_laws, way.margins, told,
-        ten_second_error(told),
+        ten_second_error(told), disagreements(told, clocks.free),
     )  # fmt: skip
 
 

@@ -1,0 +1,52 @@
+"""Recordings of a robot that was changed between them: said, with what each of them tells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.increments import Increments
+from odomcorrupt.laws import Coefficients
+from odomcorrupt.report.found import found_text
+from odomcorrupt.study.advice.advise import advise
+from odomcorrupt.study.search.learn import learn
+
+NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)
+
+
+def run(seed, *, scale=0.0, bias=0.0):
+    """Return the same drive with other noise: true wheels larger than said, and an odometry that turns too fast."""
+    told = wander(801, 200.0)
+    driven = Increments(
+        told.ds_m * (1.0 + scale), told.dl_m, told.dtheta_rad * (1.0 + scale) - bias / 50.0 * np.ones(len(told))
+    )
+    return replace(recording(driven, noisy_path(told, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
+
+
+def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
+    # breaks where what is constant in each recording is left to the slow noise that it looks like
+    learned = learn([run(801), run(802, scale=-0.012)])
+    told = {one.effect: one for one in learned.disagreements}
+    assert set(told) == {"wheel_scale"}
+    assert told["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
+    text = found_text(learned, advise(learned))
+    assert "the recordings disagree about wheel_scale: " in text
+    assert "in drive 802. Something was changed between them" in text
+
+
+def test_a_gyro_that_was_switched_on_anew_is_said():
+    learned = learn([run(803, bias=0.004), run(804, bias=-0.004)])
+    assert learned.disagreements[0].effect == "gyro_bias"
+    assert learned.disagreements[0].values == pytest.approx((0.004, -0.004), abs=0.001)
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.01])
+def test_recordings_of_one_robot_agree(scale):
+    assert learn([run(seed, scale=scale) for seed in (805, 806, 807)]).disagreements == ()
+
+
+def test_one_recording_agrees_with_itself():
+    assert learn([run(808, scale=0.01)]).disagreements == ()
