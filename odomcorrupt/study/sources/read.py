@@ -12,6 +12,7 @@ from odomcorrupt.study.sources.address import parse_address
 from odomcorrupt.study.sources.bag import read_bag
 from odomcorrupt.study.sources.check import check_pair
 from odomcorrupt.study.sources.choose import FLAGS
+from odomcorrupt.study.sources.jitter import jitter_signs
 from odomcorrupt.study.sources.jumps import without_outliers
 from odomcorrupt.study.sources.notice import check_identity, filter_signs, heading_signs, without_constant_heading
 from odomcorrupt.study.sources.order import in_order
@@ -75,7 +76,7 @@ def read_runs(source: Source) -> list[Recording]:
         check_itself(path)
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_signs(calm, real)
-    said += filter_signs(calm, real)
+    said += filter_signs(calm, real) + jitter_signs(calm) + jitter_signs(real)
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(source.name or source.path.name, odometry, truth, source.track_m)

@@ -1,0 +1,40 @@
+"""Stamps of arrival are noticed; poses that were truly taken at odd times, and stamps that only tremble, are not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from odomcorrupt.study.sources.jitter import jitter_signs
+from odomcorrupt.study.sources.samples import Samples
+
+
+def path(taken_s, stamped_s, noise_m=0.0005):
+    """Return poses along a bend, taken at one time and stamped with another."""
+    noise = np.random.default_rng(1).standard_normal((len(taken_s), 3)) * noise_m
+    way = 0.5 * taken_s + 0.1 * np.sin(taken_s)
+    xyz = np.stack((10.0 * np.sin(way / 10.0), 10.0 * np.cos(way / 10.0), 0.0 * way), axis=1) + noise
+    stamps_ns = (stamped_s * 1e9).astype(np.int64)
+    nothing = np.zeros(0)
+    return Samples("run.bag: /mocap", "/mocap", "", stamps_ns, xyz, way / 10.0, nothing.astype(np.int64), nothing)
+
+
+REGULAR = np.arange(6000) / 50.0
+ODD = REGULAR + np.random.default_rng(2).uniform(0.0, 0.015, len(REGULAR))
+
+
+@pytest.mark.parametrize(
+    ("taken", "stamped", "noticed"),
+    [
+        (REGULAR, ODD, True),
+        (ODD, ODD, False),
+        (REGULAR, REGULAR, False),
+        (REGULAR, REGULAR + 1e-4 * np.sin(np.arange(6000)), False),
+    ],
+    ids=["arrival", "taken at odd times", "regular", "hardly off"],
+)
+def test_stamps_that_poses_know_nothing_of_are_noticed(taken, stamped, noticed):
+    said = jitter_signs(path(taken, stamped))
+    assert bool(said) == noticed
+    if noticed:
+        assert said[0].startswith("/mocap: its stamps are off by about 4.")
