@@ -13,8 +13,9 @@ import numpy as np
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.fitting.gauss_newton import believed_columns
 from odomcorrupt.study.search.candidates import price
+from odomcorrupt.study.search.law_columns import LawColumns
 from odomcorrupt.study.search.law_scores import likeliest
-from odomcorrupt.study.search.score import score_columns
+from odomcorrupt.study.search.score import left_over, score_columns
 from odomcorrupt.study.search.unknown import unknown_dependences
 
 if TYPE_CHECKING:
@@ -33,6 +34,8 @@ ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
 CHALLENGE_NATS = 8.0
 """By how much a law has to explain more than a known effect, both less their prices: names are the likelier before."""
+_COPY = 0.985
+"""Part of an effect's work that a law does which is nothing else; laws that were causes of their own did up to 0.96."""
 
 
 def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Fit, Array]:
@@ -51,7 +54,7 @@ class Rivalry:
     """A known effect of a fit against the laws that might stand in its place.
 
     nats, price : what the effect gains less its price, and that price
-    laws : the likeliest law of each driver and channel, without gates
+    laws : the likeliest law of each driver and channel, without gates and without what only copies the effect
     """
 
     bare: Fit
@@ -81,4 +84,17 @@ def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]], 
     bare, believed = put_back(fit, effect, free_clocks)
     (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
     worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
-    return Rivalry(bare, believed, 0.5 * own.statistic - worth, worth, likeliest(bare, believed, samples))
+    nats = 0.5 * own.statistic - worth
+    laws = likeliest(bare, believed, samples)
+    # who explains far less needs no closer look
+    rivals = [law for law in laws if law.nats < nats - CHALLENGE_NATS or not _is_copy(bare, believed, effect, law)]
+    return Rivalry(bare, believed, nats, worth, rivals)
+
+
+def _is_copy(bare: Fit, believed: Array, effect: Effect, law: ScoredLaw) -> bool:
+    """Tell whether a law does nearly the same as an effect: a fringe of it that fits by chance is no other cause."""
+    left, whiten = left_over(bare, believed), bare.noise.whitener.whiten
+    own = left.of(whiten(bare.problem.columns(effect)))
+    own = own @ np.linalg.lstsq(own, left.residual, rcond=None)[0]
+    basis = np.linalg.qr(left.of(whiten(LawColumns(bare.problem).of(law.law, law.action))))[0]
+    return float(np.sum((basis.T @ own) ** 2)) > _COPY * float(own @ own)

@@ -1,0 +1,27 @@
+"""A law that does what a known effect does, but for a fringe, is no rival of it: the name is as sure as it was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from wandering import recording, wander
+
+from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.study.search.learn import learn
+
+
+def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():
+    # breaks where "yaw += omega * k * where(abs(omega) > 0.06, 1, 0)" counts as another cause than the track
+    seed = 903
+    told = wander(seed, 300.0)
+    noise = np.random.default_rng(seed).standard_normal((2, len(told)))
+    driven = Increments(
+        told.ds_m + 0.005 * noise[0] * np.sqrt(np.abs(told.ds_m)),
+        told.dl_m,
+        told.dtheta_rad / 0.97 + 0.01 * noise[1] * np.sqrt(np.abs(told.ds_m) + np.abs(told.dtheta_rad)),
+    )
+    run = recording(driven, accumulate(np.zeros(3), told), truth_mm=1.0, truth_rad=0.002, seed=seed)
+    learned = learn([replace(run, track_m=0.4)])
+    assert learned.added == ("wheelbase",)
+    assert learned.margins["wheelbase"] > 8.2
