@@ -38,6 +38,8 @@ _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
 """Who stands for longer than this may have stopped."""
 _CAUGHT_UP = 1.35
+_OFTEN = 0.005
+"""Part of increments that is lost alone, for two in a row to be likely at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +128,8 @@ def lost(motion: Motion) -> NDArray[np.bool_]:
     alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
     caught_up = way[1:-2] + way[2:-1] > _CAUGHT_UP * (way[:-3] + way[3:])
     found = alone & fast[1:-2] & fast[2:-1] & ~caught_up
+    if np.sum(found & (gap == 1)) < _OFTEN * max(np.sum(fast), 1):
+        found &= gap == 1  # where hardly any is lost, several in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True
     return gone & (motion.dt_s > 0.0)  # a stamp that came twice lost nothing
