@@ -86,11 +86,11 @@ class LostIncrements(Effect):
         if not (self.acts and gone.any()):
             return motion
         middle = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
-        kept = {name: getattr(motion, name)[~gone] for name in ("v", "vy", "omega")}
-        return replace(
-            motion, **{name: np.where(gone, np.interp(middle, middle[~gone], speed), getattr(motion, name))
-                       for name, speed in kept.items()}
-        )  # fmt: skip
+        v, vy, omega = (
+            np.where(gone, np.interp(middle, middle[~gone], speed[~gone]), speed)
+            for speed in (motion.v, motion.vy, motion.omega)
+        )
+        return replace(motion, v=v, vy=vy, omega=omega)
 
     def moments(self, motion: Motion) -> Moments:
         """Return the mean loss and its variance."""
@@ -128,7 +128,7 @@ def lost(motion: Motion) -> NDArray[np.bool_]:
     alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
     caught_up = way[1:-2] + way[2:-1] > _CAUGHT_UP * (way[:-3] + way[3:])
     found = alone & fast[1:-2] & fast[2:-1] & ~caught_up
-    if np.sum(found & (gap == 1)) < _OFTEN * max(np.sum(fast), 1):
+    if np.sum(found & (gap == 1)) < _OFTEN * np.sum(fast):
         found &= gap == 1  # where hardly any is lost, several in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True

@@ -87,14 +87,18 @@ def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]], 
     nats = 0.5 * own.statistic - worth
     laws = likeliest(bare, believed, samples)
     # who explains far less needs no closer look
-    rivals = [law for law in laws if law.nats < nats - CHALLENGE_NATS or not _is_copy(bare, believed, effect, law)]
-    return Rivalry(bare, believed, nats, worth, rivals)
+    far = [law for law in laws if law.nats < nats - CHALLENGE_NATS]
+    near = [law for law in laws if law.nats >= nats - CHALLENGE_NATS]
+    return Rivalry(bare, believed, nats, worth, [*far, *_no_copies(bare, believed, effect, near)])
 
 
-def _is_copy(bare: Fit, believed: Array, effect: Effect, law: ScoredLaw) -> bool:
-    """Tell whether a law does nearly the same as an effect: a fringe of it that fits by chance is no other cause."""
-    left, whiten = left_over(bare, believed), bare.noise.whitener.whiten
+def _no_copies(bare: Fit, believed: Array, effect: Effect, laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
+    """Return the laws that do something else than an effect: a fringe of it that fits by chance is no other cause."""
+    if not laws:
+        return []
+    left, whiten, columns = left_over(bare, believed), bare.noise.whitener.whiten, LawColumns(bare.problem)
     own = left.of(whiten(bare.problem.columns(effect)))
     own = own @ np.linalg.lstsq(own, left.residual, rcond=None)[0]
-    basis = np.linalg.qr(left.of(whiten(LawColumns(bare.problem).of(law.law, law.action))))[0]
-    return float(np.sum((basis.T @ own) ** 2)) > _COPY * float(own @ own)
+    bases = [np.linalg.qr(left.of(whiten(columns.of(law.law, law.action))))[0] for law in laws]
+    shares = [float(np.sum((basis.T @ own) ** 2)) / max(float(own @ own), 1e-300) for basis in bases]
+    return [law for law, share in zip(laws, shares, strict=True) if share <= _COPY]
