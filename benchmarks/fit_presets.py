@@ -13,9 +13,9 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from odomcorrupt.presets import PRESETS
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.model.presets import PRESETS
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.io import Source, read_runs
 
 ROBOTS = {
     "optitrack-diff-drive": "optiodom_diff_*.mcap",

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.pose import rotate
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 TRACK_M = 0.2
 SIDE_M = 1.7

@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.clocks import find_clocks
-from odomcorrupt.study.fitting.events import events
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.likelihood.windows import time_windows
-from odomcorrupt.study.recordings.clock import aligned
+from odomcorrupt.study.estimate.clocks import find_clocks
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import events
+from odomcorrupt.study.estimate.windows import time_windows
+from odomcorrupt.study.io.clock import aligned
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.study.fitting.gauss_newton import Fit
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Recording
 
 WINDOW_S = 1.5
 STRAIGHT_RADPS = 0.05
@@ -47,7 +47,7 @@ VERDICT = """
 - **Lawn mower: the fit is right.** In 30 stretches the truth falls behind, by 6.6 m of 1861 m in all. A plain k
   spreads that loss over the whole drive (0.9978 over 1.5 s, 0.9963 over 20 s); the fit sets the stretches apart and
   finds wheels of nearly their nominal size, 0.9993. Between those stretches half of the half-seconds agree to 0.3 mm
-  along, so no normal law is right for both. Nodes lie 2 s apart for a truth of positions alone, and the cloud then
+  along, so no normal law is right for both. Intervals lie 2 s apart for a truth of positions alone, and the cloud then
   holds what it should over 5 m; over 1 and 2 m its middle is still too wide, and the NEES tells of the stretches.
 - **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two
   columns): a single k only says how much of the drive was straight. The fit weighs straights more, because the noise

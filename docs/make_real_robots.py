@@ -22,24 +22,24 @@ from scipy.stats import binom
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.user import UserEffect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.model import TruthNoise
-from odomcorrupt.pose import between, wrap
-from odomcorrupt.report.figure import BLACK, RED, SKY, drawing, new_figure
-from odomcorrupt.report.found import dependence
-from odomcorrupt.report.sentences import sentence
-from odomcorrupt.report.tables import value_text
-from odomcorrupt.study.fitting.robot import RobotFit, fit_robot
-from odomcorrupt.study.judge.compare import compare
-from odomcorrupt.study.judge.replay import Replay, replay
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.report.plots.figure import BLACK, RED, SKY, drawing, new_figure
+from odomcorrupt.report.text.diagnosis import dependence
+from odomcorrupt.report.text.lack_of_fit import sentence
+from odomcorrupt.report.text.tables import value_text
+from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.validate.compare import compare
+from odomcorrupt.study.validate.predictive_check import Replay, replay
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from odomcorrupt.study.judge.compare import Judgement
-    from odomcorrupt.study.judge.judged import Judged
+    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.evaluation import Evaluation
 
 HERE = Path(__file__).parent
 RUNS = 1000
@@ -199,7 +199,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
     return [*lines, "", f"![{robot.title}](images/{picture.name})", ""]
 
 
-def tamer(piece: Judged) -> tuple[Replay, str]:
+def tamer(piece: Evaluation) -> tuple[Replay, str]:
     """Return the cloud of a model without what no odometry of this drive obeys, and what that was."""
     calm = tuple(e for e in piece.model.effects if e.kind != "noise")
     for left_out, effects in (

@@ -14,10 +14,10 @@ import numpy as np
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects.effect import Motion, amplitudes, check_bounds, choices, parameters
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect, State
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
 

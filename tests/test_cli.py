@@ -18,8 +18,8 @@ from mcap.writer import Writer as McapLibraryWriter
 import odomcorrupt
 from odomcorrupt.cli import cli, run
 from odomcorrupt.errors import BagError
-from odomcorrupt.laws import LAWS
-from odomcorrupt.presets import PRESETS
+from odomcorrupt.model.noise_laws import LAWS
+from odomcorrupt.model.presets import PRESETS
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.correlation import Correlation
 from odomcorrupt.errors import ModelError
-from odomcorrupt.modelfile import format_model, parse_model
+from odomcorrupt.model.correlation import Correlation
+from odomcorrupt.model.model_file import format_model, parse_model
 
 NAMES = ("a", "b", "c", "d")
 MATRIX = np.array([[1.0, 0.8, 0.0, 0.0], [0.8, 1.0, 0.3, 0.0], [0.0, 0.3, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.increments import Increments
-from odomcorrupt.laws import LAWS, Coefficients, law_named, variances
-from odomcorrupt.model import Noise, Step, parse_alpha
-from odomcorrupt.presets import DEFAULT, PRESETS, preset_named
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.motion_model import Noise, Step, parse_alpha
+from odomcorrupt.model.noise_laws import LAWS, Coefficients, law_named, variances
+from odomcorrupt.model.presets import DEFAULT, PRESETS, preset_named
 
 K = Coefficients(0.05, 0.17, 0.04, 0.01)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.pose import between, compose, interpolate, inverse, rotate, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import between, compose, interpolate, inverse, rotate, wrap, yaw_from_quaternion
 
 RNG = np.random.default_rng(1)
 A = RNG.uniform(-5, 5, (200, 3))

@@ -13,9 +13,9 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
-from odomcorrupt.laws import LAWS
-from odomcorrupt.modelfile import parse_model
-from odomcorrupt.presets import PRESETS
+from odomcorrupt.model.model_file import parse_model
+from odomcorrupt.model.noise_laws import LAWS
+from odomcorrupt.model.presets import PRESETS
 
 OFFICE = str(Path(__file__).parent.parent / "fixtures" / "office.mcap")
 

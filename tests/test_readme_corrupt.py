@@ -12,8 +12,8 @@ import click
 import pytest
 
 from odomcorrupt.cli import cli
-from odomcorrupt.model import parse_alpha
-from odomcorrupt.presets import PRESETS
+from odomcorrupt.model.motion_model import parse_alpha
+from odomcorrupt.model.presets import PRESETS
 
 ROOT = Path(__file__).parent.parent
 SECTION = (ROOT / "README.md").read_text(encoding="utf8").split("## Corrupt a bag\n", 1)[1].split("\n## ", 1)[0]

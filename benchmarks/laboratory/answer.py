@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 from laboratory.cases import CLOCKS, same_class
 from odomcorrupt.effects.effect import amplitudes, parameters
-from odomcorrupt.study.search.confidence import confidence, evidence_of
+from odomcorrupt.study.select.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.search.learn import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Round
 
 __all__ = ["errors_of", "told"]
 

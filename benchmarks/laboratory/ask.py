@@ -18,12 +18,12 @@ from laboratory.sham import sham
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulate import OUTSIDE
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
-    from odomcorrupt.study.recordings.trajectory import Recording
-    from odomcorrupt.study.search.learn import Learned
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.stepwise import Learned
 
 __all__ = ["ask"]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.simulate import CAUSES, OUTSIDE, ROUTES
-from odomcorrupt.simulate.flaws import EVERY, SIZES
+from odomcorrupt.simulate.fault_draws import EVERY, SIZES
 
 __all__ = ["ARMS", "CLOCKS", "LENGTHS", "PILOT", "RANDOM", "SYSTEMATIC", "Case", "cases", "same_class"]
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from hidden import as_recording
 
 from odomcorrupt.simulate import TRACKERS, Rig, SimulatedRun, simulate, simulate_without
-from odomcorrupt.simulate.flaws import SIZES
+from odomcorrupt.simulate.fault_draws import SIZES
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["LEARNED_S", "judges", "learning_run", "noiseless_pair", "quiet_run"]
 

@@ -17,13 +17,13 @@ from hidden import as_recording
 from laboratory.cases import same_class
 from laboratory.drives import noiseless_pair, quiet_run
 from odomcorrupt.effects import registry
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.likelihood.nodes import GAP_S, intervals, pick_nodes
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.intervals import GAP_S, intervals, pick_nodes
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["EXCITED_NATS", "expected_information"]
 

@@ -13,16 +13,16 @@ from hidden import as_recording
 from sourcebags import topic, write
 
 from laboratory.answer import told
-from odomcorrupt.pose import compose
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from laboratory.cases import Case
     from odomcorrupt.simulate import SimulatedRun
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["variants"]
 

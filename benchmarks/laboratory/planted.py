@@ -14,12 +14,12 @@ from laboratory.answer import told
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -8,12 +8,12 @@ import numpy as np
 from hidden import ten_second_error
 
 from odomcorrupt.effects import registry
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
 
 if TYPE_CHECKING:
     from laboratory.cases import Case
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["sham"]
 

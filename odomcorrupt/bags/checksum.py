@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.bags.spans import windows
+from odomcorrupt.bags.gaps import windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.bags.messages import Layout
 
-__all__ = ["Resummed", "crc_of_both"]
+__all__ = ["IncrementalCrc", "crc_of_both"]
 
 _ONES = 0xFFFFFFFF
 _WORTH = 4
@@ -40,7 +40,7 @@ def crc_of_both(first: int, second: int, length: int) -> int:
     return first ^ second
 
 
-class Resummed:
+class IncrementalCrc:
     """What messages of a block held before they were written to, so that its chunks need not be summed anew.
 
     Begin before the first write, and `finish` behind the last: the block then knows its chunks' CRC-32. Nothing but

@@ -10,14 +10,14 @@ import lz4.frame
 import numpy as np
 import zstandard
 
+from odomcorrupt.bags.buffer_pool import SHELF_BYTES
 from odomcorrupt.bags.lz4_frames import pack_summed, unpack
-from odomcorrupt.bags.shelf import SHELF_BYTES
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.shelf import Shelf
+    from odomcorrupt.bags.buffer_pool import BufferPool
 
 __all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "require_level"]
 
@@ -39,7 +39,7 @@ class _Zstd(threading.local):
 _zstd = _Zstd()
 
 
-def decompress(codec: str, data: memoryview, size: int, what: str, shelf: Shelf) -> NDArray[np.uint8]:
+def decompress(codec: str, data: memoryview, size: int, what: str, shelf: BufferPool) -> NDArray[np.uint8]:
     """Return a chunk's bytes (size,) in a writable array of their own.
 
     data : the compressed bytes
@@ -92,7 +92,7 @@ def beginning(codec: str, data: bytes) -> bytes:
     return data
 
 
-def _unzstd(data: memoryview, size: int, shelf: Shelf) -> bytearray | NDArray[np.uint8]:
+def _unzstd(data: memoryview, size: int, shelf: BufferPool) -> bytearray | NDArray[np.uint8]:
     stated = zstandard.get_frame_parameters(data).content_size
     if stated == size <= SHELF_BYTES:
         placed = shelf.place(size)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.gaps import windows
 from odomcorrupt.bags.layouts import PROGRAMS, Item, Template, read_template
-from odomcorrupt.bags.spans import windows
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

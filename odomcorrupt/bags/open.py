@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
-from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.output import Output, refuse_target
+from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
-from odomcorrupt.bags.shelf import Shelf
+from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class Source:
         self.position = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
-        self.shelf = Shelf()
+        self.shelf = BufferPool()
 
     @classmethod
     def of_file(cls, path: Path) -> Self:

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.batch.book import BatchError
+from odomcorrupt.batch.manifest import BatchError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -11,16 +11,16 @@ from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
 
-from odomcorrupt.batch.book import BatchError, read_records, sweep_leftovers
 from odomcorrupt.batch.job import Task
-from odomcorrupt.batch.make import attempt
-from odomcorrupt.batch.pulse import PAUSE_S
+from odomcorrupt.batch.manifest import BatchError, read_records, sweep_leftovers
+from odomcorrupt.batch.progress import PAUSE_S
+from odomcorrupt.batch.runner import attempt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.batch.job import Job
-    from odomcorrupt.batch.make import Failure
+    from odomcorrupt.batch.runner import Failure
 
 __all__ = ["Audience", "Shard", "count_missing", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from odomcorrupt.batch.book import PARTS, BatchError
 from odomcorrupt.batch.job import Task
-from odomcorrupt.batch.make import make
+from odomcorrupt.batch.manifest import PARTS, BatchError
+from odomcorrupt.batch.runner import make
 from odomcorrupt.corrupt.run import Container
 
 if TYPE_CHECKING:

@@ -6,14 +6,14 @@ import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from odomcorrupt.batch.robots import Spread, draw_robot
+from odomcorrupt.batch.parameter_draws import Spread, draw_robot
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.corrupt.run import Container
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Job", "Output", "Task"]
 

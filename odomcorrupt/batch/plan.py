@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batch.book import BatchError
 from odomcorrupt.batch.job import Job
-from odomcorrupt.batch.robots import spreads_of, stated_spreads
+from odomcorrupt.batch.manifest import BatchError
+from odomcorrupt.batch.parameter_draws import spreads_of, stated_spreads
 from odomcorrupt.batch.sweep import variants
-from odomcorrupt.modelfile import format_model
+from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batch.job import Output
     from odomcorrupt.corrupt.run import Container
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["plan"]
 

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corrupt.correction import Curve
 from odomcorrupt.corrupt.transform import Transform
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.corrupt.order import Arrivals
     from odomcorrupt.corrupt.patch import Target
     from odomcorrupt.corrupt.path import Knots
+    from odomcorrupt.corrupt.reorder import Arrivals
     from odomcorrupt.corrupt.transform import Options, _Held
 
 __all__ = ["SharedTransform"]

@@ -11,7 +11,7 @@ from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output
-from odomcorrupt.modelfile import format_model
+from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
     from odomcorrupt.batch.job import Job
-    from odomcorrupt.batch.portion import Portion
+    from odomcorrupt.batch.patch_batch import Portion
 
-__all__ = ["Added", "BagSink", "Fan", "FullSink", "OverlaySink", "Sink", "provenance"]
+__all__ = ["Added", "BagSink", "FullSink", "MultiSink", "OverlaySink", "Sink", "provenance"]
 
 
 Added = list[list[Message]] | None
@@ -81,7 +81,7 @@ class BagSink:
         self._writer.__exit__(kind, error, trace)
 
 
-class Fan:
+class MultiSink:
     """The writers of all runs, as one to add channels to.
 
     keeps_rest : whether messages that do not change need not be read: their files have them, or nobody writes them

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import check_bounds, parameters
 from odomcorrupt.errors import ModelError
-from odomcorrupt.model import parse_alpha
-from odomcorrupt.modelfile import format_model, parse_model, read_model
+from odomcorrupt.model.model_file import format_model, parse_model, read_model
+from odomcorrupt.model.motion_model import parse_alpha
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Variant", "variants"]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.bags.output import Output
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.pose import yaw_from_quaternion
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.batch.portion import Portion
+    from odomcorrupt.batch.patch_batch import Portion
     from odomcorrupt.corrupt.path import Knots
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["TumPath", "TumSink", "read_tum", "write_npz"]
 

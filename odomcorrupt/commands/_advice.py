@@ -12,9 +12,9 @@ from odomcorrupt.commands._output import refuse_existing, write_bytes, write_tex
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.study.advice.advise import Advice
-    from odomcorrupt.study.judge.compare import Comparison
-    from odomcorrupt.study.search.learn import Learned
+    from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["check_drive", "write_drive", "write_report"]
 
@@ -30,9 +30,9 @@ def write_drive(path: Path, advice: Advice) -> None:
     """Write the advised manoeuvre as /cmd_vel, and say what it is; where nothing is open, say that."""
     import numpy as np
 
-    from odomcorrupt.bags.twists import write_twists
-    from odomcorrupt.report.advice import drive_sentence
-    from odomcorrupt.study.advice.plan import STEP_S
+    from odomcorrupt.bags.write_twist import write_twists
+    from odomcorrupt.report.text.design import drive_sentence
+    from odomcorrupt.study.design.plan import STEP_S
 
     plan = advice.best
     if plan is None:
@@ -48,7 +48,7 @@ def write_drive(path: Path, advice: Advice) -> None:
 def write_report(path: Path, learned: Learned, ladder: Comparison, advice: Advice, following: str) -> None:
     """Write the page; `following` is the command to type next, or ""."""
     from odomcorrupt import __version__
-    from odomcorrupt.report.found_html import Story, found_html
+    from odomcorrupt.report.html.diagnosis import Story, found_html
 
     write_text(path, found_html(Story(learned, ladder, advice, following), version=__version__))
     click.echo(f"wrote {path}", err=True)

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._numbers import Number
+from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.mapping.free_path import FreePath
+    from odomcorrupt.mapping.constrained_path import FreePath
     from odomcorrupt.mapping.free_space import Check, FreeSpace
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Condition", "choose_condition", "choose_condition_of_run", "map_options"]
 
@@ -33,8 +33,8 @@ class Condition:
 
     def path(self, model: MotionModel, seed: int, run: int) -> FreePath | None:
         """Return where one run of corruption goes within it; None where no noise is drawn, and nothing moves."""
-        from odomcorrupt.mapping.free_path import FreePath
-        from odomcorrupt.mapping.motions import without_effects
+        from odomcorrupt.mapping.constrained_increments import without_effects
+        from odomcorrupt.mapping.constrained_path import FreePath
 
         if without_effects(model).noise.coefficients.silent:
             return None

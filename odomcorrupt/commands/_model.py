@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.laws import Law
-    from odomcorrupt.model import MotionModel, Noise
+    from odomcorrupt.model.motion_model import MotionModel, Noise
+    from odomcorrupt.model.noise_laws import Law
 
 __all__ = ["MODEL_OPTIONS", "AlphaCommand", "Chosen", "choose_model", "model_options"]
 
@@ -36,13 +36,13 @@ class Chosen:
 
 
 def _complete_laws(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    from odomcorrupt.laws import LAWS
+    from odomcorrupt.model.noise_laws import LAWS
 
     return [name for name in LAWS if name.startswith(incomplete)]
 
 
 def _complete_presets(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    from odomcorrupt.presets import PRESETS
+    from odomcorrupt.model.presets import PRESETS
 
     return [name for name in PRESETS if name.startswith(incomplete)]
 
@@ -146,7 +146,7 @@ def choose_model(
 
     """
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.modelfile import read_model
+    from odomcorrupt.model.model_file import read_model
 
     given = [name for name, value in (("--alpha", alpha), ("--preset", preset), ("--model", model)) if value]
     if len(given) > 1 and given != ["--alpha", "--model"]:
@@ -173,9 +173,9 @@ def _noise(
     alpha: str | None, law: str | None, preset: str | None, base: MotionModel | None, *, others: bool
 ) -> tuple[Noise, str]:
     """Return the noise, and where it comes from; none where only other errors are asked for."""
-    from odomcorrupt.laws import Coefficients, law_named
-    from odomcorrupt.model import Noise
-    from odomcorrupt.presets import DEFAULT, preset_named
+    from odomcorrupt.model.motion_model import Noise
+    from odomcorrupt.model.noise_laws import Coefficients, law_named
+    from odomcorrupt.model.presets import DEFAULT, preset_named
 
     if alpha is not None:
         chosen_law = law_named(law or (base.noise.law_name if base is not None else "diffusion"))
@@ -194,7 +194,7 @@ def _noise(
 def _coefficient(word: str, name: str, law: Law) -> float:
     """Return a coefficient; angles are taken where an angle is meant, and after what it is meant."""
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.model import parse_alpha
+    from odomcorrupt.model.motion_model import parse_alpha
 
     value = parse_alpha(word)
     unit = next((unit for unit in ("deg", "rad") if unit in word.split("/", maxsplit=1)[0]), None)
@@ -210,7 +210,7 @@ def _coefficient(word: str, name: str, law: Law) -> float:
 
 
 def _refined(noise: Noise, step: str | None, twist_noise: tuple[float, float] | None) -> Noise:
-    from odomcorrupt.model import Step
+    from odomcorrupt.model.motion_model import Step
 
     if twist_noise is not None:
         white_v, white_omega = twist_noise
@@ -220,7 +220,7 @@ def _refined(noise: Noise, step: str | None, twist_noise: tuple[float, float] | 
 
 
 def _model_of(noise: Noise) -> MotionModel:
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
     return MotionModel(noise)
 
@@ -230,7 +230,7 @@ def _effect(text: str) -> Effect:
     from odomcorrupt.effects import effect_at, effect_named, effect_of
     from odomcorrupt.effects.effect import choices
     from odomcorrupt.errors import EffectError, ModelError
-    from odomcorrupt.model import parse_alpha
+    from odomcorrupt.model.motion_model import parse_alpha
 
     name, _, rest = text.partition(":")
     name = name.strip()

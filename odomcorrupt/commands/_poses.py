@@ -26,7 +26,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats."""
         from odomcorrupt.errors import ModelError
-        from odomcorrupt.model import parse_alpha
+        from odomcorrupt.model.motion_model import parse_alpha
 
         if not isinstance(value, str):
             return value
@@ -62,7 +62,7 @@ def picture_kind(path: Path) -> str | None:
 def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the kind its name asks for, whole or not at all."""
     from odomcorrupt.commands._output import write_bytes
-    from odomcorrupt.report.figure import rendered
+    from odomcorrupt.report.plots.figure import rendered
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))
     click.echo(f"wrote {path}", err=True)

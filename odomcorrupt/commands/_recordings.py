@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._numbers import TRACK, Number
+from odomcorrupt.commands._param_types import TRACK, Number
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["describe", "need_study", "read_all", "recording_options", "source_words", "split_arguments"]
 
@@ -81,7 +81,7 @@ def need_study() -> None:
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], dict[str, MotionModel]]:
     """Return recordings and models: arguments that end in .toml are models."""
-    from odomcorrupt.modelfile import read_model
+    from odomcorrupt.model.model_file import read_model
 
     models = {a: read_model(Path(a)) for a in arguments if a.endswith(".toml")}
     recordings = [Path(a) for a in arguments if not a.endswith(".toml")]
@@ -92,7 +92,7 @@ def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], dict[str, Mot
 
 def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: float | None) -> list[Recording]:
     """Return the recordings, several for a path with resets, and say on stderr what reading them left out."""
-    from odomcorrupt.study.sources import Source, read_runs
+    from odomcorrupt.study.io import Source, read_runs
 
     meta = click.get_current_context().meta
     recordings = []

@@ -25,7 +25,7 @@ __all__ = ["command"]
 def command(run: Path, output: Path, original: Path | None, **given: Any) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
     from odomcorrupt.batch.assemble import assemble
-    from odomcorrupt.batch.book import BatchError, fingerprint_of, read_beginning
+    from odomcorrupt.batch.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.corrupt.run import Container
 
     if original is None:

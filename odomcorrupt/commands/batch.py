@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batch.engine import Shard
     from odomcorrupt.batch.estimate import Need
     from odomcorrupt.batch.job import Job
-    from odomcorrupt.batch.make import Failure
+    from odomcorrupt.batch.runner import Failure
 
 __all__ = ["command"]
 
@@ -96,8 +96,8 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.batch.book import begin, fingerprint_of, write_manifest
     from odomcorrupt.batch.engine import Shard, missing_runs
+    from odomcorrupt.batch.manifest import begin, fingerprint_of, write_manifest
 
     jobs = _jobs(inputs, target, given)
     shard = Shard(*(given["shard"] or (1, 1)))
@@ -237,7 +237,7 @@ def _require_space(jobs: Sequence[Job], _fresh: Sequence[Job], runs: range, shar
 
 def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> list[Failure]:
     from odomcorrupt.batch.engine import run_local, run_on_dask, tasks_of
-    from odomcorrupt.commands._rate import Rate
+    from odomcorrupt.commands._eta import Rate
 
     with Rate(sum(len(runs) for _, runs in todo)) as rate:
         if given["dask"]:
@@ -250,7 +250,7 @@ def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> l
 
 def _collect(job: Job, runs: int) -> None:
     """Put all paths into one file, when the last of them is there."""
-    from odomcorrupt.batch.book import read_records
+    from odomcorrupt.batch.manifest import read_records
     from odomcorrupt.batch.tum import read_tum, write_npz
 
     if job.output == "trajectories":
@@ -262,7 +262,7 @@ def _collect(job: Job, runs: int) -> None:
 
 def _losses(jobs: Sequence[Job]) -> list[str]:
     """Return what could not be read of damaged inputs, each once."""
-    from odomcorrupt.batch.book import read_records
+    from odomcorrupt.batch.manifest import read_records
 
     records = [record for job in jobs if job.container.recover for record in read_records(job.directory).values()]
     return list(dict.fromkeys(loss for record in records for loss in record.get("losses", ())))

@@ -14,7 +14,7 @@ from odomcorrupt.commands._recordings import need_study, read_all, recording_opt
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["REJECTED", "command"]
 
@@ -58,10 +58,10 @@ def command(
     """
     need_study()
     from odomcorrupt import __version__
-    from odomcorrupt.report.comparison import comparison_text
-    from odomcorrupt.report.comparison_json import comparison_json
-    from odomcorrupt.report.tables import clock_lines
-    from odomcorrupt.study.judge.compare import compare
+    from odomcorrupt.report.json.comparison import comparison_json
+    from odomcorrupt.report.text.comparison import comparison_text
+    from odomcorrupt.report.text.tables import clock_lines
+    from odomcorrupt.study.validate.compare import compare
 
     paths, models = split_arguments(arguments)
     if not models:
@@ -79,14 +79,14 @@ def command(
             click.echo(line)
         click.echo(comparison_text(result))
     if plots:
-        from odomcorrupt.report.figure import rendered
-        from odomcorrupt.report.pictures import PICTURES
+        from odomcorrupt.report.plots.comparison import PICTURES
+        from odomcorrupt.report.plots.figure import rendered
 
         for path, name in plots.items():
             write_bytes(path, rendered(PICTURES[name].draw(result), path.suffix[1:].lower()))
             click.echo(f"wrote {path}", err=True)
     if report is not None:
-        from odomcorrupt.report.html import report_html
+        from odomcorrupt.report.html.comparison import report_html
 
         write_text(report, report_html(result, version=__version__))
         click.echo(f"wrote {report}", err=True)

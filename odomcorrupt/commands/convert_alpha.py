@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import Noise, Step
+    from odomcorrupt.model.motion_model import Noise, Step
 
 __all__ = ["command"]
 
@@ -38,8 +38,8 @@ def command(
     odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.laws import law_named
-    from odomcorrupt.model import Noise, parse_alpha
+    from odomcorrupt.model.motion_model import Noise, parse_alpha
+    from odomcorrupt.model.noise_laws import law_named
     from odomcorrupt.sampling.convert import convert
 
     try:
@@ -54,7 +54,7 @@ def command(
 
 
 def _step(text: str | None) -> Step | None:
-    from odomcorrupt.model import Step
+    from odomcorrupt.model.motion_model import Step
 
     if text is not None and re.fullmatch(r"\s*[\d.eE+-]+\s*m\s*", text):
         text = f"{text},{ANGLE}"
@@ -64,8 +64,8 @@ def _step(text: str | None) -> Step | None:
 def _text(before: Noise, after: Noise) -> str:
     import math
 
-    from odomcorrupt.sampling.account import law_words
     from odomcorrupt.sampling.convert import drift_of
+    from odomcorrupt.sampling.text import law_words
 
     drift = drift_of(after)
     flags = " ".join(f"{getattr(after.coefficients, name):.6g}" for name in after.law.alphas[: _needed(after)])

@@ -13,7 +13,7 @@ from odomcorrupt.commands._poses import POSE
 from odomcorrupt.commands._progress import Progress, say
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["command"]
 

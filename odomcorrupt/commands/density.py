@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from odomcorrupt.commands._model import AlphaCommand
-from odomcorrupt.commands._move import choose_move, move_options
+from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
 
@@ -42,9 +42,9 @@ def command(
 
     from odomcorrupt.errors import ModelError
     from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.account import law_words
     from odomcorrupt.sampling.density import density_on_grid, pose_density, product
     from odomcorrupt.sampling.samples import move_sampled
+    from odomcorrupt.sampling.text import law_words
 
     refuse_existing(output, overwrite=overwrite)
     if output is not None:
@@ -68,7 +68,7 @@ def command(
     click.echo(f"integral over the grid of end poses: {grid.integral:.6f} ({meaning})")
     if output is None:
         return
-    from odomcorrupt.report.density import draw_density
+    from odomcorrupt.report.plots.density import draw_density
 
     seed = draw_seed() if given["seed"] is None else given["seed"]
     xyt = move_sampled(move, variances, chosen.count, stream(seed, 0, "sample"))

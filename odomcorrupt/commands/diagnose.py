@@ -42,12 +42,12 @@ def command(
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
     need_study()
-    from odomcorrupt.report.found import found_text, shares_text
-    from odomcorrupt.report.json import learned_json
-    from odomcorrupt.report.tables import candidates_table
-    from odomcorrupt.study.advice.advise import advise
-    from odomcorrupt.study.judge.ladder import ladder_comparison
-    from odomcorrupt.study.search.learn import learn
+    from odomcorrupt.report.json.diagnosis import learned_json
+    from odomcorrupt.report.text.diagnosis import found_text, shares_text
+    from odomcorrupt.report.text.tables import candidates_table
+    from odomcorrupt.study.design.advise import advise
+    from odomcorrupt.study.select.stepwise import learn
+    from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
     paths, models = split_arguments(arguments)
     if len(models) > 1:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._numbers import TRACK, Number
+from odomcorrupt.commands._param_types import TRACK, Number
 
 if TYPE_CHECKING:
     from odomcorrupt.export.amcl import Turn
@@ -88,11 +88,11 @@ def command(
     """
     from odomcorrupt.errors import ModelError
     from odomcorrupt.export.amcl import amcl_alphas
-    from odomcorrupt.export.growth import Steady
+    from odomcorrupt.export.step_variance import Steady
     from odomcorrupt.export.text import amcl_text, twists_text, wheels_text
     from odomcorrupt.export.twists import twist_variances
     from odomcorrupt.export.wheels import wheel_multipliers
-    from odomcorrupt.modelfile import read_model
+    from odomcorrupt.model.model_file import read_model
 
     robot = read_model(model)
     if target == "ros2_control":

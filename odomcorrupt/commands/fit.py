@@ -37,9 +37,9 @@ def command(
     are runs of one robot, each with a clock of its own.
     """
     need_study()
-    from odomcorrupt.modelfile import format_model, read_model
-    from odomcorrupt.report.fitted import fit_text, laws_table
-    from odomcorrupt.study.fitting.robot import effects_to_fit, fit_every_law, fit_robot
+    from odomcorrupt.model.model_file import format_model, read_model
+    from odomcorrupt.report.text.fit import fit_text, laws_table
+    from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
 
     paths, models = split_arguments(recordings)
     if models:

@@ -6,7 +6,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.report.finite import finite
+from odomcorrupt.report.json.numbers import finite
 
 __all__ = ["command"]
 
@@ -27,8 +27,8 @@ def command(
     import json
 
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.info.portrait import portrait, portrait_text
-    from odomcorrupt.info.survey import survey
+    from odomcorrupt.info.scan import survey
+    from odomcorrupt.info.summary import portrait, portrait_text
 
     with open_reader(source_of(input_), recover=recover) as reader, Progress() as progress:
         seen = survey(reader, progress)

@@ -11,9 +11,9 @@ from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import need_pictures, picture_kind, save_picture
 
 if TYPE_CHECKING:
-    from odomcorrupt.drive.read import Drive
-    from odomcorrupt.pose import Array
-    from odomcorrupt.study.recordings.trajectory import Trajectory
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.trajectories.reader import Drive
 
 __all__ = ["command"]
 
@@ -54,11 +54,11 @@ def command(input_: Path, output: Path | None, **given: Any) -> None:
     odomcorrupt integrate in.mcap out.mcap --integrate euler --plot errors.png
     odomcorrupt integrate in.mcap --twist-noise 0.2 0.04 --runs 100 --plot runs.png
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.drive.integrate import integrate, noisy_twists
-    from odomcorrupt.drive.read import find_truth, read_drive, read_poses
-    from odomcorrupt.drive.rewrite import rewrite_path
     from odomcorrupt.errors import ModelError, OdomCorruptError
     from odomcorrupt.rng import draw_seed
+    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
+    from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
+    from odomcorrupt.trajectories.rewrite import rewrite_path
 
     plot, noise, rule = given["plot"], given["twist_noise"], given["rule"]
     if "-" in (str(input_), str(output)):
@@ -107,7 +107,7 @@ def _about(drive: Drive, rule: str, hold: str) -> str:
 def _compare(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | None) -> None:
     import numpy as np
 
-    from odomcorrupt.drive.errors import path_error
+    from odomcorrupt.trajectories.trajectory_error import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
     for error_of, against in ((error, name), (path_error(drive.stamps_ns, xyt, drive.trajectory), drive.topic)):
@@ -138,8 +138,8 @@ def _draw(
     rule: str,
     noise: tuple[float, float] | None,
 ) -> None:
-    from odomcorrupt.drive.errors import path_error
-    from odomcorrupt.report.odometry import draw_errors, draw_runs
+    from odomcorrupt.report.plots.odometry import draw_errors, draw_runs
+    from odomcorrupt.trajectories.trajectory_error import path_error
 
     reference = drive.trajectory if truth is None else truth
     error = path_error(drive.stamps_ns, clean, reference)

@@ -16,7 +16,7 @@ from odomcorrupt.commands._recordings import need_study, read_all, recording_opt
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.study.judge.compare import Comparison
+    from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["command"]
 
@@ -57,17 +57,17 @@ def command(
     Without --judge, the ladder is cross-validated on halves of the recordings themselves.
     """
     need_study()
-    from odomcorrupt.modelfile import format_model
-    from odomcorrupt.report.comparison import comparison_text
-    from odomcorrupt.report.comparison_json import comparison_json
-    from odomcorrupt.report.fitted import fit_text
-    from odomcorrupt.report.found import found_text
-    from odomcorrupt.report.json import learned_json
-    from odomcorrupt.study.advice.advise import advise
-    from odomcorrupt.study.fitting.robot import fit_robot
-    from odomcorrupt.study.judge.compare import compare
-    from odomcorrupt.study.judge.ladder import ladder_comparison
-    from odomcorrupt.study.search.learn import learn
+    from odomcorrupt.model.model_file import format_model
+    from odomcorrupt.report.json.comparison import comparison_json
+    from odomcorrupt.report.json.diagnosis import learned_json
+    from odomcorrupt.report.text.comparison import comparison_text
+    from odomcorrupt.report.text.diagnosis import found_text
+    from odomcorrupt.report.text.fit import fit_text
+    from odomcorrupt.study.design.advise import advise
+    from odomcorrupt.study.estimate.calibrate import fit_robot
+    from odomcorrupt.study.select.stepwise import learn
+    from odomcorrupt.study.validate.compare import compare
+    from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
     paths, models = split_arguments(recordings)
     if models:
@@ -115,7 +115,7 @@ def command(
 
 
 def _draw(path: Path, comparison: Comparison) -> None:
-    from odomcorrupt.report.ladder import draw_ladder
+    from odomcorrupt.report.plots.model_sequence import draw_ladder
 
     draw_ladder(comparison, path)
     click.echo(f"wrote {path}", err=True)

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._move import MODEL_OPTIONS
-from odomcorrupt.commands._numbers import Number
+from odomcorrupt.commands._motion_options import MODEL_OPTIONS
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
+from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
-from odomcorrupt.report.finite import finite
+from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.mapping.survey import Survey
+    from odomcorrupt.mapping.scan_map import Survey
 
 __all__ = ["command"]
 
@@ -61,9 +61,9 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
     odomcorrupt map drive.mcap --scan /scan --max-yaw-rate 0.1 --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import OdomCorruptError
-    from odomcorrupt.mapping.thickness import WINDOW_M
+    from odomcorrupt.mapping.wall_thickness import WINDOW_M
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.sampling.account import law_words
+    from odomcorrupt.sampling.text import law_words
 
     if str(bag) == "-":
         raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
@@ -87,7 +87,7 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
     if output is None:
         return
     from odomcorrupt.mapping.mapfile import format_map
-    from odomcorrupt.report.maps import draw_surveys
+    from odomcorrupt.report.plots.maps import draw_surveys
 
     for survey, path in zip(surveys, beside.values(), strict=False):
         image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
@@ -101,12 +101,12 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
     import numpy as np
 
     from odomcorrupt.corrupt.path import NoisyPath
-    from odomcorrupt.drive.read import read_drive, read_poses
     from odomcorrupt.mapping.frames import mount_at
     from odomcorrupt.mapping.raycast import canvas_for
+    from odomcorrupt.mapping.scan_map import place, slow_rays, survey
     from odomcorrupt.mapping.scans import read_rays
-    from odomcorrupt.mapping.survey import place, slow_rays, survey
-    from odomcorrupt.study.recordings.trajectory import Trajectory
+    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.trajectories.reader import read_drive, read_poses
 
     drive = read_drive(bag, given["odom_topic"])
     mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))
@@ -127,7 +127,7 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
 
 
 def _table(surveys: Sequence[Survey]) -> str:
-    from odomcorrupt.mapping.thickness import WINDOW_M, added_thickness
+    from odomcorrupt.mapping.wall_thickness import WINDOW_M, added_thickness
 
     lines = [
         f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m)",
@@ -149,7 +149,7 @@ def _table(surveys: Sequence[Survey]) -> str:
 def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
     import json
 
-    from odomcorrupt.mapping.thickness import added_thickness
+    from odomcorrupt.mapping.wall_thickness import added_thickness
 
     content = {
         "seed": seed,

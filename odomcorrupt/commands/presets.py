@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from odomcorrupt.presets import Preset
+    from odomcorrupt.model.presets import Preset
 
 __all__ = ["command"]
 
@@ -22,9 +22,9 @@ def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click pa
     The numbers are alpha1, alpha2, ...; what they mean depends on the law.
     """
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.modelfile import format_model
-    from odomcorrupt.presets import PRESETS, preset_named
+    from odomcorrupt.model.model_file import format_model
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.model.presets import PRESETS, preset_named
 
     if name is None:
         chosen = list(PRESETS.values())

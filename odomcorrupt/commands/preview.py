@@ -15,7 +15,7 @@ from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_mode
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.report.finite import finite
+from odomcorrupt.report.json.numbers import finite
 
 __all__ = ["command"]
 
@@ -72,7 +72,7 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
     else:
         click.echo(forecast_text(outlook, chosen.model, chosen.origin, seed))
     if output is not None:
-        from odomcorrupt.report.fan import draw_fan
+        from odomcorrupt.report.plots.runs import draw_fan
 
         title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
         if per_message(chosen.model.noise) and outlook.rate_hz is not None:

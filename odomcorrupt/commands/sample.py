@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._along import sample_along
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
-from odomcorrupt.commands._move import choose_move, move_options
-from odomcorrupt.commands._numbers import Number
+from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing, write_text
+from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._sample_path import sample_along
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._map import Condition
-    from odomcorrupt.sampling.account import Drawn
+    from odomcorrupt.sampling.text import Drawn
 
 __all__ = ["command"]
 
@@ -47,8 +47,8 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.mapping.conditioned import move_sampled_in_map
     from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.account import Drawn, csv_text, json_text, report_text
     from odomcorrupt.sampling.samples import move_sampled
+    from odomcorrupt.sampling.text import Drawn, csv_text, json_text, report_text
 
     refuse_existing(output, overwrite=overwrite)
     kind = None if output is None else picture_kind(output) or output.suffix.lower()
@@ -87,8 +87,8 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
 
 
 def _draw(output: Path, drawn: Drawn, condition: Condition | None) -> None:
-    from odomcorrupt.report.banana import draw_banana
-    from odomcorrupt.sampling.account import title
+    from odomcorrupt.report.plots.samples import draw_banana
+    from odomcorrupt.sampling.text import title
 
     space = None if condition is None else condition.space
     save_picture(output, draw_banana(drawn.move, drawn.variances, drawn.xyt, title(drawn), space))

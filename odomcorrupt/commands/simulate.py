@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from odomcorrupt.commands._flaws import HEADINGS, size_of, what_is_wrong
-from odomcorrupt.commands._numbers import Number
+from odomcorrupt.commands._fault_options import HEADINGS, size_of, what_is_wrong
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
+from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._recordings import need_study
 
 __all__ = ["command"]
@@ -68,9 +68,9 @@ def command(
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
     need_study()
-    from odomcorrupt.simulate.answer import fingerprint, format_answer
     from odomcorrupt.simulate.bag import write_mcap
     from odomcorrupt.simulate.commands import read_commands
+    from odomcorrupt.simulate.ground_truth import fingerprint, format_answer
     from odomcorrupt.simulate.run import simulate
 
     piped = str(output) == "-"

@@ -10,10 +10,10 @@ import click
 
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
-from odomcorrupt.report.finite import finite
+from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
-    from odomcorrupt.batch.spread import SpreadReport
+    from odomcorrupt.batch.dispersion import SpreadReport
 
 __all__ = ["command"]
 
@@ -30,7 +30,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: b
     import json
     from dataclasses import asdict
 
-    from odomcorrupt.batch.spread import measure
+    from odomcorrupt.batch.dispersion import measure
 
     if output is not None:
         if picture_kind(output) is None:
@@ -45,7 +45,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: b
     else:
         click.echo(_text(report))
     if output is not None:
-        from odomcorrupt.report.spread import draw_spread
+        from odomcorrupt.report.plots.dispersion import draw_spread
 
         save_picture(output, draw_spread(report))
 

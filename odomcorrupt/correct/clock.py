@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["ClockPutRight", "true_stamps"]
 

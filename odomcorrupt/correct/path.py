@@ -10,9 +10,9 @@ from odomcorrupt.correct.clock import true_stamps
 from odomcorrupt.correct.undo import undo_effects
 from odomcorrupt.corrupt.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corrupt.path import Knots
-from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
+from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
 from odomcorrupt.errors import BagError
-from odomcorrupt.pose import compose, inverse
+from odomcorrupt.geometry.se2 import compose, inverse
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.correct.undo import Undone
-    from odomcorrupt.model import MotionModel, Noise
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel, Noise
 
 __all__ = ["CorrectedPath", "MeasuredPath", "corrected_knots"]
 

@@ -11,9 +11,9 @@ from odomcorrupt.correct.clock import ClockPutRight
 from odomcorrupt.correct.path import CorrectedPath, MeasuredPath
 from odomcorrupt.corrupt.run import corrupt_bag
 from odomcorrupt.corrupt.transform import Transform
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.modelfile import format_model
+from odomcorrupt.model.model_file import format_model
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.targets import Frames
     from odomcorrupt.corrupt.transform import Options
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["SILENT", "Corrected", "Effects", "correct_bag", "split_effects"]
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
 from odomcorrupt.errors import EffectError
-from odomcorrupt.increments import Increments, accumulate, increments
-from odomcorrupt.motion import corrected_increments, motion_of
-from odomcorrupt.pose import compose, rotate
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.se2 import compose, rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["Undone", "undo_effects"]
 

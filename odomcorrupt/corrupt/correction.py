@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.corrupt.covariance import SUMS
-from odomcorrupt.pose import interpolate
+from odomcorrupt.geometry.se2 import interpolate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.corrupt.path import Knots
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["MEMORY_NS", "PATIENCE_NS", "Correction", "Curve"]
 

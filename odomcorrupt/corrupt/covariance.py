@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.wander import wandered_covariance
+from odomcorrupt.corrupt.random_covariance import wandered_covariance
 
 if TYPE_CHECKING:
-    from odomcorrupt.laws import Variances
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.noise_laws import Variances
 
 __all__ = ["BODY_SUMS", "FLOOR", "SUMS", "NoiseSteps", "pose_covariance", "sum_terms", "twist_covariance"]
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from odomcorrupt.corrupt.covariance import SUMS, pose_covariance
-from odomcorrupt.pose import between
+from odomcorrupt.geometry.se2 import between
 
 if TYPE_CHECKING:
     from odomcorrupt.corrupt.path import Knots
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
 

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.wander import wanders
+from odomcorrupt.corrupt.random_covariance import wanders
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
-from odomcorrupt.motion import accelerations
+from odomcorrupt.geometry.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect, Gain, State
-    from odomcorrupt.increments import Increments
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.motion import Accelerations, SpeedMemory
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.increments import Increments
+    from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Drive", "EffectInverse", "acts"]
 

@@ -12,11 +12,11 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter
 from odomcorrupt.corrupt.correction import Correction
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.rigid import SpatialPoses, finite_rows, from_left, from_right
+from odomcorrupt.corrupt.random_covariance import wanders
+from odomcorrupt.corrupt.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
 from odomcorrupt.corrupt.targets import ODOMETRY, plain
 from odomcorrupt.corrupt.twist import TopicTwist, TwistChange
-from odomcorrupt.corrupt.wander import wanders
-from odomcorrupt.pose import yaw_from_quaternion
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.corrupt.correction import Curve
     from odomcorrupt.corrupt.targets import Side
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Changes", "Patcher", "Target"]
 

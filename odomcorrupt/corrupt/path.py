@@ -15,17 +15,17 @@ import numpy as np
 
 from odomcorrupt.corrupt.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corrupt.inverse import Drive, EffectInverse
-from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
-from odomcorrupt.corrupt.wander import WANDER, Wander
-from odomcorrupt.increments import Increments
-from odomcorrupt.pose import rotate, wrap
+from odomcorrupt.corrupt.random_covariance import WANDER, Wander
+from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "Normals", "PathSource"]
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.corrupt.inverse import acts
+from odomcorrupt.corrupt.passthrough import TeeReader, may_stay, write_as_it_was
 from odomcorrupt.corrupt.transform import Transform
-from odomcorrupt.corrupt.unchanged import Tape, may_stay, write_as_it_was
-from odomcorrupt.modelfile import format_model
+from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.path import PathSource
     from odomcorrupt.corrupt.targets import Frames
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Container", "Outcome", "corrupt_bag"]
 
@@ -60,7 +60,7 @@ class Outcome:
     losses : what could not be read of a damaged input, in sentences
     swapped : odometry messages that came behind later ones, and were put in order
     zero_stamps : odometry stamps that are zero, for which log times stood in
-    placed : frames, by channel, of what is drawn in one, see `witnesses`
+    placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved, "parent -> child"
     """
 
@@ -116,7 +116,7 @@ def corrupt_bag(
     transform = Transform(model, seed, run, options, path=path)
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     adds = options.keep_truth is not None or options.new_odom_frame is not None
-    tape = Tape() if source is None and silent and not adds and container.as_it_was else None
+    tape = TeeReader() if source is None and silent and not adds and container.as_it_was else None
     with open_reader(source, cast("BinaryIO | None", tape), recover=container.recover) as reader:
         transform.driver.prepare(reader, reader.name)
         writer = open_writer(

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corrupt.drift import LEG_M
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.witnesses import truth_tellers
+from odomcorrupt.corrupt.unmodified_topics import truth_tellers
 from odomcorrupt.effects.effect import choices, parameters
 
 if TYPE_CHECKING:
     from odomcorrupt.corrupt.drift import Drift
     from odomcorrupt.corrupt.run import Outcome
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model import MotionModel, Noise
+    from odomcorrupt.model.motion_model import MotionModel, Noise
 
 __all__ = ["SIDEWAYS", "holonomic_words", "model_words", "per_message", "summary"]
 

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.checksum import Resummed
-from odomcorrupt.bags.joined import joined
+from odomcorrupt.bags.checksum import IncrementalCrc
+from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.corrupt.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corrupt.correction import PATIENCE_NS, Curve
 from odomcorrupt.corrupt.drift import DriftMeter
-from odomcorrupt.corrupt.driver import Driver, stamps_or_log_ns
-from odomcorrupt.corrupt.order import WINDOW_NS, Arrivals, TimeOrder
+from odomcorrupt.corrupt.odometry_source import Driver, stamps_or_log_ns
 from odomcorrupt.corrupt.patch import Patcher, Target
 from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corrupt.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corrupt.targets import (
     ENCODINGS,
     ODOMETRY,
@@ -32,7 +32,7 @@ from odomcorrupt.corrupt.targets import (
     says_truth,
     side_of,
 )  # fmt: skip
-from odomcorrupt.corrupt.witnesses import frame_of, may_be_placed
+from odomcorrupt.corrupt.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corrupt.patch import Changes
     from odomcorrupt.corrupt.path import PathSource
     from odomcorrupt.corrupt.targets import Frames, Side
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["WAIT_NS", "Options", "Transform"]
 
@@ -96,7 +96,7 @@ class Transform:
 
     path : where the odometry is moved to, in place of the noisy path that the model draws
 
-    seen : channels that carried messages; placed : frames of those that are drawn in one, see `witnesses`
+    seen : channels that carried messages; placed : frames of those that are drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved
     """
 
@@ -269,7 +269,7 @@ class Transform:
         driving = [target for target in targets if self.driver.is_odometry(target.channel)]
         if self.truth is not None:
             self.truth.add(held.block, driving)
-        sums = Resummed(held.block, [target.layout for target in targets])
+        sums = IncrementalCrc(held.block, [target.layout for target in targets])
         if self.options.new_odom_frame is None:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
         elif self.edge is not None and self.driver.frames is not None:

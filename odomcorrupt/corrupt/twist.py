@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.corrupt.covariance import BODY_SUMS, twist_covariance
-from odomcorrupt.pose import rotate, wrap
+from odomcorrupt.geometry.se2 import rotate, wrap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.corrupt.correction import Correction
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["TopicTwist", "TwistChange"]
 

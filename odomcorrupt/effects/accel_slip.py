@@ -11,7 +11,7 @@ from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, Twist
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, wheel_motions
 
 if TYPE_CHECKING:
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_tra
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 SWAY_M = 1e-4
 """A wheel that goes back by less than this has not reversed: a parked robot sways, and its gears stay as they are."""

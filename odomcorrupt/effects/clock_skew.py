@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 if TYPE_CHECKING:
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.effects.moving import Motion
+from odomcorrupt.effects.motion import Motion
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
     "About",

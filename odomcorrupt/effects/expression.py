@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.affine import affine, vanishes
+from odomcorrupt.effects.linearity import affine, vanishes
 from odomcorrupt.effects.units import amplitude_unit
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
     Term = Callable[[Mapping[str, Array]], Array]
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.draws import again, autoregression
 from odomcorrupt.effects.effect import (
     About,
     Effect,
@@ -20,11 +19,12 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
+from odomcorrupt.effects.random_state import again, autoregression
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 
 class _Walk(NamedTuple):

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.draws import again
 from odomcorrupt.effects.effect import (
     About,
     Drawn,
@@ -19,11 +18,12 @@ from odomcorrupt.effects.effect import (
     TwistError,
     parameter,
 )
+from odomcorrupt.effects.random_state import again
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.draws import again
 from odomcorrupt.effects.effect import (
     About,
     Effect,
@@ -22,12 +21,13 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
+from odomcorrupt.effects.random_state import again
 
 if TYPE_CHECKING:
     from numpy.random import Generator
     from numpy.typing import NDArray
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 _STILL = 1e-9
 """What an increment of zero may be by rounding, metres or radians."""

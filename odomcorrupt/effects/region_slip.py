@@ -13,7 +13,7 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_tra
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 _MOST_DISCS = 400
 _LEAST_SHARE, _MOST_SHARE = 0.01, 0.8

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.draws import again
 from odomcorrupt.effects.effect import (
     About,
     Effect,
@@ -21,12 +20,13 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
+from odomcorrupt.effects.random_state import again
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 _BOTH, _SINGLE = ((1.0, 1.0),), ((1.0, 0.0), (0.0, 1.0))
 """How much of a burst the right wheel has, and the left."""

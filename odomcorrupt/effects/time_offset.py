@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter
 
 if TYPE_CHECKING:
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 
 @dataclass(frozen=True, slots=True)

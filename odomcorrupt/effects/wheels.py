@@ -11,7 +11,7 @@ from odomcorrupt.effects.effect import Motion, choice, stacked
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["Rims", "body_of", "heading_choice", "needed_track_m", "rims_of", "turning", "wheel_motions"]
 

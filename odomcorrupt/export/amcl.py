@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.export.growth import Steady, message_noise
+from odomcorrupt.export.step_variance import Steady, message_noise
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import Noise
+    from odomcorrupt.model.motion_model import Noise
 
 __all__ = ["AmclAlphas", "Turn", "amcl_alphas"]
 

@@ -6,16 +6,16 @@ import textwrap
 from typing import TYPE_CHECKING
 
 from odomcorrupt.export.wheels import WHEEL_EFFECTS
-from odomcorrupt.sampling.account import law_words
+from odomcorrupt.sampling.text import law_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from odomcorrupt.export.amcl import AmclAlphas
-    from odomcorrupt.export.growth import Steady
+    from odomcorrupt.export.step_variance import Steady
     from odomcorrupt.export.twists import TwistVariances
     from odomcorrupt.export.wheels import WheelMultipliers
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["amcl_text", "twists_text", "wheels_text"]
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from odomcorrupt.corrupt.covariance import FLOOR
-from odomcorrupt.export.growth import Steady, message_noise
+from odomcorrupt.export.step_variance import Steady, message_noise
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import Noise
+    from odomcorrupt.model.motion_model import Noise
 
 __all__ = ["TwistVariances", "twist_variances"]
 

@@ -11,7 +11,7 @@ from odomcorrupt.effects.wheelbase import Wheelbase
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["WHEEL_EFFECTS", "WheelMultipliers", "wheel_multipliers"]
 

@@ -17,9 +17,9 @@ from odomcorrupt.sampling.samples import move_sampled
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.laws import Variances
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import Check, FreeSpace
-    from odomcorrupt.pose import Array
+    from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.move import Move
 
 __all__ = ["MAX_TRIES", "FreeSamples", "move_sampled_in_map"]

@@ -10,13 +10,13 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corrupt.targets import TRANSFORMS, plain
 from odomcorrupt.errors import TopicError
-from odomcorrupt.pose import rotate
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["FrameTree", "Mount", "mount_at"]
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from odomcorrupt.errors import MapError
+from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN
 from odomcorrupt.mapping.raycast import traverse
-from odomcorrupt.pose import rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.grid import Grid
-    from odomcorrupt.pose import Array
 
 __all__ = ["CHECKS", "Check", "FreeSpace", "Unknown", "free_space"]
 

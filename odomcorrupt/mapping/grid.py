@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.pose import rotate
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["FREE", "OCCUPIED", "UNKNOWN", "Grid"]
 

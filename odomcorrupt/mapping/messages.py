@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import BagError
-from odomcorrupt.pose import yaw_from_quaternion
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["GRID", "SCAN", "GridMessage", "ScanMessage", "read_grid", "read_scan"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corrupt.driver import Driver
+from odomcorrupt.corrupt.odometry_source import Driver
 from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.frames import FrameTree
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["RecordedMap", "read_map_from_odom", "read_odom_frame", "read_recorded_map"]
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Channel
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.frames import Mount
     from odomcorrupt.mapping.messages import ScanMessage
-    from odomcorrupt.pose import Array
 
 __all__ = ["Rays", "read_rays"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.corrupt.drift import MARKS_M
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Transform
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.corrupt.path import Knots, PathSource
     from odomcorrupt.corrupt.transform import Options
-    from odomcorrupt.model import MotionModel
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["CleanDrive", "Forecast", "Row", "forecast", "read_clean_drive"]
 

@@ -10,7 +10,7 @@ from odomcorrupt.corrupt.inverse import acts
 from odomcorrupt.corrupt.summary import holonomic_words, model_words, per_message
 
 if TYPE_CHECKING:
-    from odomcorrupt.model import MotionModel
+    from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import Forecast
 
 __all__ = ["SCHEMA", "forecast_json", "forecast_text"]

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import Noise, Step
+from odomcorrupt.model.motion_model import Noise, Step
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
-    from odomcorrupt.laws import Law
+    from odomcorrupt.model.noise_laws import Law
 
 __all__ = ["Drift", "convert", "drift_of"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import Noise
+from odomcorrupt.model.motion_model import Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
+from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
 from odomcorrupt.errors import ModelError
-from odomcorrupt.increments import BEARING_MIN_M, increments, rot_trans_rot
+from odomcorrupt.geometry.increments import BEARING_MIN_M, increments, rot_trans_rot
 
 if TYPE_CHECKING:
-    from odomcorrupt.increments import Increments, RotTransRot
-    from odomcorrupt.laws import Variances
-    from odomcorrupt.model import Noise
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.increments import Increments, RotTransRot
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Noise
+    from odomcorrupt.model.noise_laws import Variances
 
 __all__ = ["Move", "move_between", "move_variances"]
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.pose import rotate
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
-    from odomcorrupt.laws import Variances
-    from odomcorrupt.pose import Array
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.move import Move
 
 __all__ = ["Ellipse", "Moments", "ellipse", "linearised_moments", "move_sampled", "sample_moments"]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.simulate.contact import Drive
+from odomcorrupt.simulate.kinematics import Drive
 from odomcorrupt.simulate.planar import add_up_steps, sample
 from odomcorrupt.simulate.robot import Robot
 from odomcorrupt.simulate.streams import Streams

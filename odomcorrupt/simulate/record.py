@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulate.cause import Parameters
 from odomcorrupt.simulate.encoders import Odometry
+from odomcorrupt.simulate.fault import Parameters
 from odomcorrupt.simulate.planar import wrap
 from odomcorrupt.simulate.tracker import Track
 

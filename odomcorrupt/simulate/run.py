@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from odomcorrupt.simulate.commands import Commands, obey
-from odomcorrupt.simulate.contact import drive
 from odomcorrupt.simulate.encoders import Rig, reckon
-from odomcorrupt.simulate.flaws import draw_flaw, is_placed, names_of, source_of_turns, spoil
+from odomcorrupt.simulate.fault_draws import draw_flaw, is_placed, names_of, source_of_turns, spoil
+from odomcorrupt.simulate.kinematics import drive
 from odomcorrupt.simulate.motor import wheel_angles
 from odomcorrupt.simulate.planar import add_up_steps
 from odomcorrupt.simulate.record import SimulatedRun, record

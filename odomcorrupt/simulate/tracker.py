@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.simulate.contact import Drive
 from odomcorrupt.simulate.encoders import jittered_times
+from odomcorrupt.simulate.kinematics import Drive
 from odomcorrupt.simulate.planar import attach, sample
 from odomcorrupt.simulate.robot import Robot
 from odomcorrupt.simulate.streams import Streams, wander

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.bags.block import TABLE, Block
-from odomcorrupt.bags.checksum import Resummed, crc_of_both
+from odomcorrupt.bags.checksum import IncrementalCrc, crc_of_both
 from odomcorrupt.bags.messages import Layout
 from odomcorrupt.bags.output import Output, Shared
 
@@ -64,7 +64,7 @@ def test_chunks_whose_messages_change_sum_up_to_what_is_in_them(ends):
     read = tuple(map(zlib.crc32, chunks_of(data, ends or (data.size,))))
     block = Block(data, np.empty(0, dtype=TABLE), ends=ends, read_crcs=read)
     odometry, edges = layout_of([0, 2280, 3001, 69_280, 100_000, 199_280], 720), layout_of([5000, 199_100], 80)
-    sums = Resummed(block, [odometry, edges, edges])
+    sums = IncrementalCrc(block, [odometry, edges, edges])
     for layout in (odometry, edges):
         for start in layout.starts[1:]:
             data[start + 60 : start + layout.size] = rng.integers(0, 256, layout.size - 60)
@@ -77,7 +77,7 @@ def test_chunks_that_were_not_summed_or_change_all_over_are_left_to_be_summed():
     data = np.zeros(10_000, dtype=np.uint8)
     for read, layout in (((), layout_of([100], 50)), ((zlib.crc32(data),), layout_of(range(0, 9000, 100), 90))):
         block = Block(data, np.empty(0, dtype=TABLE), read_crcs=read)
-        sums = Resummed(block, [layout])
+        sums = IncrementalCrc(block, [layout])
         data[100] += 1
         sums.finish()
         assert block.crcs == ()

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import zstandard
 
+from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.bags.codecs import compress, compress_for_ros1, decompress
-from odomcorrupt.bags.shelf import Shelf
 from odomcorrupt.errors import BagError
 
 DATA = np.random.default_rng(0).integers(0, 3, 300_000).astype(np.uint8)
@@ -37,7 +37,7 @@ FRAMES = {
 @pytest.mark.parametrize("size", [0, 1, 300_000])
 def test_what_is_compressed_comes_back_writable(codec, pack, size):
     for level in (None, 3) if codec != "none" else (None,):
-        out = decompress(codec, memoryview(pack(codec, DATA[:size], level)), size, "chunk", Shelf())
+        out = decompress(codec, memoryview(pack(codec, DATA[:size], level)), size, "chunk", BufferPool())
         np.testing.assert_array_equal(out, DATA[:size])
         assert out.flags.writeable
 
@@ -51,7 +51,7 @@ def test_what_is_not_compressed_has_no_level():
 @pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
 def test_frames_of_other_writers_are_read(codec, pack):
     np.testing.assert_array_equal(
-        decompress(codec, memoryview(pack(DATA.tobytes())), DATA.size, "chunk", Shelf()), DATA
+        decompress(codec, memoryview(pack(DATA.tobytes())), DATA.size, "chunk", BufferPool()), DATA
     )
 
 
@@ -59,7 +59,7 @@ def test_frames_of_other_writers_are_read(codec, pack):
 @pytest.mark.parametrize("claim", [0, 999, DATA.size - 1, DATA.size + 1, 2**40, 2**62])
 def test_a_wrong_size_is_an_error(codec, pack, claim):
     with pytest.raises(BagError, match=f"chunk.*{claim}"):
-        decompress(codec, memoryview(pack(DATA.tobytes())), claim, "chunk", Shelf())
+        decompress(codec, memoryview(pack(DATA.tobytes())), claim, "chunk", BufferPool())
 
 
 @pytest.mark.parametrize(("codec", "pack"), FRAMES.values(), ids=FRAMES)
@@ -67,12 +67,12 @@ def test_a_frame_cut_or_damaged_is_an_error_or_the_same_size(codec, pack):
     whole = pack(DATA.tobytes())
     for cut in (0, 1, 5, len(whole) // 2, len(whole) - 1):
         with pytest.raises(BagError, match="chunk"):
-            decompress(codec, memoryview(whole[:cut]), DATA.size, "chunk", Shelf())
+            decompress(codec, memoryview(whole[:cut]), DATA.size, "chunk", BufferPool())
     for place in np.random.default_rng(1).integers(0, len(whole), 100):
         damaged = bytearray(whole)
         damaged[place] ^= 0x55
         with suppress(BagError):
-            assert decompress(codec, memoryview(damaged), DATA.size, "chunk", Shelf()).size == DATA.size
+            assert decompress(codec, memoryview(damaged), DATA.size, "chunk", BufferPool()).size == DATA.size
 
 
 def test_ros1_frames_are_those_the_codec_would_make():
@@ -90,7 +90,7 @@ def test_an_lz4_frame_with_a_checksum_tells_of_every_damage(place, sized):
     frame = bytearray(lz4.frame.compress(DATA.tobytes(), content_checksum=True, store_size=sized))
     frame[place] ^= 0x10
     with pytest.raises(BagError, match="chunk"):
-        decompress("lz4", memoryview(frame), DATA.size, "chunk", Shelf())
+        decompress("lz4", memoryview(frame), DATA.size, "chunk", BufferPool())
 
 
 @pytest.mark.parametrize(("codec", "level"), [("zstd", 0), ("zstd", 23), ("lz4", 17), ("bz2", 0), ("bz2", 10)])

@@ -4,8 +4,8 @@ import pytest
 from oracles import OFFICE_BAG, OFFICE_MCAP
 
 from odomcorrupt.bags.definition import Definition, md5sum_of, ros_type, with_common_text
+from odomcorrupt.bags.derive_definition import retyped
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.retype import retyped
 from odomcorrupt.errors import BagError
 
 MD5SUMS = {  # as rosmsg prints them

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from odomcorrupt.bags.shelf import SHELF_BYTES, Shelf
+from odomcorrupt.bags.buffer_pool import SHELF_BYTES, BufferPool
 
 
 def test_what_is_given_lies_side_by_side_and_is_not_shared():
-    shelf = Shelf()
+    shelf = BufferPool()
     one, other = shelf.place(1000), shelf.place(500)
     one[:], other[:] = 1, 2
     assert one.base is other.base
@@ -17,7 +17,7 @@ def test_what_is_given_lies_side_by_side_and_is_not_shared():
 
 
 def test_a_buffer_is_used_again_when_nobody_looks_at_it():
-    shelf = Shelf()
+    shelf = BufferPool()
     one = shelf.place(SHELF_BYTES)
     where = one.__array_interface__["data"][0]
     view = one[10:20]
@@ -29,7 +29,7 @@ def test_a_buffer_is_used_again_when_nobody_looks_at_it():
 
 
 def test_what_is_larger_than_a_shelf_stands_alone():
-    shelf = Shelf()
+    shelf = BufferPool()
     small = shelf.place(10)
     large = shelf.place(SHELF_BYTES + 1)
     large[:] = 3

@@ -13,9 +13,9 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batch.tum import read_tum
 from odomcorrupt.cli import run
 from odomcorrupt.corrupt.transform import Options
-from odomcorrupt.model import MotionModel
-from odomcorrupt.pose import wrap
-from odomcorrupt.presets import preset_named
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
 from odomcorrupt.preview.forecast import read_clean_drive
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -71,7 +71,7 @@ def test_every_run_has_the_bytes_of_the_command_in_the_manifest(name, here):
 
 def test_small_portions_and_groups_give_the_same_bytes(here, monkeypatch):
     assert run(["batch", "office.mcap", "one", "--runs", "4", *MODEL, "--seed", "7"]) == 0
-    monkeypatch.setattr("odomcorrupt.batch.portion.PORTION_MESSAGES", 7)
+    monkeypatch.setattr("odomcorrupt.batch.patch_batch.PORTION_MESSAGES", 7)
     monkeypatch.setattr("odomcorrupt.batch.engine.GROUP", 3)
     assert run(["batch", "office.mcap", "two", "--runs", "4", *MODEL, "--seed", "7"]) == 0
     for k in range(4):

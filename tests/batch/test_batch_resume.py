@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.batch import make as making
-from odomcorrupt.batch.book import BatchError
 from odomcorrupt.batch.estimate import Need, require_space
+from odomcorrupt.batch.manifest import BatchError
 from odomcorrupt.cli import run
-from odomcorrupt.commands._rate import left_words
+from odomcorrupt.commands._eta import left_words
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]

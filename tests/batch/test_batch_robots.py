@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odomcorrupt.batch.robots import draw_robot, spreads_of
+from odomcorrupt.batch.parameter_draws import draw_robot, spreads_of
 from odomcorrupt.batch.sweep import variants
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError
-from odomcorrupt.modelfile import parse_model
+from odomcorrupt.model.model_file import parse_model
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 MODEL = """schema = 1

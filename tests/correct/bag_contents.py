@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.pose import yaw_from_quaternion
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 
 @dataclass

@@ -9,7 +9,7 @@ import pytest
 from bag_contents import rows_of
 
 from odomcorrupt.cli import run
-from odomcorrupt.pose import wrap
+from odomcorrupt.geometry.se2 import wrap
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 EDGE = ("odom", "base_link")

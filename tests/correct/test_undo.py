@@ -16,10 +16,10 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import BagError
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.pose import compose, inverse
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
 SYSTEMATIC = [name for name, kind in registry().items() if kind.kind != "noise" and not kind.clock]

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Step
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.noise_laws import Coefficients
 
 LAW_COEFFICIENTS = {
     "diffusion": Coefficients(0.05, 0.03, 0.05, 0.02),

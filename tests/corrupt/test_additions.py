@@ -12,7 +12,7 @@ from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corrupt.additions import pack_transform
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.errors import TopicError
-from odomcorrupt.pose import compose, inverse, wrap, yaw_from_quaternion
+from odomcorrupt.geometry.se2 import compose, inverse, wrap, yaw_from_quaternion
 
 DRIVE = office(20.0, 10.0)
 CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}

@@ -15,8 +15,8 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.increments import Increments, accumulate, increments
-from odomcorrupt.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
 
 STRONG = (
     effect_from_values("wheel_scale", {"e": 0.05}),

@@ -11,8 +11,8 @@ from drives import LAW_COEFFICIENTS, model, office, silent, stamps, textbook_run
 from odomcorrupt.corrupt.covariance import pose_covariance
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.laws import LAWS, Coefficients
-from odomcorrupt.pose import compose
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
 
 EFFECTS = (
     effect_from_values("unequal_wheels", {"curvature": 0.02}),

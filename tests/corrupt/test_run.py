@@ -15,9 +15,9 @@ from odomcorrupt.corrupt.run import Container, corrupt_bag
 from odomcorrupt.corrupt.summary import holonomic_words, summary
 from odomcorrupt.corrupt.transform import Options
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.pose import wrap, yaw_from_quaternion
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import wrap, yaw_from_quaternion
+from odomcorrupt.model.noise_laws import Coefficients
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 BAGS = ["office.bag", "office.mcap", "office_ros2"]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from drives import LAW_COEFFICIENTS, textbook_sigmas
 
-from odomcorrupt.corrupt.steps import StepGrowth, noise_variances
-from odomcorrupt.increments import Increments
-from odomcorrupt.model import Noise, Step
+from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.motion_model import Noise, Step
 
 
 def crawl(law, k, step, moves):

@@ -9,10 +9,10 @@ from drives import model, office, silent
 
 from odomcorrupt.corrupt.covariance import SUMS, pose_covariance
 from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corrupt.random_covariance import wanders
 from odomcorrupt.corrupt.transform import Options, Transform
-from odomcorrupt.corrupt.wander import wanders
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.model.noise_laws import Coefficients
 
 WEAK = Coefficients(0.02, 0.01, 0.02, 0.01)
 TRACK_M = 0.5

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.drive.cloud import cloud_along
-from odomcorrupt.drive.read import Drive, read_drive
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.trajectories.particles import cloud_along
+from odomcorrupt.trajectories.reader import Drive, read_drive
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 MODEL = MotionModel(Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01)))

@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from odomcorrupt.drive.integrate import RULES, integrate, noisy_twists
 from odomcorrupt.errors import ModelError
+from odomcorrupt.trajectories.integrate import RULES, integrate, noisy_twists
 
 
 def textbook(start, twist, t, rule):

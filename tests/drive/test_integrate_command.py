@@ -7,8 +7,8 @@ import pytest
 from odomcorrupt.bags.messages import gather, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.drive.integrate import integrate
-from odomcorrupt.drive.read import read_drive, read_poses
+from odomcorrupt.trajectories.integrate import integrate
+from odomcorrupt.trajectories.reader import read_drive, read_poses
 
 GAZEBO = Path(__file__).parents[3] / "shared" / "data" / "real" / "rob521_gazebo.mcap"
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"

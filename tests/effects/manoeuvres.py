@@ -6,8 +6,8 @@ import numpy as np
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import Motion
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.motion import accelerations, error_of
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import accelerations, error_of
 
 RATE_HZ = 50.0
 

@@ -9,12 +9,12 @@ from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.motion import TRAIL_S, accelerations, corrected_increments, motion_of
-from odomcorrupt.study.fitting.problem import undo
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import TRAIL_S, accelerations, corrected_increments, motion_of
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.io.recording import Recording, Trajectory
 
 SILENT = Noise("diffusion", Coefficients(0, 0, 0, 0))
 

@@ -10,7 +10,7 @@ import pytest
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.info.survey import survey
+from odomcorrupt.info.scan import survey
 
 OFFICE = str(Path(__file__).parent.parent.parent / "fixtures" / "office.mcap")
 

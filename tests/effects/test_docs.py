@@ -8,7 +8,7 @@ from pathlib import Path
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.expression import FUNCTIONS, VARIABLES
-from odomcorrupt.modelfile import parse_model
+from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.testing import check_effect
 
 PAGE = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")

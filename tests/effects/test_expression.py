@@ -13,8 +13,8 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.effects.expression import parse_expression
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError, ModelError
-from odomcorrupt.modelfile import format_model, parse_model
-from odomcorrupt.motion import error_of
+from odomcorrupt.geometry.motion import error_of
+from odomcorrupt.model.model_file import format_model, parse_model
 
 HEAD = (
     'schema = 1\n[noise]\nlaw = "diffusion"\nrot_rot = 0\nrot_trans = 0\ntrans_trans = 0\ntrans_rot = 0\n[[effect]]\n'

@@ -9,8 +9,8 @@ from manoeuvres import CIRCLE, SPIN, STOP, STRAIGHT, motion
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import EffectError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.rng import stream
 
 

@@ -10,7 +10,7 @@ from manoeuvres import CIRCLE, RATE_HZ, REVERSE, SPIN, STOP, STRAIGHT, error, mo
 
 from odomcorrupt.effects.slope import Slope
 from odomcorrupt.errors import EffectError
-from odomcorrupt.motion import error_of
+from odomcorrupt.geometry.motion import error_of
 
 CASES = [
     # effect, values, manoeuvre, seconds, track, what the truth has more than the odometry: m along, m left, rad

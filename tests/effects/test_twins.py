@@ -10,7 +10,7 @@ from manoeuvres import motion
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
-from odomcorrupt.motion import error_of
+from odomcorrupt.geometry.motion import error_of
 
 KINDS = registry()
 

@@ -12,12 +12,12 @@ from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
 from odomcorrupt.export.amcl import amcl_alphas
-from odomcorrupt.export.growth import Steady, message_noise
+from odomcorrupt.export.step_variance import Steady, message_noise
 from odomcorrupt.export.twists import twist_variances
 from odomcorrupt.export.wheels import wheel_multipliers
-from odomcorrupt.increments import Increments, accumulate, increments
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Step
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.noise_laws import Coefficients
 
 TRACK = 0.4
 DRIVE = Steady(0.5, 0.5, 50.0)

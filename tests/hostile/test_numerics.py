@@ -17,8 +17,8 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Transform
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 NOISE = Noise("diffusion", Coefficients(0.05, 0.02, 0.05, 0.01))
 MODEL = MotionModel(NOISE)

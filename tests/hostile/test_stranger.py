@@ -9,7 +9,7 @@ from texts import MODEL, PGM, YAML
 
 from odomcorrupt.errors import MapError, OdomCorruptError
 from odomcorrupt.mapping.mapfile import read_map
-from odomcorrupt.modelfile import read_model
+from odomcorrupt.model.model_file import read_model
 
 WATCHED = (
     "open",

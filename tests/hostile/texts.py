@@ -14,8 +14,8 @@ from trials import FoundError, command, judged
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.mapping.mapfile import read_map
-from odomcorrupt.modelfile import format_model, parse_model, read_model
-from odomcorrupt.study.sources.text import is_text, read_text
+from odomcorrupt.model.model_file import format_model, parse_model, read_model
+from odomcorrupt.study.io.text import is_text, read_text
 
 MODEL = b"""# a robot
 schema = 1

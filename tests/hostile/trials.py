@@ -28,8 +28,8 @@ from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 SECONDS = 20
 """No small input takes longer, on a busy machine."""

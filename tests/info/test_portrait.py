@@ -12,10 +12,10 @@ from drives import office
 from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
-from odomcorrupt.info.covariance_watch import CovarianceWatch
-from odomcorrupt.info.portrait import portrait, portrait_text
-from odomcorrupt.info.survey import survey
-from odomcorrupt.pose import compose, inverse
+from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.scan import survey
+from odomcorrupt.info.summary import portrait, portrait_text
 
 DRIVE = office(20.0, 20.0)
 STATIC = Channel(6, "/tf_static", TF.msgtype, "cdr")

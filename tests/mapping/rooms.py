@@ -3,8 +3,8 @@
 import numpy as np
 
 from odomcorrupt.mapping.grid import OCCUPIED, Grid
-from odomcorrupt.model import MotionModel
-from odomcorrupt.presets import preset_named
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
 
 RESOLUTION = 0.1
 

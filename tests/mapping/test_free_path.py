@@ -7,11 +7,11 @@ from rooms import MODEL, drive, room
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import MapError, ModelError
-from odomcorrupt.mapping.conditioned_path import FreeRuns
-from odomcorrupt.mapping.free_path import FreePath
+from odomcorrupt.mapping.conditioned_runs import FreeRuns
+from odomcorrupt.mapping.constrained_path import FreePath
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.model import MotionModel, Noise, Step
-from odomcorrupt.presets import preset_named
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.presets import preset_named
 
 CORRIDOR = ((1.5, 0.3, 4.5, 0.5), (1.5, -0.5, 4.5, -0.3))
 BOOK = MotionModel(Noise("linear", preset_named("article").noise.coefficients, Step(0.25, 0.2)))

@@ -4,11 +4,11 @@ from rooms import MODEL, RESOLUTION, drive, room
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import MapError
-from odomcorrupt.laws import Variances
 from odomcorrupt.mapping.conditioned import move_sampled_in_map
-from odomcorrupt.mapping.conditioned_path import FreeRuns, free_paths
+from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
+from odomcorrupt.model.noise_laws import Variances
 from odomcorrupt.sampling.move import move_between
 from odomcorrupt.sampling.samples import move_sampled
 

@@ -6,16 +6,16 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.drive.read import read_drive, read_poses
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.grid import OCCUPIED
 from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.scan_map import place, slow_rays
 from odomcorrupt.mapping.scans import read_rays
-from odomcorrupt.mapping.survey import place, slow_rays
-from odomcorrupt.mapping.thickness import wall_thickness
-from odomcorrupt.model import MotionModel
-from odomcorrupt.presets import preset_named
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.mapping.wall_thickness import wall_thickness
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.trajectories.reader import read_drive, read_poses
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 GAZEBO = SHARED / "real" / "rob521_gazebo.mcap"

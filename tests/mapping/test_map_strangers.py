@@ -8,15 +8,15 @@ from mcap.writer import Writer
 from packed import ROS2, grid, scan
 
 from odomcorrupt.corrupt.transform import Options
-from odomcorrupt.drive.read import Drive
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN
 from odomcorrupt.mapping.mapfile import read_map
 from odomcorrupt.mapping.messages import read_grid, read_scan
 from odomcorrupt.mapping.recorded import read_map_from_odom, read_odom_frame, read_recorded_map
+from odomcorrupt.mapping.scan_map import slow_rays
 from odomcorrupt.mapping.scans import read_rays
-from odomcorrupt.mapping.survey import slow_rays
+from odomcorrupt.trajectories.reader import Drive
 
 SCAN, GRID = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid"
 MOUNT = mount_at(np.zeros(3))

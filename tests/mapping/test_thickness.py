@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.mapping.thickness import MIN_NEIGHBOURS, WINDOW_M, added_thickness, wall_thickness
+from odomcorrupt.mapping.wall_thickness import MIN_NEIGHBOURS, WINDOW_M, added_thickness, wall_thickness
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])

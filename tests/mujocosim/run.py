@@ -8,8 +8,8 @@ import numpy as np
 from mujocosim.body import RADIUS_M, TRACK_M, Body, Standing, build
 from mujocosim.causes import CAUSES
 from odomcorrupt.simulate import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
-from odomcorrupt.simulate.contact import Drive
 from odomcorrupt.simulate.encoders import reckon
+from odomcorrupt.simulate.kinematics import Drive
 from odomcorrupt.simulate.record import record
 from odomcorrupt.simulate.robot import Robot
 from odomcorrupt.simulate.route import follow

@@ -16,8 +16,8 @@ from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.corrupt.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
-from odomcorrupt.model import MotionModel
-from odomcorrupt.presets import preset_named
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
 from odomcorrupt.preview.forecast import CleanDrive, forecast, read_clean_drive
 from odomcorrupt.preview.text import forecast_json, forecast_text
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.modelfile import format_model
+from odomcorrupt.model.model_file import format_model
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import simulate, write_mcap
-from odomcorrupt.study.judge.compare import compare
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.validate.compare import compare
 
 BASE = MotionModel(
     Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)),

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 
-from odomcorrupt.report.finite import finite
+from odomcorrupt.report.json.numbers import finite
 
 
 def test_what_is_not_finite_becomes_null_at_any_depth_and_numpy_becomes_plain():

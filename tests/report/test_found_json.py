@@ -14,7 +14,7 @@ from matplotlib.image import imread
 from test_report import Balanced, browse
 
 from odomcorrupt.cli import run
-from odomcorrupt.study.search.confidence import Evidence, confidence
+from odomcorrupt.study.select.confidence import Evidence, confidence
 
 PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8")
 

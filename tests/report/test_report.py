@@ -17,14 +17,14 @@ import pytest
 from matplotlib.image import imread
 
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.report.comparison_json import comparison_json
-from odomcorrupt.report.figure import rendered
-from odomcorrupt.report.html import report_html
-from odomcorrupt.report.path_picture import draw_paths
-from odomcorrupt.report.pictures import PICTURES
-from odomcorrupt.report.sentences import MOST, judgement_sentence, sentence
-from odomcorrupt.study.judge.compare import compare
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.report.html.comparison import report_html
+from odomcorrupt.report.json.comparison import comparison_json
+from odomcorrupt.report.plots.comparison import PICTURES
+from odomcorrupt.report.plots.figure import rendered
+from odomcorrupt.report.plots.path import draw_paths
+from odomcorrupt.report.text.lack_of_fit import MOST, judgement_sentence, sentence
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.validate.compare import compare
 
 CHROMIUM = Path("/usr/bin/chromium")
 VOID = {"meta", "img", "link", "br", "hr"}

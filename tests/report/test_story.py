@@ -15,29 +15,29 @@ from test_report import Balanced
 from odomcorrupt.cli import run
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.report.advice import advice_text, limits_sentence
-from odomcorrupt.report.candidates_picture import draw_candidates
-from odomcorrupt.report.comparison import comparison_text
-from odomcorrupt.report.figure import rendered
-from odomcorrupt.report.fitted import fit_text, laws_table
-from odomcorrupt.report.found import NOTHING, found_text, shares_text
-from odomcorrupt.report.found_html import Story, found_html
-from odomcorrupt.report.json import learned_json
-from odomcorrupt.report.plan_picture import draw_plan
-from odomcorrupt.report.sentences import rejection
-from odomcorrupt.report.sure import law_numbers, told_expression
-from odomcorrupt.report.tables import clock_lines, value_text
-from odomcorrupt.report.unknown_picture import draw_unknown
-from odomcorrupt.study.advice.advise import Advice, Choice, Limit, Untestable
-from odomcorrupt.study.advice.manoeuvres import MANOEUVRES, Limits
-from odomcorrupt.study.advice.plan import plan_of
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.judge.ladder import ladder_comparison
-from odomcorrupt.study.recordings.clock import Clock
-from odomcorrupt.study.search.actions import Action
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.random_gain import RandomGain
-from odomcorrupt.study.search.unknown import Unknown
+from odomcorrupt.report.html.diagnosis import Story, found_html
+from odomcorrupt.report.json.diagnosis import learned_json
+from odomcorrupt.report.plots.candidates import draw_candidates
+from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.figure import rendered
+from odomcorrupt.report.plots.plan import draw_plan
+from odomcorrupt.report.text.comparison import comparison_text
+from odomcorrupt.report.text.confidence import law_numbers, told_expression
+from odomcorrupt.report.text.design import advice_text, limits_sentence
+from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
+from odomcorrupt.report.text.fit import fit_text, laws_table
+from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.report.text.tables import clock_lines, value_text
+from odomcorrupt.study.design.advise import Advice, Choice, Limit, Untestable
+from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
+from odomcorrupt.study.design.plan import plan_of
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.channels import Action
+from odomcorrupt.study.select.dependence import Unknown
+from odomcorrupt.study.select.random_effects import RandomGain
+from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -303,12 +303,12 @@ def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
 @pytest.fixture
 def found(monkeypatch, rich):
     """Let the commands find everything at once, without a search."""
-    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: rich)
-    monkeypatch.setattr("odomcorrupt.study.advice.advise.advise", lambda _learned: ADVICE)
+    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: rich)
+    monkeypatch.setattr("odomcorrupt.study.design.advise.advise", lambda _learned: ADVICE)
 
 
 def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: replace(rich, laws=()))
+    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: replace(rich, laws=()))
     words = ["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--drive", str(tmp_path / "next.mcap")]
     assert run(words) == 0
     out, err = capsys.readouterr()
@@ -346,10 +346,12 @@ def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, caps
 
 def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, fitted, tmp_path, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("odomcorrupt.study.fitting.robot.fit_robot", lambda *_args, **_named: fitted)
-    monkeypatch.setattr("odomcorrupt.study.judge.compare.compare", lambda _runs, models: asked.append(models) or ladder)
-    monkeypatch.setattr("odomcorrupt.study.judge.ladder.compare", lambda _runs, _models: ladder)
-    monkeypatch.setattr("odomcorrupt.report.found_html.found_html", lambda story, version: f"{version} {story[3]}")
+    monkeypatch.setattr("odomcorrupt.study.estimate.calibrate.fit_robot", lambda *_args, **_named: fitted)
+    monkeypatch.setattr(
+        "odomcorrupt.study.validate.compare.compare", lambda _runs, models: asked.append(models) or ladder
+    )
+    monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: ladder)
+    monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
@@ -366,8 +368,8 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, 
 
 
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):
-    monkeypatch.setattr("odomcorrupt.study.search.learn.learn", lambda *_args, **_named: searched)
-    monkeypatch.setattr("odomcorrupt.study.advice.advise.advise", lambda _learned: NONE)
+    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: searched)
+    monkeypatch.setattr("odomcorrupt.study.design.advise.advise", lambda _learned: NONE)
     drive = tmp_path / "next.mcap"
     assert run(["diagnose", str(case.bag), "--json", "--drive", str(drive)]) == 0
     assert f"{drive} is not written: nothing is open that a drive would settle" in capsys.readouterr().err

@@ -7,8 +7,8 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import ModelError
-from odomcorrupt.laws import Coefficients, law_named
-from odomcorrupt.model import MotionModel, Noise, Step
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.noise_laws import Coefficients, law_named
 from odomcorrupt.sampling.convert import convert, drift_of
 
 STEP = Step(0.25, 0.2)

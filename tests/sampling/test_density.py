@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.laws import Coefficients, Variances
-from odomcorrupt.model import Noise
+from odomcorrupt.model.motion_model import Noise
+from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.density import density_on_grid, pose_density, product, table_5_5
 from odomcorrupt.sampling.examples import EXAMPLES
 from odomcorrupt.sampling.move import move_between, move_variances

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.laws import LAWS, Coefficients, law_named
-from odomcorrupt.model import Noise, Step
+from odomcorrupt.model.motion_model import Noise, Step
+from odomcorrupt.model.noise_laws import LAWS, Coefficients, law_named
 from odomcorrupt.sampling.convert import convert, drift_of
 
 PAGE = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()

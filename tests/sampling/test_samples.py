@@ -5,8 +5,8 @@ import pytest
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.errors import ModelError
-from odomcorrupt.laws import LAWS, Coefficients
-from odomcorrupt.model import MotionModel, Noise, Step
+from odomcorrupt.model.motion_model import MotionModel, Noise, Step
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.rng import stream
 from odomcorrupt.sampling.examples import EXAMPLES
 from odomcorrupt.sampling.move import move_between, move_variances

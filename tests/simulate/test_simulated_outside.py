@@ -6,7 +6,7 @@ from simulated_manoeuvres import CIRCLE_LEFT, REST, SPIN_LEFT, STRAIGHT, both, s
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.simulate import OUTSIDE, Segment, simulate, simulate_without
-from odomcorrupt.simulate.flaws import draw_causes
+from odomcorrupt.simulate.fault_draws import draw_causes
 from odomcorrupt.simulate.robot import build_robot
 from odomcorrupt.simulate.streams import stream
 

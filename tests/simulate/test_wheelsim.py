@@ -21,7 +21,7 @@ from simulated_manoeuvres import (
 )
 
 from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
-from odomcorrupt.simulate.flaws import draw_parameters
+from odomcorrupt.simulate.fault_draws import draw_parameters
 from odomcorrupt.simulate.messages import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}

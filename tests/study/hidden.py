@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.fitting.problem import undo
-from odomcorrupt.study.likelihood.nodes import join
-from odomcorrupt.study.likelihood.windows import rmse, time_windows
-from odomcorrupt.study.recordings.clock import Clock, aligned
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.study.estimate.intervals import join
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.windows import rmse, time_windows
+from odomcorrupt.study.io.clock import Clock, aligned
+from odomcorrupt.study.io.recording import Recording, Trajectory
 
 if TYPE_CHECKING:
     from odomcorrupt.simulate import SimulatedRun

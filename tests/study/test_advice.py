@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from hidden import as_recording
 
-from odomcorrupt.bags.twists import write_twists
+from odomcorrupt.bags.write_twist import write_twists
 from odomcorrupt.effects import registry
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.motion import motion_of
-from odomcorrupt.report.advice import advice_text
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import motion_of
+from odomcorrupt.report.text.design import advice_text
 from odomcorrupt.simulate import Commands, read_commands, simulate
-from odomcorrupt.study.advice.advise import advise
-from odomcorrupt.study.advice.information import planned_field, recorded_field, separation
-from odomcorrupt.study.advice.lacks import excitation, lacks_of
-from odomcorrupt.study.advice.manoeuvres import MANOEUVRES, Limits
-from odomcorrupt.study.advice.plan import STEP_S, plan_of
-from odomcorrupt.study.fitting.approach import Approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.design.excitation import excitation, lacks_of
+from odomcorrupt.study.design.information import planned_field, recorded_field, separation
+from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
+from odomcorrupt.study.design.plan import STEP_S, plan_of
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.select.stepwise import learn
 
 
 def steady(v: float, omega: float, seconds: float = 240.0) -> Commands:

@@ -10,12 +10,12 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.simulate import Commands, simulate
-from odomcorrupt.study.advice.advise import advise
-from odomcorrupt.study.advice.choices import open_choices
-from odomcorrupt.study.advice.drives import Drives, most_useful
-from odomcorrupt.study.advice.plan import STEP_S
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.design.ambiguities import open_choices
+from odomcorrupt.study.design.drives import Drives, most_useful
+from odomcorrupt.study.design.plan import STEP_S
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 
 class Told:

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.study.advice.choices import open_choices
-from odomcorrupt.study.advice.untestable import untried
+from odomcorrupt.study.design.ambiguities import open_choices
+from odomcorrupt.study.design.identifiability import untried
 
 
 def learned(*effects, track_m=None):
@@ -25,7 +25,7 @@ def twin_hint(name, values, monkeypatch):
         alternatives=(),
         candidates=(SimpleNamespace(score=SimpleNamespace(effect=effect), fit=None, refused=""),),
     )
-    monkeypatch.setattr("odomcorrupt.study.advice.choices._lookalikes", lambda *_: [])
+    monkeypatch.setattr("odomcorrupt.study.design.ambiguities._lookalikes", lambda *_: [])
     choices, _ = open_choices(SimpleNamespace(learned=learned(effect)), look)
     return next(choice.hint for choice in choices if name in choice.names)
 

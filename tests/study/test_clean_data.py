@@ -8,13 +8,13 @@ from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.search.candidates import library
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.score import score_tests
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.select.candidates import library
+from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.stepwise import learn
 
 SEEDS = range(12)
 

@@ -10,22 +10,22 @@ from scipy.stats import norm
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.study.fitting.approach import Approach
-from odomcorrupt.study.judge.calibration import horizon_of
-from odomcorrupt.study.judge.doubt import Doubt
-from odomcorrupt.study.judge.failures import drift_failures, failures, sudden_failures
-from odomcorrupt.study.judge.judged import horizons_of, judge_stretch
-from odomcorrupt.study.judge.nats import nats_of
-from odomcorrupt.study.judge.pit import pit_of
-from odomcorrupt.study.judge.verdict import Look, Verdict, pits_of, verdict_of, whiteness_of
-from odomcorrupt.study.judge.whiteness import ljung_box
-from odomcorrupt.study.likelihood.windows import WindowErrors
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.windows import WindowErrors
+from odomcorrupt.study.validate.calibration import horizon_of
+from odomcorrupt.study.validate.evaluation import horizons_of, judge_stretch
+from odomcorrupt.study.validate.goodness_of_fit import Look, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.validate.lack_of_fit import drift_failures, failures, sudden_failures
+from odomcorrupt.study.validate.log_score import nats_of
+from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty
+from odomcorrupt.study.validate.pit import pit_of
+from odomcorrupt.study.validate.whiteness import ljung_box
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
-SURE = Doubt(np.zeros(0), np.zeros((0, 0)))
+SURE = ParameterUncertainty(np.zeros(0), np.zeros((0, 0)))
 
 
 def judged(seed: int, seconds: float, model: MotionModel = RIGHT):
@@ -89,9 +89,9 @@ def test_chance_alone_leaves_the_bounds_in_one_of_twenty_and_a_wrong_scale_in_mo
 def test_bounds_widen_by_what_the_model_does_not_know_of_itself():
     errors = gaussian_windows(0, 400)
     sure = horizon_of(1.0, [(errors, SURE)])
-    unsure = horizon_of(1.0, [(errors, Doubt(np.array([0.2]), np.zeros((0, 0))))])
+    unsure = horizon_of(1.0, [(errors, ParameterUncertainty(np.array([0.2]), np.zeros((0, 0))))])
     assert np.ptp(unsure.nees_bounds) > 3.0 * np.ptp(sure.nees_bounds)
-    shifted = horizon_of(1.0, [(errors, Doubt(np.zeros(0), np.array([[0.3]])))])
+    shifted = horizon_of(1.0, [(errors, ParameterUncertainty(np.zeros(0), np.array([[0.3]])))])
     assert shifted.nees_bounds[1] > sure.nees_bounds[1] + 0.5
     assert shifted.nees_bounds[0] > 0.95 * sure.nees_bounds[0]
 

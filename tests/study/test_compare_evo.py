@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.increments import accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.pose import compose
-from odomcorrupt.study.judge.trajectory_error import (
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.validate.trajectory_error import (
     absolute_errors,
     aligned_at_origin,
     aligned_rigidly,

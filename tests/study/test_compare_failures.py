@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.report.sentences import sentence, size
-from odomcorrupt.study.fitting.approach import Approach
-from odomcorrupt.study.judge.calibration import HORIZONS_M
-from odomcorrupt.study.judge.failures import Failure, drift_failures, failures, sudden_failures
-from odomcorrupt.study.judge.judged import horizons_of, judge_stretch
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.text.lack_of_fit import sentence, size
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.validate.calibration import HORIZONS_M
+from odomcorrupt.study.validate.evaluation import horizons_of, judge_stretch
+from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
 
 PLANTED = Coefficients(0.02, 0.01, 0.02, 0.005)
 MODEL = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise, Setup, TruthNoise
-from odomcorrupt.study.fitting.approach import Approach
-from odomcorrupt.study.judge.judged import judge_stretch
-from odomcorrupt.study.judge.replay import replay
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.validate.evaluation import judge_stretch
+from odomcorrupt.study.validate.predictive_check import replay
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

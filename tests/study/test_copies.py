@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from wandering import recording, wander
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.study.select.stepwise import learn
 
 
 def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():

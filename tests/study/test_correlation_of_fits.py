@@ -7,13 +7,13 @@ import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.increments import Increments
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.modelfile import format_model, parse_model
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.correlation import fit_correlation
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 
 PLANTED = Coefficients(0.04, 0.03, 0.04, 0.02)
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.report.found import found_text
-from odomcorrupt.study.advice.advise import advise
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.text.diagnosis import found_text
+from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.select.stepwise import learn
 
 NOISE = Coefficients(0.01, 0.01, 0.01, 0.005)
 

@@ -9,11 +9,11 @@ import pytest
 from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.laws import LAWS, Coefficients
-from odomcorrupt.pose import compose
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.robot import effects_to_fit, fit_every_law, fit_robot
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+from odomcorrupt.study.io.recording import Trajectory
 
 MOUNTED = (0.08, -0.03, 0.02)
 """Where the truth's marker sits on the base: x, y (m), yaw (rad)."""

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from hidden import as_recording
 
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting import gauss_newton
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.likelihood.noise_task import NoiseTask
+from odomcorrupt.study.estimate import gauss_newton
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.noise_likelihood import NoiseTask
 
 if TYPE_CHECKING:
     import pytest

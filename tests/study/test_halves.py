@@ -10,15 +10,15 @@ from hidden import as_recording
 
 from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.pose import between
+from odomcorrupt.geometry.se2 import between
 from odomcorrupt.simulate import Segment, simulate, write_mcap
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.judge.compare import compare
-from odomcorrupt.study.judge.halves import cutting_of
-from odomcorrupt.study.likelihood.nodes import lay_nodes
-from odomcorrupt.study.likelihood.windows import distance_windows
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.windows import distance_windows
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.validate.compare import compare
+from odomcorrupt.study.validate.cross_validation import cutting_of
 
 SECOND_NS = 1_000_000_000
 LEG = (Segment(0.6, 0.0, 3.0), Segment(0.5, 0.6, 2.5), Segment(0.3, -0.5, 4.0), Segment(0.0, 0.8, 2.0))

@@ -10,9 +10,9 @@ from hidden import as_recording
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices
-from odomcorrupt.motion import error_of
+from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.testing import contract_drive
 
 OF_WHEELS = ["accel_slip", "backlash", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]

@@ -7,8 +7,8 @@ import pytest
 from hidden import as_recording, ten_second_error
 
 from odomcorrupt.simulate import simulate, simulate_without
-from odomcorrupt.study.recordings.clock import Clock
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.select.stepwise import learn
 
 SEEDS = range(100, 140)
 CAUSES = (

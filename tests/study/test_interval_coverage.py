@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import binom
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.fitting.intervals import coefficient_intervals
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 SEEDS = range(300, 320)

@@ -9,11 +9,11 @@ import pytest
 from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.increments import Increments, accumulate, increments
-from odomcorrupt.motion import error_of, motion_of
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.motion import error_of, motion_of
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 pytestmark = pytest.mark.slow
 

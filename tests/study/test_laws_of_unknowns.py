@@ -7,14 +7,14 @@ import pytest
 from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.user import user_effect
-from odomcorrupt.motion import error_of
+from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulate import simulate, simulate_without
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.search.actions import every_action, views
-from odomcorrupt.study.search.laws import laws
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.unknown import unknown_dependences
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.select.basis import laws
+from odomcorrupt.study.select.channels import every_action, views
+from odomcorrupt.study.select.dependence import unknown_dependences
+from odomcorrupt.study.select.stepwise import learn
 
 
 def _fitted(seed: int, cause: str | None, **options):

@@ -7,7 +7,7 @@ from hidden import as_recording
 
 from odomcorrupt.effects import registry
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.select.stepwise import learn
 
 SYSTEMATIC = (
     "accel_slip", "backlash", "gyro_bias", "gyro_scale", "icr_shift", "lever_arm", "mount_yaw", "region_slip",

@@ -9,18 +9,18 @@ import pytest
 from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.laws import LAWS, Coefficients
-from odomcorrupt.model import TruthNoise
-from odomcorrupt.study.fitting.approach import Approach, choose_approach
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.fitting.intervals import coefficient_intervals
-from odomcorrupt.study.fitting.problem import pose_problem
-from odomcorrupt.study.likelihood.cut import cut_at
-from odomcorrupt.study.likelihood.law_pieces import LawPieces
-from odomcorrupt.study.likelihood.noise_task import NoiseTask
-from odomcorrupt.study.likelihood.selected_inverse import inverse_band
-from odomcorrupt.study.likelihood.whitener import dense_covariance, whitener
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate.config import Approach, choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.noise_likelihood import NoiseTask
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.resample import cut_at
+from odomcorrupt.study.estimate.selected_inverse import inverse_band
+from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
+from odomcorrupt.study.io.recording import Trajectory
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.pose import compose
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 CURVATURE = -0.02
 

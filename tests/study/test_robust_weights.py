@@ -8,13 +8,13 @@ import numpy as np
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects.effect import check_bounds
-from odomcorrupt.increments import accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.study.fitting.approach import Approach
-from odomcorrupt.study.fitting.events import slip_bursts
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.recordings.clock import Clock
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import slip_bursts
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.recording import Trajectory
 
 QUIET = Coefficients(0.01, 0.005, 0.005, 0.005)
 

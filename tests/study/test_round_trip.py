@@ -10,12 +10,12 @@ from wandering import recording, wander
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.increments import accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 TRACK_M = 0.4
 STRENGTHS = {

@@ -8,13 +8,13 @@ from hidden import as_recording
 from scipy.optimize import minimize
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.laws import LAWS, Coefficients
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import Approach, choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.fitting.problem import pose_problem
-from odomcorrupt.study.likelihood.law_pieces import LawPieces
-from odomcorrupt.study.likelihood.noise_task import NoiseTask
+from odomcorrupt.study.estimate.config import Approach, choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.noise_likelihood import NoiseTask
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.variance_components import LawPieces
 
 
 @pytest.mark.parametrize(("seed", "route"), [(50018, "office"), (50021, "slalom")])

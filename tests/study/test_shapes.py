@@ -10,15 +10,15 @@ from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.blocks import between_blocks, inflation, shared_variance
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.fitting.told_errors import with_told_errors
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.hilltop import hilltop
-from odomcorrupt.study.search.laws.places import _box, _strip
-from odomcorrupt.study.search.laws.values import laws_of_values
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.basis.places import _box, _strip
+from odomcorrupt.study.select.basis.values import laws_of_values
+from odomcorrupt.study.select.nelder_mead import hilltop
+from odomcorrupt.study.select.stepwise import learn
 
 FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
 """Where a map in UTM may begin, m."""

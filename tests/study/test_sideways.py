@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.study.advice.untestable import untried
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.design.identifiability import untried
+from odomcorrupt.study.select.stepwise import learn
 
 QUIET = Coefficients(0.004, 0.004, 0.008, 0.004)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.select.stepwise import learn
 
 TRACK_M, K = 0.4, 0.03
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from wandering import recording, wander
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.search.actions import Action
-from odomcorrupt.study.search.law_columns import LawColumns
-from odomcorrupt.study.search.laws import Law
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.score import score_columns
-from odomcorrupt.study.search.steering import may_be_steering
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.select.basis import Law
+from odomcorrupt.study.select.basis_columns import LawColumns
+from odomcorrupt.study.select.channels import Action
+from odomcorrupt.study.select.closed_loop import may_be_steering
+from odomcorrupt.study.select.score import score_columns
+from odomcorrupt.study.select.stepwise import learn
 
 GAIN = Law("speed", "k * 1", (lambda m: np.ones(len(m)),))
 

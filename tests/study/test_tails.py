@@ -11,16 +11,16 @@ from scipy.stats import t as student
 
 from odomcorrupt.corrupt.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.model import MotionModel, Noise
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.events import events, slip_bursts
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.fitting.tails import heavy_tails, log_density_of_sums
-from odomcorrupt.study.recordings.encoders import encoder_effects
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import events, slip_bursts
+from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
+from odomcorrupt.study.io.encoders import encoder_effects
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 
 def fitted(recording):

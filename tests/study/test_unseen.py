@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from wandering import recording, wander
 
-from odomcorrupt.increments import accumulate
-from odomcorrupt.report.fitted import fit_text
-from odomcorrupt.study.fitting.robot import fit_robot
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.report.text.fit import fit_text
+from odomcorrupt.study.estimate.calibrate import fit_robot
 
 
 def test_noise_of_turns_is_not_identifiable_where_nothing_turned():

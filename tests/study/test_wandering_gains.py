@@ -10,11 +10,11 @@ from hidden import as_recording
 from scipy.signal import lfilter
 from wandering import RATE_HZ, noisy_path, recording, wander
 
-from odomcorrupt.increments import Increments
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.stepwise import learn
 
 pytestmark = pytest.mark.slow
 

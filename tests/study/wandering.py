@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients, law_named, variances
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.noise_laws import Coefficients, law_named, variances
+from odomcorrupt.study.io.recording import Recording, Trajectory
 
 RATE_HZ = 50.0
 

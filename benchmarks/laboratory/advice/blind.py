@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.simulate import Commands
-from odomcorrupt.simulate.flaws import EVERY
+from odomcorrupt.simulate.fault_draws import EVERY
 from odomcorrupt.simulate.streams import stream
 from odomcorrupt.simulate.tracker import dock
-from odomcorrupt.study.recordings.trajectory import Trajectory
+from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.study.recordings.trajectory import Recording
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["BLIND", "first_drive", "on_the_way", "place_of"]
 

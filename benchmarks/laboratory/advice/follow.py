@@ -17,14 +17,14 @@ from laboratory.advice.verdicts import settled
 from laboratory.answer import told
 from odomcorrupt.commands._advice import write_drive
 from odomcorrupt.simulate import read_commands, simulate
-from odomcorrupt.simulate.flaws import SIZES
-from odomcorrupt.study.advice.advise import advise
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.simulate.fault_draws import SIZES
+from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
     from laboratory.advice.cases import AdviceCase
     from odomcorrupt.simulate import Commands, SimulatedRun
-    from odomcorrupt.study.advice.advise import Advice
+    from odomcorrupt.study.design.advise import Advice
 
 __all__ = ["follow"]
 

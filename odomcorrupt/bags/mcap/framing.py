@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Message
-from odomcorrupt.bags.mcap.contents import MESSAGE_HEADER
+from odomcorrupt.bags.gaps import windows
+from odomcorrupt.bags.mcap.chunk_messages import MESSAGE_HEADER
 from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
-from odomcorrupt.bags.spans import windows
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -5,9 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Self
 
-from odomcorrupt.bags.losses import loss_of
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunk, read_pieces
-from odomcorrupt.bags.mcap.known import Known
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -24,7 +22,9 @@ from odomcorrupt.bags.mcap.records import (
     string,
 )
 from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
+from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
+from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.codecs import beginning
 from odomcorrupt.bags.mcap.chunk import CODECS, Chunk, read_chunk
-from odomcorrupt.bags.mcap.contents import read_contents
+from odomcorrupt.bags.mcap.chunk_messages import read_contents
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,

@@ -12,8 +12,8 @@ import numpy as np
 
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
 from odomcorrupt.bags.codecs import compress, require_level
+from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
-from odomcorrupt.bags.mcap.directory import Directory
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
 from odomcorrupt.bags.mcap.index import ChunkRows, ChunkSpan, Index, message_indexes, span_ns
 from odomcorrupt.bags.mcap.reader import McapReader

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Channel
 from odomcorrupt.bags.definition import Definition, md5sum_of
-from odomcorrupt.bags.retype import retyped
+from odomcorrupt.bags.derive_definition import retyped
 from odomcorrupt.bags.ros1.reader import Ros1Reader
 from odomcorrupt.bags.ros1.records import Connection
 from odomcorrupt.errors import BagError

@@ -9,9 +9,9 @@ import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.definition import Definition
-from odomcorrupt.bags.losses import loss_of
+from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
-from odomcorrupt.bags.ros1.contents import read_contents
+from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import (
     BAG_HEADER,
     CHUNK,

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
-from odomcorrupt.bags.joined import joined
+from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.rosbag2.parts import BagFiles, find_files
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader

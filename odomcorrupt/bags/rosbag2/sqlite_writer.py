@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
+from odomcorrupt.bags.derive_definition import retyped
 from odomcorrupt.bags.output import beside
-from odomcorrupt.bags.retype import retyped
 from odomcorrupt.bags.rosbag2.database import columns, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.bags.rosbag2.salvage import copy_tables

@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block, Channel, PartFraming
+from odomcorrupt.bags.derive_definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output, beside
-from odomcorrupt.bags.retype import retyped
 from odomcorrupt.bags.rosbag2.metadata import Addition, TopicInfo, add_provenance, added, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter

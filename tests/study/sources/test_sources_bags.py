@@ -7,7 +7,7 @@ import pytest
 from sourcebags import topic, write
 from sourcedrive import START_NS, odometry, truth
 
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 
 def same(trajectory, rows, tolerance=1e-12):

@@ -8,11 +8,11 @@ from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.pose import between
-from odomcorrupt.study.sources import Source, read_runs
-from odomcorrupt.study.sources.jumps import reach_of, stretches
-from odomcorrupt.study.sources.order import order_of
-from odomcorrupt.study.sources.samples import Samples
+from odomcorrupt.geometry.se2 import between
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.jumps import reach_of, stretches
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.time_order import order_of
 
 
 @pytest.fixture

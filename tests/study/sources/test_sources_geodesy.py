@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.study.sources.geodesy import east_north_up
+from odomcorrupt.study.io.geodesy import east_north_up
 
 
 @pytest.mark.parametrize(

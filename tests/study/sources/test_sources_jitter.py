@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.study.sources.jitter import jitter_signs
-from odomcorrupt.study.sources.samples import Samples
+from odomcorrupt.study.io.jitter import jitter_signs
+from odomcorrupt.study.io.raw_trajectory import Samples
 
 
 def path(taken_s, stamped_s, noise_m=0.0005):

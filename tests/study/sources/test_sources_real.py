@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
 REAL = sorted((DATA / "real").glob("*.mcap"))
@@ -27,9 +27,9 @@ def test_every_real_recording_is_one_run_with_nothing_cut_or_refused(path):
 
 @pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
 def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypatch):
-    from odomcorrupt.study.sources import read
+    from odomcorrupt.study.io import reader
 
-    honest = read._read
+    honest = reader._read
 
     def mirrored(source):
         odometry, truth = honest(source)
@@ -38,7 +38,7 @@ def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypat
             truth.place, truth.name, "", truth.stamps_ns, flipped, -truth.yaw_rad, truth.log_ns, truth.variance_m2
         )
 
-    monkeypatch.setattr(read, "_read", mirrored)
+    monkeypatch.setattr(reader, "_read", mirrored)
     with pytest.raises(OdomCorruptError, match="mirrored"):
         read_runs(Source(path))
 
@@ -78,8 +78,8 @@ def test_a_bag_of_three_compressions_gives_one_trajectory():
     """Foxglove's turtles: the old tf/tfMessage type; one turtle's way as seen from the other."""
     ways = []
     for name in ("example", "example-lz4", "example-bz2"):
-        from odomcorrupt.study.sources.address import parse_address
-        from odomcorrupt.study.sources.bag import read_bag
+        from odomcorrupt.study.io.address import parse_address
+        from odomcorrupt.study.io.bag import read_bag
 
         path = DATA / "bags" / "foxglove_turtlesim" / f"{name}.bag"
         ways.append(read_bag(path, name, {"truth": parse_address("/tf:turtle1.turtle2")})["truth"])

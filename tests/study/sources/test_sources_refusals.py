@@ -14,7 +14,7 @@ from sourcedrive import START_NS, Rows, odometry, truth
 from odomcorrupt.cli import run
 from odomcorrupt.commands._recordings import _truth_bags, source_words
 from odomcorrupt.commands.learn import command as learn
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 
 @pytest.fixture

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from odomcorrupt.pose import wrap
+from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.simulate import simulate, write_mcap
-from odomcorrupt.study.fitting.robot import fit_robot
-from odomcorrupt.study.judge.compare import compare
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.validate.compare import compare
 
 
 @pytest.fixture(scope="module")

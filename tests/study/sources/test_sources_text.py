@@ -8,8 +8,8 @@ from sourcebags import topic, write
 from sourcedrive import START_NS, odometry, truth
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.sources import Source, read_runs
-from odomcorrupt.study.sources.text import is_text, read_text
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.text import is_text, read_text
 
 
 def seconds(stamp_ns):

@@ -9,7 +9,7 @@ from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.errors import RecordingError, TopicError
-from odomcorrupt.study.sources import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 
 def still(xyz, quat_yaw, stamp_ns=START_NS):

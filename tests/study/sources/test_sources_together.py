@@ -9,11 +9,11 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.laws import Coefficients
-from odomcorrupt.pose import compose
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import Segment, Tracker, simulate, write_mcap
-from odomcorrupt.study.sources.samples import Samples
-from odomcorrupt.study.sources.together import check_together
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.same_run import check_together
 
 NONE = np.zeros(0)
 

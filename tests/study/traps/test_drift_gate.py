@@ -5,7 +5,7 @@ from __future__ import annotations
 from hidden import as_recording
 
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.search.learn import learn
+from odomcorrupt.study.select.stepwise import learn
 
 MIXED = {"mount_yaw": {"yaw": -0.02}, "unequal_wheels": {"curvature": -0.01}}
 

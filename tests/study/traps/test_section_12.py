@@ -8,16 +8,16 @@ from hidden import as_recording, ten_second_error
 from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
-from odomcorrupt.increments import Increments, accumulate
+from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.simulate import simulate, simulate_without
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.gauss_newton import fit
-from odomcorrupt.study.recordings.encoders import encoder_effects, refilled
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search.candidates import library, next_effect, price
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.members import Members
-from odomcorrupt.study.search.score import score_tests
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.select.candidates import library, next_effect, price
+from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.shape_search import Members
+from odomcorrupt.study.select.stepwise import learn
 
 
 @pytest.mark.slow
@@ -99,7 +99,7 @@ def test_7_lost_increments_are_filled_and_not_corrected_as_a_scale():
     found = encoder_effects(run)
     assert [effect.name for effect in found] == ["lost_increments"]
     scaled = fit([run], [registry()["wheel_scale"]()], approach=choose_approach([run])).effects
-    filled, corrected = ten_second_error([refilled(run, found)]), ten_second_error([run], scaled)
+    filled, corrected = ten_second_error([restore_lost(run, found)]), ten_second_error([run], scaled)
     assert filled < 1.15 * ten_second_error([floor])
     assert corrected > 1.4 * filled
 

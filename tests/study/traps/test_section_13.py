@@ -10,18 +10,18 @@ from hidden import as_recording, ten_second_error
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
-from odomcorrupt.increments import Increments, accumulate
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import Segment, simulate
-from odomcorrupt.study.fitting.approach import choose_approach
-from odomcorrupt.study.fitting.clocks import find_clocks
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.fitting.problem import pose_problem
-from odomcorrupt.study.likelihood.law_pieces import NAMES
-from odomcorrupt.study.recordings.trajectory import Recording, Trajectory
-from odomcorrupt.study.search.candidates import _objection, library, next_effect
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.score import score_tests
+from odomcorrupt.study.estimate.clocks import find_clocks
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.variance_components import NAMES
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.select.candidates import _objection, library, next_effect
+from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.stepwise import learn
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

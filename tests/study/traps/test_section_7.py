@@ -10,17 +10,17 @@ from hidden import as_recording
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
-from odomcorrupt.increments import Increments, increments
-from odomcorrupt.laws import Coefficients
+from odomcorrupt.geometry.increments import Increments, increments
+from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulate import simulate
-from odomcorrupt.study.fitting.approach import Approach, choose_approach
-from odomcorrupt.study.fitting.clocks import find_clocks
-from odomcorrupt.study.fitting.gauss_newton import believed_columns, fit
-from odomcorrupt.study.fitting.intervals import coefficient_intervals
-from odomcorrupt.study.likelihood.windows import time_windows
-from odomcorrupt.study.recordings.trajectory import Trajectory
-from odomcorrupt.study.search.learn import learn
-from odomcorrupt.study.search.score import score_tests
+from odomcorrupt.study.estimate.clocks import find_clocks
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate.config import Approach, choose_approach
+from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.windows import time_windows
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.stepwise import learn
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 

@@ -1,0 +1,124 @@
+"""What lies in a chunk: its messages as a table, found by the message indexes where these are right.
+
+An index is believed only where every record it points at is a message and the records between are whole: then the
+table is the one that walking from record to record would give, for a handful of numpy calls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE
+from odomcorrupt.bags.gaps import gaps_between, windows
+from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["MESSAGE_HEADER", "Contents", "Record", "read_contents"]
+
+MESSAGE_HEADER = np.dtype(
+    [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
+)
+_INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A record other than a message, in a chunk: its content lies at data[start:end]."""
+
+    opcode: int
+    start: int
+    end: int
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a chunk holds.
+
+    table : (n,) of dtype TABLE, in the order of the data
+    others : the records that are no messages
+    """
+
+    table: NDArray[np.void]
+    others: list[Record]
+
+
+def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
+    """Read a chunk's records.
+
+    data : (size,) the decompressed chunk
+    indexes : contents of the message index records that follow it, possibly none, possibly wrong
+    """
+    indexed = _indexed(data, indexes)
+    if indexed is not None:
+        return indexed
+    walked, others = _walk(data.data, 0, data.size, what)
+    starts = np.array(walked, dtype=np.int64)
+    return Contents(_table(_heads(data, starts), starts), others)
+
+
+def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
+    """Return the contents as the indexes tell them, or None where they do not tell all, or not the truth."""
+    entries = [np.frombuffer(index, _INDEX_ENTRY, offset=6) for index in indexes if (len(index) - 6) % 16 == 0]
+    offsets = np.concatenate([entry["offset"] for entry in entries]) if entries else np.empty(0, dtype=np.uint64)
+    if not offsets.size or data.size < MESSAGE_HEADER_BYTES or offsets.max() > data.size - MESSAGE_HEADER_BYTES:
+        return None
+    starts = np.sort(offsets.astype(np.int64))
+    heads = _heads(data, starts)
+    lengths = heads["length"].astype(np.int64)  # beyond 2^63 they are negative
+    if np.any(heads["opcode"] != MESSAGE) or lengths.max() > data.size or lengths.min() < 22:
+        return None
+    ends = starts + lengths + RECORD_HEADER_BYTES
+    gaps = gaps_between(starts, ends, data.size)
+    if gaps is None:
+        return None
+    others: list[Record] = []
+    for begin, end in gaps:
+        try:
+            messages, records = _walk(data.data, begin, end, "")
+        except BagError:
+            return None
+        if messages:
+            return None
+        others += records
+    return Contents(_table(heads, starts), others)
+
+
+def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int], list[Record]]:
+    """Go from record to record; return where messages start, and the other records."""
+    starts: list[int] = []
+    others: list[Record] = []
+    at = begin
+    while at < end:
+        content = at + RECORD_HEADER_BYTES
+        after = content + int.from_bytes(data[at + 1 : content], "little")
+        if content > end or after > end or (data[at] == MESSAGE and after < at + MESSAGE_HEADER_BYTES):
+            raise BagError(
+                f"{what}: the record at byte {at} of the chunk does not fit its {end} bytes; the bag is damaged, "
+                "--recover saves what is whole"
+            )
+        if data[at] == MESSAGE:
+            starts.append(at)
+        else:
+            others.append(Record(data[at], content, after))
+        at = after
+    return starts, others
+
+
+def _heads(data: NDArray[np.uint8], starts: NDArray[np.int64]) -> NDArray[np.void]:
+    """Gather the headers of message records, unaligned."""
+    return windows(data, MESSAGE_HEADER_BYTES)[starts].view(MESSAGE_HEADER)
+
+
+def _table(heads: NDArray[np.void], starts: NDArray[np.int64]) -> NDArray[np.void]:
+    table = np.empty(starts.size, dtype=TABLE)
+    table["channel"] = heads["channel"]
+    table["log_ns"] = heads["log"].astype(np.int64)  # a time beyond 2^63 wraps, and wraps back when written
+    table["offset"] = starts + MESSAGE_HEADER_BYTES
+    table["length"] = heads["length"] - (MESSAGE_HEADER_BYTES - RECORD_HEADER_BYTES)
+    return table

@@ -1,0 +1,91 @@
+"""What an MCAP has told of its schemas and channels so far, and its parts as blocks of messages of these."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming
+from odomcorrupt.bags.mcap.chunk_messages import read_contents
+from odomcorrupt.bags.mcap.records import CHANNEL, SCHEMA, ChannelRecord, SchemaRecord
+from odomcorrupt.bags.mcap.resync import only_known, whole_records
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.mcap.chunk_messages import Record
+
+__all__ = ["Known"]
+
+
+class Known:
+    """The schemas and channels of one file or pipe, by id.
+
+    name : what errors call the file
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.schemas: dict[int, SchemaRecord] = {}
+        self.channels: dict[int, Channel] = {}
+
+    def learn(self, opcode: int, content: bytes) -> None:
+        """Take note of a schema or channel; the first one of an id counts, later ones must be equal anyway."""
+        if opcode == SCHEMA:
+            schema = SchemaRecord.parse(content, self.name)
+            self.schemas.setdefault(schema.id, schema)
+            return
+        channel = ChannelRecord.parse(content, self.name)
+        if channel.schema and channel.schema not in self.schemas:
+            raise BagError(
+                f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
+            )
+        name = self.schemas[channel.schema].name if channel.schema else ""
+        package, _, leaf = name.partition("/")
+        msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
+        self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
+
+    def definition(self, channel: Channel) -> Definition:
+        """Return what the file says of a channel's type."""
+        raw: ChannelRecord = channel.raw
+        schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
+        return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
+
+    def block(self, part: Chunk | Loose) -> Block:
+        """Return a chunk, or messages outside chunks, as a block; every message of a channel that is known."""
+        if isinstance(part, Chunk):
+            contents = read_contents(part.data, part.indexes, part.what)
+            for other in contents.others:
+                self._learn_within(part.data, other)
+            block, what = Block(part.data, contents.table, McapFraming("chunk", part.codec)), part.what
+            block.read_crcs = () if part.crc is None else (part.crc,)
+        else:
+            for opcode, content in part.others:
+                self.learn(opcode, content)
+            block, what = part.block(), f"{self.name}: messages outside chunks"
+        unknown = block.present() - self.channels.keys()
+        if unknown:
+            raise BagError(f"{what}: messages of channel {min(unknown)}, which the bag does not define; damaged bag")
+        return block
+
+    def salvaged(self, part: Chunk | Loose) -> Block:
+        """Return what is whole of a chunk or of messages outside chunks."""
+        data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
+        data = whole_records(data)
+        contents = read_contents(data, [], "")
+        for other in contents.others:
+            # One that cannot be understood is missed where messages are its.
+            with suppress(BagError):
+                self._learn_within(data, other)
+        framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
+        return only_known(Block(data, contents.table, framing), self.channels)
+
+    def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
+        """Take note of a record in a chunk's data, if it is one of these."""
+        if other.opcode in (SCHEMA, CHANNEL):
+            self.learn(other.opcode, data[other.start : other.end].tobytes())

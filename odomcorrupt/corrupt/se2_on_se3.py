@@ -1,0 +1,67 @@
+"""Planar corrections acting on poses in space: z, roll and pitch come through."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["SpatialPoses", "finite_rows", "from_left", "from_right", "inverted"]
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialPoses:
+    """n poses: position (n, 3) in metres, quat_xyzw (n, 4) of any length but zero."""
+
+    position: Array
+    quat_xyzw: Array
+
+
+def finite_rows(values: Array) -> NDArray[np.bool_]:
+    """Tell which rows (n,) of values (n, k) are numbers throughout: nearly always all, and that is quickly asked."""
+    finite = np.isfinite(values)
+    return np.ones(len(values), dtype=bool) if finite.all() else np.asarray(finite.all(axis=1))
+
+
+def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
+    """Return C pose: the frame the poses are given in has moved by C (n, 3)."""
+    position = poses.position.copy()
+    position[:, :2] = rotate(position[:, :2], correction_xyt[:, 2]) + correction_xyt[:, :2]
+    half = correction_xyt[:, 2] / 2.0
+    c, s = np.cos(half), np.sin(half)
+    x, y, z, w = poses.quat_xyzw.T
+    return SpatialPoses(position, np.stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z), axis=1))
+
+
+def from_right(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
+    """Return pose C^-1: the poses of the frame that has moved by C, seen from elsewhere."""
+    half = correction_xyt[:, 2] / 2.0
+    c, s = np.cos(half), -np.sin(half)
+    x, y, z, w = poses.quat_xyzw.T
+    quat = np.stack((c * x + s * y, c * y - s * x, c * z + s * w, c * w - s * z), axis=1)
+    back = np.zeros_like(poses.position)
+    back[:, :2] = -rotate(correction_xyt[:, :2], -correction_xyt[:, 2])
+    return SpatialPoses(poses.position + _turned(poses.quat_xyzw, back), quat)
+
+
+def inverted(poses: SpatialPoses) -> SpatialPoses:
+    """Return the poses seen the other way round."""
+    back = poses.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
+    return SpatialPoses(-_turned(back, poses.position), back)
+
+
+def _turned(quat_xyzw: Array, vector: Array) -> Array:
+    """Return vectors (n, 3) turned by quaternions (n, 4) of any length but zero."""
+    axis, w = quat_xyzw[:, :3], quat_xyzw[:, 3:]
+    length2 = (quat_xyzw * quat_xyzw).sum(axis=1, keepdims=True)
+    once = np.cross(axis, vector)
+    turned: Array = vector + 2.0 * (w * once + np.cross(axis, once)) / length2
+    return turned

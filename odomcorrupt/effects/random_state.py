@@ -1,0 +1,27 @@
+"""What random effects share: generators that are never used up by looking, and processes in uneven time."""
+
+from __future__ import annotations
+
+import copy
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["again", "autoregression"]
+
+
+def again(rng: np.random.Generator) -> np.random.Generator:
+    """Return a generator that will draw what this one would: a state can then be gone on from twice."""
+    return copy.deepcopy(rng)
+
+
+def autoregression(start: float, keep: Array, kick: Array) -> Array:
+    """Return x (n,) with x_i = keep_i x_(i-1) + kick_i, one after the other so that any cut gives the same bits."""
+    x, out = start, np.empty(len(kick))
+    for i, (kept, kicked) in enumerate(zip(keep.tolist(), kick.tolist(), strict=True)):
+        x = kept * x + kicked
+        out[i] = x
+    return out

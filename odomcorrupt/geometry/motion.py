@@ -1,0 +1,306 @@
+"""Motion as effects see it: speeds and accelerations of a trajectory's intervals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Motion
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.rng import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = [
+    "SMOOTHING_S",
+    "TRAIL_S",
+    "SpeedMemory",
+    "accelerations",
+    "corrected_increments",
+    "corrected_twist",
+    "error_of",
+    "followed",
+    "motion_of",
+    "slopes",
+]
+
+SMOOTHING_S = 0.2
+"""Window of the study's smooth speeds and accelerations: long enough to average ticks, short enough for stops."""
+
+TRAIL_S = 0.05
+"""Speeds are averaged over this time before they are differentiated: stamps bunch, and poses come in ticks."""
+
+TOLERANCE = 1e-12
+"""A correction is found when no increment moves by more between two rounds, metres or radians."""
+
+MAX_ROUNDS = 2000
+"""Where a law switches on and off for seconds on end, each round gets no further than the next switch."""
+
+_NUDGE = 0.5
+"""How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
+
+_RUNAWAY = 1e6
+"""An increment that is changed by more than this many metres will not settle."""
+
+
+def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
+    """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of straight lines through +- width/2.
+
+    Running sums make it linear in n whatever the rate, and it takes uneven stamps. Where a window holds fewer than
+    two samples, the nearest ones on both sides are taken.
+    """
+    first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
+    last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
+    here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+    first, last = np.minimum(first, here - 1), np.maximum(last, here + 1)
+    count = (last - first).astype(np.float64)
+    centred = t_s - t_s.mean()
+    running = np.zeros(len(t_s) + 1)
+
+    def window_sum(x: Array) -> Array:
+        np.cumsum(x, out=running[1:])
+        summed: Array = running[last] - running[first]
+        return summed
+
+    st, stt = window_sum(centred), window_sum(centred**2)
+    spread, middle = np.maximum(stt - st**2 / count, 1e-12), st / count
+    slope = np.empty((len(at_s), values.shape[1]))
+    # one channel after the other: sums run through dense memory
+    for i, origin in enumerate(values.mean(axis=0)):
+        x = values[:, i] - origin
+        slope[:, i] = (window_sum(x * centred) - window_sum(x) * middle) / spread
+    return slope
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedMemory:
+    """The last `TRAIL_S` of a motion, for accelerations of what follows.
+
+    clock_s : (m,) time gone at the ends of intervals, seconds
+    travel : (m, 3) metres along, metres left and radians gone until then
+    latest : (2, 3) acceleration and trail of the last interval
+    """
+
+    clock_s: Array
+    travel: Array
+    latest: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Accelerations:
+    """Accelerations, and speeds in step with them.
+
+    rate : (n, 3) m/s^2 and rad/s^2
+    trail : (n, 3) the speeds that change at this rate, in the middle of each interval, m/s and rad/s
+    before : (n, 2, 3) rate and trail of the interval before each; rest before the first
+    memory : what to go on with; None before time has gone on
+    """
+
+    rate: Array
+    trail: Array
+    before: Array
+    memory: SpeedMemory | None
+
+
+def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) -> Accelerations:
+    """Return the accelerations over n intervals: the one definition of a and alpha.
+
+    It is the rate at which the mean speed over the last `TRAIL_S` changes from the interval's start to its end, so it
+    looks back only (by half of `TRAIL_S` on average), any cut of a motion gives the same bits, and over a whole run it
+    adds up to the change of speed whatever the rate and the jitter of stamps. Before the first interval the robot is
+    taken to have moved as in it.
+    """
+    n = len(dt_s)
+    rate = np.zeros((n, 3))
+    first = 0
+    if memory is None:
+        first = int(np.argmax(dt_s > 0.0)) if n else 0
+        if not n or dt_s[first] <= 0.0:
+            return Accelerations(rate, np.zeros((n, 3)), np.zeros((n, 2, 3)), None)
+        before = 2.0 * TRAIL_S
+        way = np.stack((-before * twist[first], np.zeros(3)))
+        memory = SpeedMemory(np.array([-before, 0.0]), way, np.zeros((2, 3)))
+    clock = np.cumsum(np.concatenate((memory.clock_s[-1:], dt_s)))
+    travel = np.cumsum(np.concatenate((memory.travel[-1:], twist * dt_s[:, None])), axis=0)
+    clock_s = np.concatenate((memory.clock_s, clock[1:]))
+    way = np.concatenate((memory.travel, travel[1:]))
+    earlier = np.stack([np.interp(clock - TRAIL_S, clock_s, way[:, i]) for i in range(3)], axis=1)
+    speed = (travel - earlier) / TRAIL_S
+    np.divide(np.diff(speed, axis=0), dt_s[:, None], out=rate, where=(dt_s > 0.0)[:, None])
+    kept = max(int(np.searchsorted(clock_s, clock[-1] - TRAIL_S, side="right")) - 1, 0)
+    trail = (speed[1:] + speed[:-1]) / 2.0
+    trail[:first] = 0.0
+    both = np.concatenate((memory.latest[None], np.stack((rate, trail), axis=1)))
+    return Accelerations(rate, trail, both[:-1], SpeedMemory(clock_s[kept:].copy(), way[kept:].copy(), both[-1].copy()))
+
+
+def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
+    """Return the motion over the n - 1 intervals between poses (n, 3) at t_s (n,) seconds.
+
+    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact. They are in
+    step with smooth accelerations, which may be put in the place of these.
+    """
+    steps = increments(xyt)
+    dt = np.diff(t_s)
+    rate = np.divide(1.0, dt, out=np.zeros_like(dt), where=dt > 0.0)
+    twist = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1) * rate[:, None]
+    travel = np.hypot(steps.ds_m, steps.dl_m)
+    faster = accelerations(twist, dt)
+    return Motion(
+        t_s=t_s[1:],
+        dt_s=dt,
+        v=twist[:, 0],
+        vy=twist[:, 1],
+        omega=twist[:, 2],
+        acceleration=faster.rate,
+        x=xyt[:-1, 0],
+        y=xyt[:-1, 1],
+        theta=xyt[:-1, 2],
+        distance=np.cumsum(travel),
+        track_m=track_m,
+    )
+
+
+def error_of(effect: Effect, motion: Motion) -> Array:
+    """Return an effect's f (n, 3) over a whole motion, from its start on."""
+    return effect.twist_error(motion, effect.start(stream(0, 0, effect.name))).f
+
+
+def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
+    """Return the increments of the truth, from the odometry's motion: those of `corrected_twist`."""
+    twist = corrected_twist(effects, motion, place_xyt)
+    return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
+
+
+def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Array:
+    """Return the twist u = u' + f(u') of the truth (n, 3), from the odometry's motion u'.
+
+    What an encoder did is undone first, for the other effects are functions of the motion it should have reported; what
+    the truth follows on the robot comes last. Acceleration, pose and distance are the truth's: they are found as the
+    correction is, round by round. Correction knows nothing of the draws of a random effect, so these contribute
+    nothing, but for what the report itself shows; clocks are not its business.
+
+    Parameters
+    ----------
+    effects : any order
+    motion : from `motion_of`
+    place_xyt : (n, 3)
+        True poses where the intervals begin, where they are known; otherwise the corrected poses, which start where
+        the odometry starts.
+
+    Raises
+    ------
+    EffectError
+        Where no true motion explains the odometry: an effect of accelerations that acts against them.
+
+    """
+    systematic = [e for e in effects if e.kind != "noise" and not e.clock]
+    shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]
+    for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
+        motion = effect.restored(motion) if effect.restorable else _plus(motion, error_of(effect, motion))
+    twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+    moving = [e for e in systematic if e.layer == "motion"]
+    robots = [e for e in moving if e.kind != "setup"]
+    for effect in robots:
+        if not effect.reads_truth:
+            twist += error_of(effect, motion)
+    seeking, setup = [e for e in robots if e.reads_truth], [e for e in moving if e.kind == "setup"]
+    if seeking:
+        twist = _settled(seeking, setup, motion, twist, place_xyt)
+    return followed(setup, motion, twist)
+
+
+def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
+    """Return the twist (n, 3) of what the truth follows on a robot that truly moves so.
+
+    A marker off the axis swings as the robot turns, not as its odometry says that it does; and a tracker's turned axes
+    show the swing as well. So these effects act one after the other, by name: the lever arm before the mounting.
+    """
+    for effect in sorted(setup, key=lambda e: e.name):
+        v, vy, omega = np.ascontiguousarray(twist.T)
+        twist = twist + error_of(effect, replace(motion, v=v, vy=vy, omega=omega))
+    return twist
+
+
+def _plus(motion: Motion, f: Array) -> Motion:
+    return replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
+
+
+def _settled(
+    effects: Sequence[Effect], setup: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None
+) -> Array:
+    """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion, as it is followed.
+
+    Whatever they read lies in the past of an interval, but for its own acceleration: dividing by what that does
+    (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength. What jumps looks at
+    the interval before, so that there is always a solution.
+    """
+    dt = motion.dt_s[:, None]
+    start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
+    stiff = np.ones((len(known), 1))
+    truth = known
+    for number in range(MAX_ROUNDS):
+        shown = followed(setup, motion, truth)
+        steps = shown * dt
+        path = accumulate(start, Increments(*np.ascontiguousarray(steps.T)))[:-1] if place_xyt is None else place_xyt
+        faster = accelerations(shown, motion.dt_s)
+        seen = replace(
+            motion,
+            acceleration=faster.rate,
+            trail=faster.trail,
+            before=faster.before,
+            x=np.ascontiguousarray(path[:, 0]),
+            y=np.ascontiguousarray(path[:, 1]),
+            theta=np.ascontiguousarray(path[:, 2]),
+            distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
+        )
+        with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+            if number & (number - 1) == 0:  # less and less often, for the truth is better and better known
+                # never softer again: what is held too stiff settles late, what is held too soft never
+                stiff = np.maximum(stiff, _stiffness(effects, seen))
+            change = (known + _sum_of(effects, seen) - truth) / stiff
+            truth = truth + change
+        largest = np.abs(change * dt).max(initial=0.0)
+        if largest <= TOLERANCE:
+            return truth
+        if not largest < _RUNAWAY:
+            break
+    names = ", ".join(effect.name for effect in effects)
+    raise EffectError(
+        f"effects ({names}): cannot be taken out of this odometry, u = u' + f(u) does not settle; make them "
+        "weaker, or delete them from the model"
+    )
+
+
+def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
+    """Return by how much at most (n, 1) a speed moves its own equation: 1 where its acceleration does nothing to f.
+
+    What acts on one side of an acceleration alone, as slip that comes with braking does, counts with that side. Two
+    channels that drive each other add their geometric mean: so a wheel that slips alone counts in full, not by half.
+    One number serves all channels, for rims must be held as stiff as the body that they make up.
+    """
+    here = _sum_of(effects, motion)
+    own, across = np.zeros_like(here), np.zeros((len(motion), 3, 3))
+    for i in range(3):
+        for nudge in (-_NUDGE, _NUDGE):
+            aside = motion.acceleration.copy()
+            aside[:, i] += nudge
+            gain = (_sum_of(effects, replace(motion, acceleration=aside)) - here) / nudge
+            own[:, i] = np.minimum(own[:, i], gain[:, i])
+            across[:, i] = np.maximum(across[:, i], np.abs(gain))
+    each_other = np.sqrt(across * across.transpose(0, 2, 1)) * (1.0 - np.eye(3))
+    acting = (each_other.sum(axis=2) - own).max(axis=1, keepdims=True)
+    stiff: Array = 1.0 + acting / np.maximum(motion.dt_s, TRAIL_S)[:, None]
+    return stiff
+
+
+def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:
+    """Return what the f of effects add up to (n, 3)."""
+    return sum((error_of(effect, motion) for effect in effects), start=np.zeros((len(motion), 3)))

@@ -1,0 +1,164 @@
+"""What an odometry topic is like: how its robot moved, and what is odd about its numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.corrupt.reorder import WINDOW_NS
+from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.se2 import interpolate, inverse, wrap
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
+
+__all__ = ["Findings", "disagreement_m", "findings"]
+
+MOVING = 0.05
+"""Slower than this, m/s or rad/s, a robot counts as standing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """How the robot of one odometry topic moved, and what is odd.
+
+    distance, reverse, sideways : metres; turned : radians; duration, standing : seconds
+    restarts : stamps that jump back by more than a second; swapped : stamps that go back by less
+    oddities : sentences
+    """
+
+    messages: int
+    duration_s: float
+    rate_hz: float | None
+    distance_m: float
+    reverse_m: float
+    sideways_m: float
+    turned_rad: float
+    standing_s: float
+    restarts: int
+    swapped: int
+    jumps: int
+    oddities: tuple[str, ...]
+
+
+def findings(record: OdometryRecord) -> Findings:
+    """Return what one odometry topic is like."""
+    finite = np.isfinite(record.xyt).all(axis=1)
+    leaps = _leaps(record.stamps_ns)
+    sound = finite & ~leaps
+    stamps, xyt = record.stamps_ns[sound], record.xyt[sound]
+    back = _steps_back(stamps)
+    dt = np.diff(stamps) * 1e-9
+    steps = increments(xyt) if len(xyt) else increments(np.zeros((1, 3)))
+    length = np.hypot(steps.ds_m, steps.dl_m)
+    jump = length > JUMP_SPEED * np.maximum(dt, JUMP_MIN_S)
+    good = (dt > 0.0) & ~jump
+    speed = np.divide(length, dt, out=np.zeros_like(length), where=good)
+    turning = np.divide(np.abs(steps.dtheta_rad), dt, out=np.zeros_like(length), where=good)
+    duration = float(dt[dt > 0.0].sum())
+    odd = []
+    if record.zero_stamps:
+        odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times stand in for them")
+    if not finite.all():
+        odd.append(f"{np.count_nonzero(~finite)} poses are not numbers")
+    if leaps.any():
+        odd.append(f"{np.count_nonzero(leaps)} stamps lie far ahead of their neighbours'")
+    if record.twist is not None:
+        odd += _twist_oddities(record.twist[sound], xyt, dt, good, speed)
+    for name, watch in (("pose", record.pose_covariance), ("twist", record.twist_covariance)):
+        said = watch.oddity(never_changes=name == "pose")
+        odd += [f"{name} covariances of x, y, yaw {said}"] if said else []
+    return Findings(
+        messages=len(record.stamps_ns),
+        duration_s=duration,
+        rate_hz=(len(stamps) - 1) / duration if duration > 0.0 and len(stamps) > 1 else None,
+        distance_m=float(length[~jump].sum()),
+        reverse_m=float(np.abs(steps.ds_m[~jump & (steps.ds_m < 0.0)]).sum()),
+        sideways_m=float(np.abs(steps.dl_m[~jump]).sum()),
+        turned_rad=float(np.abs(steps.dtheta_rad[~jump]).sum()),
+        standing_s=float(dt[good & (speed < MOVING) & (turning < MOVING)].sum()),
+        restarts=back.restarts,
+        swapped=back.swapped,
+        jumps=int(np.count_nonzero(jump & (dt >= -WINDOW_NS * 1e-9))),
+        oddities=tuple(odd),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _StepsBack:
+    restarts: int
+    swapped: int
+
+
+def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Tell which stamps (n,) lie far ahead of both neighbours': flaws of one message, no restarts of time."""
+    leaps = np.zeros(len(stamps_ns), dtype=bool)
+    before, here, after = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
+    leaps[1:-1] = (here > before + WINDOW_NS) & (here > after + WINDOW_NS) & (after >= before - WINDOW_NS)
+    return leaps
+
+
+def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
+    """Count jumps back by more than the window of order, each of which begins anew, and messages behind by less."""
+    restarts = swapped = 0
+    while len(stamps_ns):
+        behind = stamps_ns[1:] - np.maximum.accumulate(stamps_ns)[:-1]
+        far = np.flatnonzero(behind < -WINDOW_NS)
+        stop = int(far[0]) if len(far) else len(behind)
+        swapped += int(np.count_nonzero(behind[:stop] < 0))
+        restarts += bool(len(far))
+        stamps_ns = stamps_ns[stop + 1 :]
+    return _StepsBack(restarts, swapped)
+
+
+def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_], speed: Array) -> list[str]:
+    """Compare twists with the poses' own rates, in the body and in the odom frame."""
+    finite = np.asarray(np.isfinite(twist).all(axis=1), dtype=np.bool_)
+    numberless = [] if finite.all() else [f"{np.count_nonzero(~finite)} twists are not numbers"]
+    return numberless + _misfits(twist, xyt, dt, good & (speed > MOVING) & finite[1:])
+
+
+def _misfits(twist: Array, xyt: Array, dt: Array, moving: NDArray[np.bool_]) -> list[str]:
+    if np.count_nonzero(moving) < 10:
+        return []
+    steps = increments(xyt)
+    # a damaged number must not overflow when it is squared
+    stated = np.clip(twist[1:][moving], -1e9, 1e9)
+    body = np.column_stack((steps.ds_m, steps.dl_m))[moving] / dt[moving, None]
+    world = np.diff(xyt[:, :2], axis=0)[moving] / dt[moving, None]
+    if not stated.any():
+        return ["twists are all zero while the robot moves"]
+    in_body = float(np.sqrt(np.mean((stated[:, :2] - body) ** 2)))
+    in_world = float(np.sqrt(np.mean((stated[:, :2] - world) ** 2)))
+    typical = float(np.sqrt(np.mean(body**2)))
+    if in_world < 0.5 * in_body and in_body > 0.1 * typical:
+        return ["twists seem to be in the odom frame, not in the child frame as the message type asks"]
+    if min(in_body, in_world) > 0.5 * typical:
+        return [f"twists do not fit the poses (they differ by {in_body:.2g} m/s at {typical:.2g} m/s)"]
+    return []
+
+
+def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) -> float | None:
+    """Return by how much a TF edge and the odometry differ at most, metres; None where they do not overlap in time.
+
+    turned : whether the edge points from the base to odom
+    """
+    order = np.argsort(record.stamps_ns, kind="stable")
+    stamps, xyt = record.stamps_ns[order], record.xyt[order]
+    inside = (edge.stamps_ns >= stamps[0]) & (edge.stamps_ns <= stamps[-1])
+    if len(stamps) < 2 or not inside.any():
+        return None
+    at = edge.stamps_ns[inside]
+    i = np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, len(stamps) - 2)
+    span = np.maximum(stamps[i + 1] - stamps[i], 1)
+    odometry = interpolate(xyt[i], xyt[i + 1], np.clip((at - stamps[i]) / span, 0.0, 1.0))
+    tf = inverse(edge.xyt[inside]) if turned else edge.xyt[inside]
+    # a heading error counts as what it does a metre away
+    off = np.hypot(*(tf - odometry)[:, :2].T) + np.abs(wrap((tf - odometry)[:, 2]))
+    return float(np.nanmax(off)) if np.isfinite(off).any() else None

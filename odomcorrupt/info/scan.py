@@ -1,0 +1,185 @@
+"""What a bag holds of odometry and TF: one pass over its blocks, of which stamps, poses and twists are kept."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.corrupt.odometry_source import stamps_or_log_ns
+from odomcorrupt.corrupt.patch import PLANAR
+from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
+from odomcorrupt.corrupt.unmodified_topics import frame_of
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
+from odomcorrupt.info.covariance_check import CovarianceWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.messages import Layout
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["EdgeRecord", "OdometryRecord", "Survey", "TopicRecord", "survey"]
+
+
+@dataclass(slots=True)
+class TopicRecord:
+    """A topic: its type, how many messages it has, and its first and last log time."""
+
+    topic: str
+    msgtype: str
+    count: int = 0
+    first_ns: int = 2**62
+    last_ns: int = -(2**62)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean rate, None for fewer than two messages or no time between them."""
+        span_ns = self.last_ns - self.first_ns
+        return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryRecord:
+    """All messages of an odometry topic, or all transforms of an edge that stands for one, in the order of arrival.
+
+    frame, child : of its first message
+    stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
+    pose_covariance, twist_covariance : what was seen of them
+    zero_stamps : how many stamps are zero
+    """
+
+    topic: str
+    frame: str
+    child: str
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+    twist: Array | None
+    pose_covariance: CovarianceWatch
+    twist_covariance: CovarianceWatch
+    zero_stamps: int
+
+
+@dataclass(frozen=True, slots=True)
+class EdgeRecord:
+    """All transforms of one edge on one topic: stamps_ns (n,), xyt (n, 3) in the order of arrival; zero stamps."""
+
+    topic: str
+    parent: str
+    child: str
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+    zero_stamps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """A bag's topics by name, its odometry, its TF edges; frames by channel, see `corrupt.unmodified_topics`."""
+
+    topics: dict[str, TopicRecord]
+    odometry: tuple[OdometryRecord, ...]
+    edges: tuple[EdgeRecord, ...]
+    channels: tuple[Channel, ...]
+    placed: Mapping[int, str]
+
+
+@dataclass(slots=True)
+class _Odometry:
+    frame: str = ""
+    child: str = ""
+    pose_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
+    twist_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
+    columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
+
+
+def survey(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> Survey:
+    """Read a bag through once; watch is told of every block.
+
+    Raises
+    ------
+    BagError
+        Where it cannot be read.
+
+    """
+    topics: dict[str, TopicRecord] = {}
+    odometry: dict[str, _Odometry] = {}
+    edges: dict[tuple[str, str, str], list[tuple[NDArray[np.int64], Array, int]]] = defaultdict(list)
+    seen: Counter[int] = Counter()
+    placed: dict[int, str] = {}
+    for block in reader.blocks():
+        watch(block)
+        for number, count in zip(*np.unique(block.table["channel"], return_counts=True), strict=True):
+            channel = reader.channels[int(number)]
+            frame = None if channel.id in seen else frame_of(block, channel)
+            placed |= {} if frame is None else {channel.id: frame}
+            seen[channel.id] += int(count)
+            _count(topics, channel, block)
+            if channel.encoding not in ENCODINGS:
+                continue
+            if channel.msgtype == ODOMETRY:
+                for layout in locate(block, channel):
+                    _take_odometry(odometry.setdefault(channel.topic, _Odometry()), block, layout)
+            elif channel.msgtype in TRANSFORMS:
+                for layout in locate(block, channel):
+                    for item_number, item in enumerate(layout.items):
+                        key = (channel.topic, plain(item.frame_id), plain(item.child_frame_id))
+                        zeros = int(np.count_nonzero(gather_stamps_ns(block, layout, item) == 0))
+                        edges[key].append(
+                            (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number), zeros)
+                        )
+    return Survey(
+        dict(sorted(topics.items())),
+        tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
+        tuple(
+            EdgeRecord(
+                *key,
+                np.concatenate([s for s, _, _ in parts]),
+                np.concatenate([p for _, p, _ in parts]),
+                sum(z for _, _, z in parts),
+            )
+            for key, parts in sorted(edges.items())
+        ),
+        tuple(reader.channels[number] for number in sorted(seen)),
+        placed,
+    )
+
+
+def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> None:
+    record = topics.setdefault(channel.topic, TopicRecord(channel.topic, channel.msgtype))
+    times = block.table["log_ns"][block.table["channel"] == channel.id]
+    record.count += len(times)
+    record.first_ns = min(record.first_ns, int(times.min()))
+    record.last_ns = max(record.last_ns, int(times.max()))
+
+
+def _xyt(block: Block, layout: Layout, number: int) -> Array:
+    item = layout.items[number]
+    yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
+    return np.column_stack((gather(block, layout, item, "position")[:, :2], yaw))
+
+
+def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
+    item = layout.items[0]
+    if not taken.columns:
+        taken.frame, taken.child = item.frame_id, item.child_frame_id
+    columns = taken.columns
+    columns["stamps"].append(stamps_or_log_ns(block, layout, 0))
+    columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
+    columns["xyt"].append(_xyt(block, layout, 0))
+    columns["twist"].append(gather(block, layout, item, "twist")[:, PLANAR])
+    taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
+    taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
+
+
+def _odometry(topic: str, taken: _Odometry) -> OdometryRecord:
+    whole = {name: np.concatenate(parts) for name, parts in taken.columns.items()}
+    return OdometryRecord(
+        topic, taken.frame, taken.child, whole["stamps"], whole["xyt"], whole["twist"],
+        taken.pose_covariance, taken.twist_covariance, int(np.count_nonzero(whole["zero"])),
+    )  # fmt: skip

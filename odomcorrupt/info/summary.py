@@ -1,0 +1,212 @@
+"""What a bag's odometry is like and what corruption would move: as plain values, and as text."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.corrupt.summary import SIDEWAYS
+from odomcorrupt.corrupt.targets import GLOBAL_FRAMES, Frames, plain, side_of
+from odomcorrupt.corrupt.unmodified_topics import truth_tellers
+from odomcorrupt.errors import TopicError
+from odomcorrupt.geometry.se2 import inverse
+from odomcorrupt.info.checks import disagreement_m, findings
+from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.scan import OdometryRecord
+
+if TYPE_CHECKING:
+    from odomcorrupt.info.scan import EdgeRecord, Survey
+
+__all__ = ["SCHEMA", "portrait", "portrait_text"]
+
+SCHEMA = 1
+"""Version of the values that `portrait` returns."""
+
+AGREE_M = 0.01
+"""Odometry and TF that differ by less agree."""
+
+
+def portrait(
+    survey: Survey, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None
+) -> dict[str, Any]:
+    """Return what a bag is like, as values that JSON can hold: metres, radians, seconds.
+
+    Raises
+    ------
+    TopicError
+        Where `odom_topic` is not an odometry topic of the bag.
+
+    """
+    driver = _driver(survey, odom_topic)
+    frames = _frames(driver, odom_frame, base_frame)
+    drives = survey.odometry
+    if not drives and frames is not None:
+        drives = _edge_that_drives(survey, frames, odom_topic)
+        driver = drives[0] if drives else None
+    moved = {o.topic for o in drives if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
+    return {
+        "schema": SCHEMA,
+        "driver": None if driver is None else driver.topic,
+        "odom_frame": None if frames is None else frames.odom,
+        "base_frame": None if frames is None else frames.base,
+        "topics": [
+            {"topic": t.topic, "type": t.msgtype, "messages": t.count, "rate_hz": t.rate_hz}
+            for t in survey.topics.values()
+        ],
+        "odometry": [_odometry(o, survey, frames, moved=o.topic in moved) for o in drives],
+        "edges": [_edge(e, frames) for e in survey.edges],
+        "still_true": [] if frames is None else truth_tellers(survey.channels, moved, survey.placed, frames.odom),
+        "remarks": _remarks(survey, driver, frames, asked_frame=odom_frame),
+    }
+
+
+def _driver(survey: Survey, asked: str | None) -> OdometryRecord | None:
+    if asked is None:
+        return survey.odometry[0] if len(survey.odometry) == 1 else None
+    for record in survey.odometry:
+        if plain(record.topic) == plain(asked):
+            return record
+    if not survey.odometry and any(plain(edge.topic) == plain(asked) for edge in survey.edges):
+        return None
+    topics = ", ".join(o.topic for o in survey.odometry) or "no topic"
+    raise TopicError(f"{asked}: is no nav_msgs/Odometry with messages ({topics} is); name another one")
+
+
+def _frames(driver: OdometryRecord | None, odom: str | None, base: str | None) -> Frames | None:
+    stated = "" if driver is None else plain(driver.frame)
+    if odom is None and (not stated or stated.rsplit("/", 1)[-1] in GLOBAL_FRAMES):
+        return None
+    child = plain(base if base is not None else "" if driver is None else driver.child)
+    return Frames(stated if odom is None else plain(odom), child or None)
+
+
+def _edge_that_drives(survey: Survey, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
+    """Return the edge between odom and base as the odometry that it stands for; nothing where there is none."""
+    for edge in survey.edges:
+        asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
+        if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
+            xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
+            name = f"TF {frames.odom} -> {frames.base}"
+            return (
+                OdometryRecord(
+                    name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None,
+                    CovarianceWatch(), CovarianceWatch(), edge.zero_stamps,
+                ),
+            )  # fmt: skip
+    return ()
+
+
+def _odometry(record: OdometryRecord, survey: Survey, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
+    found = findings(record)
+    edge = None if frames is None else _own_edge(record, survey)
+    off = None
+    if edge is not None:
+        off = disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
+    values = dataclasses.asdict(found)
+    return {
+        "topic": record.topic, "frame": record.frame, "child": record.child, "moved": moved,
+        **values, "oddities": list(found.oddities), "tf_differs_m": off,
+    }  # fmt: skip
+
+
+def _own_edge(record: OdometryRecord, survey: Survey) -> EdgeRecord | None:
+    ends = {plain(record.frame), plain(record.child)}
+    return next((e for e in survey.edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
+
+
+def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
+    side = None if frames is None else side_of(edge.parent, edge.child, frames)
+    return {
+        "topic": edge.topic, "parent": edge.parent, "child": edge.child,
+        "transforms": len(edge.stamps_ns), "moved": side is not None,
+    }  # fmt: skip
+
+
+def _remarks(
+    survey: Survey, driver: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
+) -> list[str]:
+    said = []
+    if not survey.odometry and driver is not None:
+        said.append("no nav_msgs/Odometry topic: TF drives the model")
+    elif not survey.odometry and frames is not None:
+        ends = f"{frames.odom} and {frames.base or 'a base'}"
+        said.append(f"no nav_msgs/Odometry topic, and no transform between {ends}: name an edge of the table")
+    elif not survey.odometry:
+        way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if survey.edges else ""
+        said.append(f"no nav_msgs/Odometry topic{way_out}")
+    elif driver is None:
+        said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
+    elif frames is None and asked_frame is None:
+        said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
+    if frames is not None:
+        said += [
+            f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
+            for e in survey.edges
+            if "static" in e.topic and side_of(e.parent, e.child, frames) is not None
+        ]
+        if not any(side_of(e.parent, e.child, frames) for e in survey.edges):
+            said.append(f"no transform from or to {frames.odom} would move")
+    return said
+
+
+def portrait_text(values: dict[str, Any]) -> str:
+    """Return a portrait for people: tables of topics and edges, then sentences."""
+    by_topic = {o["topic"]: o for o in values["odometry"]}
+    rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]
+    for t in values["topics"]:
+        rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.3g}"
+        fate = "moves" if by_topic.get(t["topic"], {}).get("moved") else ""
+        fate = "still tells the truth" if t["topic"] in values["still_true"] else fate
+        rows.append((t["topic"], t["type"].replace("/msg/", "/"), str(t["messages"]), rate, fate))
+    lines = _table(rows)
+    shown = [e for e in values["edges"] if e["moved"] or "static" not in e["topic"]]
+    if shown:
+        rows = [("edge", "topic", "transforms", "")]
+        for e in shown:
+            fate = "moves" if e["moved"] else ""
+            rows.append((f"{e['parent']} -> {e['child']}", e["topic"], str(e["transforms"]), fate))
+        lines += ["", *_table(rows)]
+    if len(shown) < len(values["edges"]):
+        lines.append(f"and {len(values['edges']) - len(shown)} static edges that stay")
+    for o in values["odometry"]:
+        lines += ["", *_about(o, driver=o["topic"] == values["driver"])]
+    lines += ["", *(f"Note: {remark}." for remark in values["remarks"])] if values["remarks"] else []
+    return "\n".join(lines)
+
+
+def _about(o: dict[str, Any], *, driver: bool) -> list[str]:
+    rate = "" if o["rate_hz"] is None else f", {o['rate_hz']:.3g} Hz"
+    ends = f"{o['frame'] or 'no frame'} -> {o['child'] or 'no child'}"
+    turned = f"{math.degrees(o['turned_rad']):.0f} deg of turning"
+    driven = f"{o['distance_m']:.4g} m ({o['reverse_m']:.2f} m of it backwards) and {turned}"
+    lines = [
+        f"{o['topic']} ({ends}{rate})" + (": drives the model" if driver else ""),
+        f"  {driven} in {o['duration_s']:.4g} s, {o['standing_s']:.1f} s of them standing",
+    ]
+    counts = [f"{o[key]} {words}" for key, words in _COUNTS.items() if o[key]]
+    lines += [f"  {', '.join(counts)}"] if counts else []
+    if o["sideways_m"] > SIDEWAYS * o["distance_m"]:
+        lines.append(f"  moves sideways ({o['sideways_m']:.3g} m): --law omni is made for that")
+    if o["tf_differs_m"] is not None and o["tf_differs_m"] > AGREE_M:
+        lines.append(f"  TF and odometry differ by up to {o['tf_differs_m']:.3g} m")
+    return lines + [f"  {sentence}" for sentence in o["oddities"]]
+
+
+_COUNTS = {
+    "restarts": "restarts of time",
+    "swapped": "messages in swapped order",
+    "jumps": "jumps of the pose",
+}
+
+
+def _table(rows: list[tuple[str, ...]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    right = {"messages", "Hz", "transforms"}
+    return [
+        "  ".join(
+            cell.rjust(width) if head in right else cell.ljust(width)
+            for cell, width, head in zip(row, widths, rows[0], strict=True)
+        ).rstrip()
+        for row in rows
+    ]

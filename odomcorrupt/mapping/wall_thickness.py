@@ -1,0 +1,83 @@
+"""How thick the walls of a map are: the mean plane variance, in the plane.
+
+Razlaw, Droeschel, Holz & Behnke, "Evaluation of registration methods for sparse 3D laser scans" (ECMR 2015), judge a
+map without truth by the variance of its points about the plane through their neighbours: the smallest eigenvalue of
+the covariance of all points near a point, averaged over points. Here planes are lines, neighbours lie in a square of
+`WINDOW_M`, and what is reported is the root: a deviation in metres. Corners are no lines and count in every map
+alike, so it is the difference between two maps of one drive that says what odometry did.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["WINDOW_M", "added_thickness", "wall_thickness"]
+
+WINDOW_M = 1.0
+"""Side of the square of neighbours; walls that lie further apart than half of it are two walls."""
+
+MIN_NEIGHBOURS = 8
+
+
+def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
+    """Return what noise adds to walls (k,), metres: variances of independent errors add up, and so differ."""
+    out: Array = np.sqrt(np.maximum(noisy_m**2 - clean_m**2, 0.0))
+    return out
+
+
+def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
+    """Return the root of the mean plane variance of points (n, 2), metres; nan where no point has neighbours.
+
+    Points are binned into cells of `cell_m` and keep their own coordinates in the sums; the window is that of the
+    cell, so its edge is rounded to a cell.
+    """
+    low = points_xy.min(axis=0) - 2.0 * cell_m
+    # coordinates from the middle: the covariance is a small difference of large sums
+    centred = points_xy - points_xy.mean(axis=0)
+    column, row = np.floor((points_xy - low) / cell_m).astype(np.int64).T
+    shape = int(row.max()) + 2, int(column.max()) + 2
+    flat = row * shape[1] + column
+    half = round(0.5 * WINDOW_M / cell_m)
+    x, y = centred.T
+    window = _Windows(row, column, shape, half)
+    count, sx, sy, sxx, sxy, syy = (window.sums(flat, w) for w in (None, x, y, x * x, x * y, y * y))
+    enough = count >= MIN_NEIGHBOURS
+    if not enough.any():
+        return float("nan")
+    n = count[enough]
+    xx, xy, yy = (
+        s[enough] / n - (a[enough] / n) * (b[enough] / n) for s, a, b in ((sxx, sx, sx), (sxy, sx, sy), (syy, sy, sy))
+    )
+    smaller = (xx + yy) / 2.0 - np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
+    return float(np.sqrt(np.maximum(smaller, 0.0).mean()))
+
+
+class _Windows:
+    """Sums over the square window around each point, by running sums over cells in both directions."""
+
+    def __init__(self, row: NDArray[np.int64], column: NDArray[np.int64], shape: tuple[int, int], half: int) -> None:
+        self._shape = shape
+        self._top = np.minimum(row + half + 1, shape[0])
+        self._bottom = np.maximum(row - half, 0)
+        self._right = np.minimum(column + half + 1, shape[1])
+        self._left = np.maximum(column - half, 0)
+
+    def sums(self, flat: NDArray[np.int64], weights: Array | None) -> Array:
+        """Return the sums (n,) of weights (n,), or of ones."""
+        cells = np.bincount(flat, weights, minlength=self._shape[0] * self._shape[1]).reshape(self._shape)
+        table = np.zeros((self._shape[0] + 1, self._shape[1] + 1))
+        np.cumsum(np.cumsum(cells, axis=0), axis=1, out=table[1:, 1:])
+        out: Array = (
+            table[self._top, self._right]
+            - table[self._bottom, self._right]
+            - table[self._top, self._left]
+            + table[self._bottom, self._left]
+        )
+        return out

@@ -1,0 +1,155 @@
+"""How the errors of a fit's parameters hang together: what one recording cannot tell apart is wrong in company.
+
+A wheel scale and a wheelbase that were fitted to one drive are uncertain along one line, not in a whole box; robots
+that are drawn from their standard errors alone would be worse copies than the data allow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Mapping, Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Correlation"]
+
+MOST = 64
+"""More parameters than this no fit has."""
+
+_DIGITS = 4
+_ROUNDED = 1e-3
+"""A written matrix is rounded; an eigenvalue this far below zero is its digits' fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correlation:
+    """Correlations of n parameters' errors.
+
+    names : (n,) as in a model's standard errors: "rot_trans", "wheelbase.e"
+    matrix : (n, n) rows of numbers from -1 to 1, symmetric, positive semi-definite
+    """
+
+    names: tuple[str, ...] = ()
+    matrix: tuple[tuple[float, ...], ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @classmethod
+    def of_covariance(cls, names: Sequence[str], covariance: Array) -> Correlation:
+        """Return the correlations in a covariance (n, n); parameters without a variance are left out."""
+        own = np.flatnonzero(np.diag(covariance) > 0.0)
+        deviation = np.sqrt(np.diag(covariance)[own])
+        matrix = np.clip(covariance[np.ix_(own, own)] / np.outer(deviation, deviation), -1.0, 1.0)
+        np.fill_diagonal(matrix, 1.0)
+        rounded = np.round((matrix + matrix.T) / 2.0, _DIGITS) + 0.0  # no zero below zero
+        return cls(tuple(names[i] for i in own.tolist()), tuple(map(tuple, rounded.tolist())))
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any], known: Container[str]) -> Correlation:
+        """Return what a model file's [fit.correlation] says; known are the parameters that have a standard error.
+
+        Raises
+        ------
+        ModelError
+            Where names or numbers make no sense.
+
+        """
+        for key in table:
+            if key not in ("parameters", "matrix"):
+                raise ModelError(f"[fit.correlation]: unknown key {key!r}; known are parameters, matrix")
+        names, rows = table.get("parameters", []), table.get("matrix", [])
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ModelError('fit.correlation.parameters: write a list of names, as in ["rot_trans", "wheelbase.e"]')
+        if len(names) > MOST or len(set(names)) < len(names):
+            raise ModelError(f"fit.correlation.parameters: {len(names)} names; at most {MOST}, each once")
+        for name in names:
+            if name not in known:
+                raise ModelError(
+                    f"fit.correlation: {name!r} has no standard error in [noise] or [[effect]]; give it one, or take "
+                    "its row and column out"
+                )
+        matrix = _matrix(rows, len(names))
+        lowest = float(np.linalg.eigvalsh(matrix)[0]) if len(names) else 0.0
+        if lowest < -_ROUNDED * len(names):
+            raise ModelError(
+                f"fit.correlation.matrix: no errors hang together like this (its smallest eigenvalue is {lowest:.3g}, "
+                "below 0); move its numbers towards 0"
+            )
+        return cls(tuple(names), tuple(map(tuple, matrix.tolist())))
+
+    def among(self, names: Iterable[str]) -> Correlation:
+        """Return the part that tells of these names, in their order; names it does not know are left out."""
+        where = {name: i for i, name in enumerate(self.names)}
+        own = [name for name in names if name in where]
+        return Correlation(
+            tuple(own), tuple(tuple(self.matrix[where[one]][where[other]] for other in own) for one in own)
+        )
+
+    def groups(self) -> list[tuple[str, ...]]:
+        """Return the names in groups that hang together, by whatever chain; who stands alone is in none."""
+        left = list(range(len(self)))
+        found = []
+        while left:
+            group, edge = [left[0]], [left.pop(0)]
+            while edge:
+                row = self.matrix[edge.pop()]
+                near = [i for i in left if row[i]]
+                left = [i for i in left if i not in near]
+                group += near
+                edge += near
+            if len(group) > 1:
+                found.append(tuple(self.names[i] for i in sorted(group)))
+        return found
+
+    def factor(self) -> list[list[float]]:
+        """Return L (n, n), lower triangular with rows of length one: L z of standard normals z hangs together so.
+
+        Where rounding made the matrix indefinite, what is below zero counts as zero. Plain loops in a fixed order: the
+        same bits everywhere.
+        """
+        n = len(self)
+        rows = [[0.0] * n for _ in range(n)]
+        for i in range(n):
+            for j in range(i):
+                rest = self.matrix[i][j] - math.fsum(rows[i][k] * rows[j][k] for k in range(j))
+                rows[i][j] = rest / rows[j][j] if rows[j][j] > 1e-6 else 0.0
+            left = 1.0 - math.fsum(value * value for value in rows[i][:i])
+            rows[i][i] = math.sqrt(max(left, 0.0))
+            length = math.sqrt(math.fsum(value * value for value in rows[i][: i + 1]))
+            rows[i] = [value / length for value in rows[i]]
+        return rows
+
+    def lines(self) -> list[str]:
+        """Return [fit.correlation] as lines of TOML: names, and one row of the matrix per name."""
+        if len(self) < 2:
+            return []
+        names = ", ".join(f'"{name}"' for name in self.names)
+        rows = [f"  [{', '.join(f'{value:.{_DIGITS}f}' for value in row)}],  # {name}" for name, row in self._rows()]
+        return ["", "[fit.correlation]", f"parameters = [{names}]", "matrix = [", *rows, "]"]
+
+    def _rows(self) -> Iterable[tuple[str, tuple[float, ...]]]:
+        return zip(self.names, self.matrix, strict=True)
+
+
+def _matrix(rows: Any, n: int) -> Array:
+    """Return rows of numbers (n, n) as an array, symmetric with ones on its diagonal."""
+    square = isinstance(rows, list) and len(rows) == n and all(isinstance(row, list) and len(row) == n for row in rows)
+    if not square:
+        raise ModelError(f"fit.correlation.matrix: it must have {n} rows of {n} numbers, one per parameter")
+    for row in rows:
+        for value in row:
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= 1.0:
+                raise ModelError(f"fit.correlation.matrix: {value!r}; write numbers from -1 to 1")
+    matrix = np.array(rows, dtype=np.float64).reshape(n, n)
+    if not (np.array_equal(matrix, matrix.T) and (np.diag(matrix) == 1.0).all()):
+        raise ModelError("fit.correlation.matrix: it must be symmetric, with 1 on its diagonal")
+    return matrix

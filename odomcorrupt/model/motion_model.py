@@ -1,0 +1,120 @@
+"""A motion model: a noise law with its coefficients, and the systematic effects of one robot."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from odomcorrupt.errors import ModelError
+from odomcorrupt.model.correlation import Correlation
+from odomcorrupt.model.noise_laws import Coefficients, law_named
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model.noise_laws import Law
+
+__all__ = ["MotionModel", "Noise", "Setup", "Step", "TruthNoise", "parse_alpha"]
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?\s*(/\s*(?:m|rad))?\s*\Z")
+
+
+def parse_alpha(text: str) -> float:
+    """Return a coefficient from text such as "0.05", "5deg" (after one radian) or "10deg/m" (after one metre)."""
+    match = _QUANTITY.match(text)
+    if match is None:
+        raise ModelError(f"coefficient: {text!r}; write a number, or an angle as in 5deg or 10deg/m")
+    value = float(match[1])
+    return math.radians(value) if match[2] == "deg" else value
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The stretch of path a book law is applied to: it ends at a distance or at an angle, whichever comes first."""
+
+    distance_m: float
+    angle_rad: float
+
+    def __post_init__(self) -> None:
+        if not (self.distance_m > 0.0 and self.angle_rad > 0.0):
+            raise ModelError(f"step: {self}; both its distance and its angle must be more than zero")
+
+    def __str__(self) -> str:
+        return f"{self.distance_m:g}m,{self.angle_rad:g}rad"
+
+    @classmethod
+    def parse(cls, text: str) -> Step | None:
+        """Return the step written as "0.25m,0.2rad" (deg is accepted), or None for "message"."""
+        if text == "message":
+            return None
+        match = re.fullmatch(r"\s*([\d.eE+-]+)\s*m\s*,\s*([\d.eE+-]+)\s*(rad|deg)\s*", text)
+        if match is None:
+            raise ModelError(f"step: {text!r}; write message, or a distance and an angle as in 0.25m,0.2rad")
+        angle = parse_alpha(match[2] + match[3])
+        return cls(parse_alpha(match[1]), angle)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """A law, its coefficients, and for the book laws the step it is applied to (None: once per message)."""
+
+    law_name: str
+    coefficients: Coefficients
+    step: Step | None = None
+
+    def __post_init__(self) -> None:
+        if self.step is not None and not self.law.per_step:
+            raise ModelError(f"step: {self.step}; the law {self.law_name} is the same at every step: leave --step out")
+
+    @property
+    def law(self) -> Law:
+        """The law itself."""
+        return law_named(self.law_name)
+
+
+@dataclass(frozen=True, slots=True)
+class TruthNoise:
+    """How noisy the truth is: white per sample (m, rad), and wandering (m per sqrt(s))."""
+
+    xy_m: float = 0.003
+    yaw_rad: float = 0.003
+    wander: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What belongs to a measurement and not to the robot; corruption and correction pass it by.
+
+    effects : lever arm and mounting yaw of the truth
+    clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
+    """
+
+    effects: tuple[Effect, ...] = ()
+    truth: TruthNoise | None = None
+    clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionModel:
+    """Noise and effects of one robot.
+
+    standard_errors maps "effect.parameter" and names of coefficients to one standard error, where a fit made them.
+    correlation says how these errors hang together, of the parameters that it names.
+    source says where the numbers come from: "recordings" lists the files that were fitted.
+    """
+
+    noise: Noise
+    effects: tuple[Effect, ...] = ()
+    track_m: float | None = None
+    setup: Setup = field(default_factory=Setup)
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
+    source: Mapping[str, str | float | list[str]] = field(default_factory=dict)
+    correlation: Correlation = field(default_factory=Correlation)
+
+    @property
+    def silent(self) -> bool:
+        """Whether it changes nothing at all."""
+        return self.noise.coefficients.silent and not self.effects

@@ -1,0 +1,245 @@
+"""Noise laws: how uncertain one increment is, given how far it went and turned.
+
+**The alpha convention.** Coefficients are named noise-in_caused-by: `rot_rot, rot_trans, trans_trans, trans_rot` are
+alpha1..4, in metres and radians. What they mean differs between laws, and the numbers are not interchangeable:
+
+* `diffusion`: standard deviation after one metre or one radian; variance grows with distance, whatever the rate.
+* `linear` (the article; MRPT): standard deviation of one step = coefficient times motion of that step.
+* `quadratic` (Probabilistic Robotics ch. 5.4; nav2, amcl diff-corrected): *variance* of one step = coefficient times
+  squared motion of that step. `velocity` (ch. 5.3; its alphas in the book's order: trans_trans, trans_rot, rot_trans,
+  rot_rot, end_trans, end_rot) and `omni` (amcl omni-corrected, with alpha5) scale the variance likewise.
+
+All but the first depend on the step they are applied to. A law is one function from magnitudes of motion to variances;
+corruption, fit, sampling and density all call these same functions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from odomcorrupt.errors import ModelError
+from odomcorrupt.geometry.increments import Increments, rot_trans_rot
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+_FOUR = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
+
+__all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "magnitudes", "variances"]
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficients:
+    """Alpha1..4, and what only some laws have.
+
+    across_trans : sideways noise: of `diffusion` per sqrt(m), 0 unless a fit found it; alpha5 of `omni`
+    end_trans, end_rot : alpha5 and alpha6 of `velocity`, the turn at the end of a step
+    white_v, white_omega : m/s and rad/s, standard deviations of white noise on every twist, whatever the law; it acts
+        at rest too, and its drift depends on the message rate
+    """
+
+    rot_rot: float
+    rot_trans: float
+    trans_trans: float
+    trans_rot: float
+    across_trans: float = 0.0
+    end_trans: float = 0.0
+    end_rot: float = 0.0
+    white_v: float = 0.0
+    white_omega: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            value = getattr(self, name)
+            if not 0.0 <= value <= _MOST:
+                raise ModelError(f"coefficient {name}: {value}; it must be a number from zero to {_MOST:g}")
+
+    @property
+    def silent(self) -> bool:
+        """Whether no noise is drawn at all."""
+        return not any(getattr(self, name) for name in self.__slots__)
+
+
+_MOST = 1e6
+"""Of a coefficient: no robot is near, and squares of it are numbers still."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variances:
+    """Variances of what is added to n steps, (n,) each: rad^2, m^2, m^2, rad^2.
+
+    rot1 turns the robot before it translates, trans and across shift it along and to the left, rot2 turns it after.
+    """
+
+    rot1: Array
+    trans: Array
+    across: Array
+    rot2: Array
+
+
+class _Rule(Protocol):
+    def __call__(self, k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+        """Map magnitudes (all >= 0) of turn, travel, turn to variances."""
+
+
+@dataclass(frozen=True, slots=True)
+class Law:
+    """A named rule.
+
+    per_step : whether the drift it makes depends on the step it is applied to
+    degree : variances are homogeneous of this degree in the coefficients (a fit needs to know)
+    alphas : which coefficients alpha1, alpha2, ... are
+    split : whether rot1 is measured to the bearing of the step; otherwise the turn is split evenly
+    arc : whether rot1 is spread evenly over the translation, and not made before it
+    along_travel : whether trans and across are along and across the travel, and not the body's x and y
+    """
+
+    name: str
+    rule: _Rule
+    per_step: bool
+    degree: int
+    source: str
+    alphas: tuple[str, ...] = _FOUR
+    split: bool = False
+    arc: bool = False
+    along_travel: bool = False
+
+    def coefficients(self, alphas: Sequence[float]) -> Coefficients:
+        """Return the coefficients for alpha1, alpha2, ... in the order of this law's source; at least the first four.
+
+        Raises
+        ------
+        ModelError
+            Where there are too few or too many.
+
+        """
+        if not 4 <= len(alphas) <= len(self.alphas):
+            most = f" to {len(self.alphas)}" if len(self.alphas) > 4 else ""
+            raise ModelError(f"alpha: {len(alphas)} numbers; the law {self.name} takes 4{most}")
+        return Coefficients(**dict.fromkeys(_FOUR, 0.0) | dict(zip(self.alphas, alphas, strict=False)))
+
+
+def _diffusion(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    turn = rot1 + rot2
+    heading = 0.5 * (k.rot_rot**2 * turn + k.rot_trans**2 * trans)
+    return Variances(heading, k.trans_trans**2 * trans + k.trans_rot**2 * turn, k.across_trans**2 * trans, heading)
+
+
+def _linear(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    turn = rot1 + rot2
+    return Variances(
+        (k.rot_rot * rot1 + k.rot_trans * trans) ** 2,
+        (k.trans_trans * trans + k.trans_rot * turn) ** 2,
+        np.zeros_like(trans),
+        (k.rot_rot * rot2 + k.rot_trans * trans) ** 2,
+    )
+
+
+def _quadratic(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    return Variances(
+        k.rot_rot * rot1**2 + k.rot_trans * trans**2,
+        k.trans_trans * trans**2 + k.trans_rot * (rot1**2 + rot2**2),
+        np.zeros_like(trans),
+        k.rot_rot * rot2**2 + k.rot_trans * trans**2,
+    )
+
+
+def _velocity(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    """Noise on v and omega over the step's time; the time cancels, v dt is the travel and omega dt the turn."""
+    turn2, trans2 = (rot1 + rot2) ** 2, trans**2
+    return Variances(
+        k.rot_trans * trans2 + k.rot_rot * turn2,
+        k.trans_trans * trans2 + k.trans_rot * turn2,
+        np.zeros_like(trans),
+        k.end_trans * trans2 + k.end_rot * turn2,
+    )
+
+
+def _omni(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    turn2, trans2 = (rot1 + rot2) ** 2, trans**2
+    return Variances(
+        np.zeros_like(trans),
+        k.trans_trans * trans2 + k.trans_rot * turn2,
+        k.across_trans * trans2 + k.trans_rot * turn2,
+        k.rot_rot * turn2 + k.rot_trans * trans2,
+    )
+
+
+LAWS: Mapping[str, Law] = {
+    law.name: law
+    for law in (
+        Law(
+            "diffusion",
+            _diffusion,
+            per_step=False,
+            degree=2,
+            source="Probabilistic Robotics' growth, the article's units",
+        ),
+        Law(
+            "linear",
+            _linear,
+            per_step=True,
+            degree=2,
+            source="the article (2018); MRPT CActionRobotMovement2D",
+            split=True,
+        ),
+        Law(
+            "quadratic",
+            _quadratic,
+            per_step=True,
+            degree=1,
+            source="Probabilistic Robotics ch. 5.4, table 5.6; nav2_amcl",
+            split=True,
+        ),
+        Law(
+            "velocity",
+            _velocity,
+            per_step=True,
+            degree=1,
+            source="Probabilistic Robotics ch. 5.3, table 5.3",
+            alphas=("trans_trans", "trans_rot", "rot_trans", "rot_rot", "end_trans", "end_rot"),
+            arc=True,
+        ),
+        Law(
+            "omni",
+            _omni,
+            per_step=True,
+            degree=1,
+            source="amcl omni-corrected",
+            alphas=(*_FOUR, "across_trans"),
+            along_travel=True,
+        ),
+    )
+}
+
+
+def law_named(name: str) -> Law:
+    """Return the law of that name; ModelError names the ones there are."""
+    try:
+        return LAWS[name]
+    except KeyError:
+        raise ModelError(f"no law is called {name!r}; there are {', '.join(LAWS)}") from None
+
+
+def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
+    """Return the variances of noise on n increments, the law applied to each increment as one step.
+
+    `diffusion` looks at |dtheta| and the length of the travel only, never at its bearing: a parked robot with
+    10 um of jitter does not spin. The laws of turn, drive, turn split it at the bearing, see `rot_trans_rot`.
+    White noise on twists, which goes with time, is not counted here.
+    """
+    return law.rule(k, *magnitudes(law, steps))
+
+
+def magnitudes(law: Law, steps: Increments) -> tuple[Array, Array, Array]:
+    """Return what a law looks at: how much each step turns, travels and turns again (n,), none negative."""
+    if not law.split:
+        half = np.abs(steps.dtheta_rad) / 2.0
+        return half, np.hypot(steps.ds_m, steps.dl_m), half
+    parts = rot_trans_rot(steps)
+    return np.abs(parts.rot1_rad), np.abs(parts.trans_m), np.abs(parts.rot2_rad)

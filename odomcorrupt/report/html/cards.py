@@ -1,0 +1,92 @@
+"""Findings as cards: name, numbers, how sure, and what the error was before and after."""
+
+from __future__ import annotations
+
+from html import escape
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression
+from odomcorrupt.report.text.diagnosis import dependence
+from odomcorrupt.report.text.lack_of_fit import size
+from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.random_effects import RandomGain
+    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.validate.compare import Comparison
+
+__all__ = ["cards"]
+
+
+def cards(learned: Learned, ladder: Comparison) -> list[str]:
+    """Return a card for everything that was found; nothing where nothing was.
+
+    ladder : judgements by the names of the steps, as `study.judge.ladder` has them
+    """
+    errors = iter(learned.fit.standard_errors)
+    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
+    found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
+    found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
+    found += [_noise(gain, learned) for gain in learned.noise]
+    found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
+    return [f'<div class="cards">{"".join(found)}</div>'] if found else []
+
+
+def _card(kind: str, title: str, lines: Sequence[str]) -> str:
+    return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines).replace("+-", "±")}</section>'
+
+
+def _clock(line: str) -> str:
+    name, _, rest = line.partition(": ")
+    return _card(
+        "setup", "clock", [f'<p class="value">{escape(rest.rpartition("off: ")[2])}</p>', f"<p>of {escape(name)}</p>"]
+    )
+
+
+def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
+    sure = step_sure(look, learned)
+    values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
+    lines = [*values, f"<p>{escape(effect.summary)}</p>"]
+    if look.alternatives:
+        lines.append(f"<p>or {escape(', '.join(look.alternatives))}: these data cannot tell</p>")
+    lines += _meter(sure, look.candidates[0].gain)
+    names = [judgement.name for judgement in ladder.judgements]
+    place = names.index(f"+ {look.added}") if f"+ {look.added}" in names else 0
+    if place:
+        before, after = (ladder.judgements[i].ten_second_error_m for i in (place - 1, place))
+        if isfinite(before) and isfinite(after):
+            lines.append(
+                f"<p>10 s error {size('along', before)} → <strong>{size('along', after)}</strong>, held out</p>"
+            )
+    return _card(effect.kind, effect.name + words_text(effect), lines)
+
+
+def _meter(sure: float, nats: float) -> list[str]:
+    return [
+        f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>',
+        f"<p>{100.0 * sure:.1f} % sure, {nats:.0f} nats</p>",
+    ]
+
+
+def _noise(gain: RandomGain, learned: Learned) -> str:
+    values = [f'<p class="value">{escape(number)}</p>' for number in noise_text(gain.effect)]
+    channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
+    return _card(
+        "noise",
+        gain.effect.name + channel,
+        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_sure(gain, learned), gain.nats)],
+    )
+
+
+def _unknown(unknown: Unknown, learned: Learned) -> str:
+    expression = told_expression(unknown, law_numbers(unknown, learned))
+    what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    then = "believed and fitted" if unknown in learned.laws else "to try"
+    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
+    return _card("unknown", "unknown", lines)

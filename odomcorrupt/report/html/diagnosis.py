@@ -1,0 +1,139 @@
+"""The report of a search: what is missing, how sure that is, what it gains, and what to drive next."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.report.html.cards import cards
+from odomcorrupt.report.html.comparison import ladder_table
+from odomcorrupt.report.html.page import page, picture, table
+from odomcorrupt.report.plots.candidates import draw_candidates
+from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.model_sequence import draw_errors
+from odomcorrupt.report.plots.plan import draw_plan
+from odomcorrupt.report.plots.residuals import draw_residuals
+from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
+from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
+from odomcorrupt.report.text.lack_of_fit import rejection
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.validate.compare import Comparison
+
+__all__ = ["Story", "found_html"]
+
+
+class Story(NamedTuple):
+    """A search from its beginning to its advice.
+
+    ladder : the models on the way judged on held-out halves, or what a search is judged by instead
+    next_command : what to type next, or ""
+    """
+
+    learned: Learned
+    ladder: Comparison
+    advice: Advice
+    next_command: str
+
+
+def found_html(story: Story, *, version: str) -> str:
+    """Return the page."""
+    learned, ladder, advice, _ = story
+    names = ", ".join(ladder.recordings)
+    title = f"What is missing: {names}"
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(story))}.</p>',
+        *cards(learned, ladder),
+        "<h2>What to do next</h2>",
+        _next(story),
+        f"<h2>{'The error falls' if _falls(ladder) else 'The error'}</h2>",
+        ladder_table(ladder),
+        picture("error", "Error against distance", _ERROR, draw_errors(ladder)),
+        picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
+        picture("residuals", "What the error depends on", _RESIDUALS, draw_residuals(ladder)),
+    ]
+    if learned.unknown:
+        body.append(picture("unknown", "What no known effect explains", _UNKNOWN, draw_unknown(learned.unknown)))
+    if advice.best is not None:
+        caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
+        body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
+    body += [*_detectable(advice), f'<p class="quiet">{escape(_legend(version))}</p>']
+    return page(title, body)
+
+
+_ERROR = (
+    "Errors after a length of path, windows not overlapping and each started at the truth, of the model before each "
+    "addition, and the band in which nine of ten such measurements lie if the model is right."
+)
+_CANDIDATES = (
+    "Log likelihood that each effect would gain, look by look, less what its parameters gain by chance. Dark blue was "
+    "added; light blue explains these data as well; grey was refused, and why."
+)
+_RESIDUALS = (
+    "Growth of the error per metre driven, odometry minus truth, before and after. Bars that miss zero all along a "
+    "curve show on what the error depends; of a right model one in twenty misses it."
+)
+_REJECTED = (
+    "The last model is rejected all the same: what is expected of errors does not count noise that wanders or comes in "
+    "bursts, and there may be a cause that is in no library. What the error depends on is drawn below."
+)
+_UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
+
+
+def _verdict(story: Story) -> str:
+    learned, parts = story.learned, []
+    if learned.added:
+        named = [look for look in learned.steps if look.added is not None]
+        names = [" or ".join((str(look.added), *look.alternatives)) for look in named]
+        parts.append(f"missing: {', then '.join(names)}")
+    if learned.noise:
+        parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
+    if learned.unknown:
+        parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
+    # a ladder knows nothing of noise: what it rejects may be what was named
+    why = rejection(story.ladder.judgements[-1]) if not (learned.unknown or learned.noise) else ""
+    text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
+    return text[0].upper() + text[1:]
+
+
+def _next(story: Story) -> str:
+    items = [*advice_sentences(story.advice)]
+    items += [f"to try: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
+    listed = f"<ul>{_items(items)}</ul>" if items else ""
+    command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
+    nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
+    if story.ladder.judgements[-1].verdict.rejected and not story.learned.unknown:
+        nothing += f"<p>{_REJECTED}</p>"
+    return f'<div class="next">{command}{listed}{nothing}</div>'
+
+
+def _falls(ladder: Comparison) -> bool:
+    return ladder.judgements[-1].ten_second_error_m < ladder.judgements[0].ten_second_error_m
+
+
+def _items(sentences: Iterable[str]) -> str:
+    return "".join(f"<li>{escape(s)}.</li>" for s in sentences)
+
+
+def _detectable(advice: Advice) -> list[str]:
+    """Return the sizes that would have been seen, side by side to save height."""
+    if not advice.limits:
+        return []
+    cells = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
+    half = -(-len(cells) // 2)
+    rows = [cells[i] + (cells[i + half] if i + half < len(cells) else ["", ""]) for i in range(half)]
+    heads = ("effect", "would have been seen from", "", "")
+    return ["<h2>Sizes that would have been seen</h2>", table(heads, rows)]
+
+
+def _legend(version: str) -> str:
+    return (
+        "Held-out: every model on the way was fitted again on one half of each recording and judged on the other, both "
+        "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Sizes that would have been seen are "
+        f"4.2 standard errors. Made by odomcorrupt {version}."
+    )

@@ -1,0 +1,73 @@
+"""What every report is made of: one page of HTML that needs nothing but itself, its tables and its pictures."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.html.style import CSS
+from odomcorrupt.report.plots.figure import rendered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+__all__ = ["embedded", "page", "picture", "table"]
+
+_HEAVY = 600_000
+"""A drawing of more bytes than this is taken as pixels, where these are fewer: the page stays below 3 MB."""
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+"""What the browser is allowed to load: nothing but the page itself."""
+
+
+def page(title: str, body: Sequence[str]) -> str:
+    """Return a whole page around elements that stand below each other."""
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en">',
+            "<head>",
+            '<meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(title)}</title>",
+            '<link rel="icon" href="data:,">',
+            f"<style>{CSS}</style>",
+            "</head>",
+            "<body>",
+            *body,
+            "</body>",
+            "</html>",
+            "",
+        ]
+    )
+
+
+def picture(name: str, title: str, caption: str, figure: Figure) -> str:
+    """Return a heading with a figure below it, named for links."""
+    return (
+        f'<h2>{escape(title)}</h2><figure id="{name}"><figcaption>{escape(caption)}</figcaption>'
+        f'<img src="{embedded(figure)}" alt="{escape(title)}: {escape(caption)}"></figure>'
+    )
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = "") -> str:
+    """Return a table; a cell that begins with ! is one to look at."""
+    top = "".join(f'<th scope="col">{escape(head)}</th>' for head in heads)
+    lines = [
+        "".join(f'<td class="off">{c[1:]}</td>' if c.startswith("!") else f"<td>{c}</td>" for c in row) for row in rows
+    ]
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f'<div class="scroll"><table>{title}<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def embedded(figure: Figure) -> str:
+    """Return a drawing as an address that carries all of it, as vectors where these are not too many."""
+    kind, data = "svg+xml", rendered(figure, "svg")
+    if len(data) > _HEAVY:
+        pixels = rendered(figure, "png")
+        kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,215 @@
+"""Results of the study as JSON: schema 1, described in docs/json.md. No NaN ever: what is not known is null."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.text.confidence import clocks_found, law_numbers, noise_sure, step_sure, told_expression
+from odomcorrupt.report.text.design import drive_sentence
+from odomcorrupt.report.text.diagnosis import position_error
+from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.study.validate.clock_gain import clock_gain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.report.text.confidence import LawNumber
+    from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.random_effects import RandomGain
+    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.validate.compare import Judgement
+
+__all__ = ["learned_json"]
+
+SCHEMA = 1
+
+
+def learned_json(
+    learned: Learned,
+    ladder: Sequence[Judgement],
+    advice: Advice,
+    *,
+    judged: Judgement | None = None,
+    fit: Fit | None = None,
+) -> dict[str, Any]:
+    """Return what a search found, in the order it was found: clocks first, then effects, then noise.
+
+    ladder : the models on the way judged on held-out halves, as `study.judge.ladder` gives them
+    judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
+    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
+    """
+    errors = iter(learned.fit.standard_errors)
+    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
+    found = [*_clocks_found(learned)]
+    for place, look in enumerate(learned.steps):
+        if look.added is not None:
+            effect, spread = own[look.added]
+            sure = step_sure(look, learned)
+            held_out = _held_out(ladder[place], ladder[place + 1])
+            found.append(_entry(effect, spread, look.alternatives, sure) | {"held_out": held_out})
+    found += [_noise(gain, learned) for gain in learned.noise]
+    told: dict[str, Any] = finite(
+        {
+            "schema": SCHEMA,
+            "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
+            "rejected": (judged and rejection(judged)) or None,
+            "found": found,
+            "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
+            "unknown": [_unknown(u, law_numbers(u, learned, fit), believed=u in learned.laws) for u in learned.unknown],
+            "not_testable": [
+                {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
+                for one in advice.untestable
+            ],
+            "disagreements": [
+                {
+                    "effect": one.effect,
+                    "parameter": one.parameter,
+                    "unit": one.unit,
+                    "p": one.p,
+                    "recordings": [
+                        {"name": name, "value": value, "standard_error": error}
+                        for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+                    ],
+                }
+                for one in learned.disagreements
+            ],
+            "ladder": [_step(judgement) for judgement in ladder],
+            **_advice(advice),
+        }
+    )
+    return told
+
+
+def _advice(advice: Advice) -> dict[str, Any]:
+    best = advice.best
+    return {
+        "choices": [
+            {
+                "names": list(choice.names),
+                "why": choice.why,
+                "drive": drive_sentence(choice.plan) if choice.plan else None,
+                "expected_nats": choice.nats if choice.plan else 0.0,
+                "hint": choice.hint,
+            }
+            for choice in advice.choices
+        ],
+        "detectable": [
+            {"effect": limit.effect, "parameter": limit.parameter, "size": limit.size, "unit": limit.unit}
+            for limit in advice.limits
+        ],
+        "next_drive": None
+        if best is None
+        else {
+            "manoeuvre": best.manoeuvre.name,
+            "drive": drive_sentence(best),
+            "duration_s": best.duration_s,
+            "floor_m": list(best.floor_m),
+        },
+    }
+
+
+def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
+    """Return clock effects that are really there, those of the first run standing for all."""
+    kinds = registry()
+    firsts = {one.name: one for one in reversed([*clocks_found(learned.clocks)])}
+    if not firsts:
+        return
+    change = clock_gain(learned.fit.problem.recordings, learned.clocks.clocks)
+    held_out = {
+        "nats_per_m": [None, None],
+        "rmse_10m": change.after_10m,
+        "rmse_50m": change.after_50m,
+        "rmse_10s": change.after_10s,
+    }
+    for one in reversed(firsts.values()):
+        effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
+        yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
+
+
+def _noise(gain: RandomGain, learned: Learned) -> dict[str, Any]:
+    """Return a random effect; its numbers come without errors."""
+    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain, learned))
+    for p in parameters(gain.effect):
+        entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
+    return entry | {"held_out": None}
+
+
+def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
+    return {
+        "nats_per_m": [before.nats.per_m, after.nats.per_m],
+        "rmse_10m": [position_error(before, 10.0), position_error(after, 10.0)],
+        "rmse_50m": [position_error(before, 50.0), position_error(after, 50.0)],
+        "rmse_10s": [before.ten_second_error_m, after.ten_second_error_m],
+    }
+
+
+def _unknown(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
+    return {
+        "channel": unknown.channel,
+        "depends_on": unknown.driver,
+        "detail": {
+            "centres": unknown.centres,
+            "curve": unknown.curve,
+            "standard_error": unknown.curve_error,
+            "p": unknown.p,
+            "nats": unknown.nats,
+            "per": unknown.per,
+            "wavelength_m": unknown.wavelength_m,
+            "wheels": unknown.wheels,
+        },
+        "expression": told_expression(unknown, numbers),
+        "parameters": {
+            name: {"value": number.value, "standard_error": number.error, "unit": number.unit}
+            for name, number in numbers.items()
+        },
+        "in_model": believed,
+    }
+
+
+def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str], confidence: float) -> dict[str, Any]:
+    return {
+        "effect": effect.name,
+        "kind": effect.kind,
+        "parameters": {
+            p.name: {"value": getattr(effect, p.name), "standard_error": error, "unit": p.unit}
+            for p, error in zip(amplitudes(effect), errors, strict=True)
+        }
+        | {
+            p.name: {"value": getattr(effect, p.name), "standard_error": None, "unit": p.unit}
+            for p in parameters(effect)
+            if not p.amplitude
+        },
+        "words": {word: getattr(effect, word) for word in choices(effect)},
+        "alternatives": list(alternatives),
+        "confidence": confidence,
+    }
+
+
+def _candidate(candidate: Candidate) -> dict[str, Any]:
+    score = candidate.score
+    return {
+        "effect": score.effect.name,
+        "evidence_nats": candidate.gain if candidate.fit is not None else 0.5 * score.statistic,
+        "p": score.p,
+        "held_out_nats": score.held_out_nats,
+        "estimate": {p.name: v for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)},
+        "refused": candidate.refused or None,
+    }
+
+
+def _step(judgement: Judgement) -> dict[str, Any]:
+    return {
+        "model": judgement.name,
+        "rmse_10s": judgement.ten_second_error_m,
+        "rmse_10m": position_error(judgement, 10.0),
+        "rmse_50m": position_error(judgement, 50.0),
+        "nats_per_m": judgement.nats.per_m,
+    }

@@ -1,0 +1,89 @@
+"""The picture of what a laser sees through clean and through noisy odometry."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.transforms import Affine2D
+
+from odomcorrupt.mapping.grid import OCCUPIED
+from odomcorrupt.mapping.wall_thickness import added_thickness
+from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, RED, drawing, new_figure
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.mapping.grid import Grid
+    from odomcorrupt.mapping.scan_map import Survey
+
+__all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
+
+PATHS = (BLUE, RED, GREEN)
+
+
+def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
+    """Draw maps side by side on the same canvas, and below how thick their walls are after so many metres."""
+    left, right, bottom, top = surveys[0].grid.extent
+    width = 11.0
+    panel = float(np.clip(width / len(surveys) * (top - bottom) / (right - left), 2.5, 7.0))
+    with drawing():
+        figure = new_figure(width, panel + 3.6)
+        places = figure.add_gridspec(2, len(surveys), height_ratios=(panel, 2.2))
+        for i, survey in enumerate(surveys):
+            axes = figure.add_subplot(places[0, i])
+            draw_grid(axes, survey.grid)
+            axes.plot(*survey.path_xyt[:, :2].T, color=PATHS[i], linewidth=1.4)
+            axes.plot(*survey.path_xyt[0, :2], "s", color=PATHS[i], markersize=6, markeredgecolor="white")
+            thick = 100.0 * survey.thickness_m[-1]
+            axes.set_title(f"{survey.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
+            axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
+            axes.locator_params(axis="x", nbins=5)
+        _thickness(figure.add_subplot(places[1, :]), surveys, window_m)
+    return figure
+
+
+def draw_grid(axes: Axes, grid: Grid) -> None:
+    """Draw a map as maps are drawn: free white, occupied black, unknown grey."""
+    image = axes.imshow(
+        grid.cells, origin="lower", extent=grid.extent, cmap=ListedColormap(["white", BLACK, "#D0D0D0"]), vmin=0,
+        vmax=2, interpolation="nearest", zorder=0,
+    )  # fmt: skip
+    x, y, yaw = (float(value) for value in grid.origin_xyt)
+    image.set_transform(Affine2D().rotate_around(x, y, yaw) + axes.transData)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def draw_free_space(axes: Axes, space: FreeSpace) -> None:
+    """Draw a map under what is given in the odom frame: walls, and pale where the robot's middle cannot be."""
+    x, y, yaw = (float(value) for value in space.grid.origin_xyt)
+    mx, my, myaw = (float(value) for value in space.map_from_odom)
+    to_odom = Affine2D().translate(-mx, -my).rotate(-myaw)
+    for layer, colours, most in (
+        (space.blocked, ("white", "#E4E4E4"), 1),
+        (np.where(space.grid.cells == OCCUPIED, 1, np.nan), (BLACK,), 1),
+    ):
+        image = axes.imshow(
+            layer, origin="lower", extent=space.grid.extent, cmap=ListedColormap(colours), vmin=0, vmax=most,
+            interpolation="nearest", zorder=0, alpha=0.8,
+        )  # fmt: skip
+        image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
+
+
+def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:
+    for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
+        axes.plot(
+            survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
+            label=survey.name,
+        )  # fmt: skip
+    added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
+    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label="added by noise")
+    axes.set(xlabel="distance travelled (m)", ylabel="wall thickness (cm)", ylim=(0.0, None), xlim=(0.0, None))
+    axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), window {window_m:g} m")
+    axes.grid(visible=True, color="0.92")
+    axes.legend(loc="lower right", ncols=len(surveys) + 1)

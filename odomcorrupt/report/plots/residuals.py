@@ -1,0 +1,117 @@
+"""The picture of what the error depends on: its growth per metre against speed, yaw rate, acceleration and others."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.report.plots.figure import drawing, new_figure
+from odomcorrupt.report.plots.model_sequence import COLOURS, MARKERS
+from odomcorrupt.study.validate.error_rates import CHANNELS, joint_rates, node_motion, unit_columns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.evaluation import Evaluation
+
+__all__ = ["draw_residuals"]
+
+_BINS = 8
+_UNITS = ("mm per m", "mm per m", "deg per m")
+
+
+class Driver(NamedTuple):
+    """Something that an error may depend on, over K intervals of a stretch; scale makes it a unit people think in."""
+
+    label: str
+    values: Array
+
+
+def draw_residuals(comparison: Comparison) -> Figure:
+    """Draw growth of the error against every driver, a row for each channel, with what chance makes of it."""
+    headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
+    count = 3 if headed else 2
+    shown = _shown(comparison)
+    first = shown[0][0].pieces
+    labels = [driver.label for driver in _drivers(first[0])]
+    edges = [_edges(np.concatenate([_drivers(piece)[d].values for piece in first])) for d in range(len(labels))]
+    with drawing():
+        figure = new_figure(12.0, 1.0 + 2.1 * count)
+        panels = figure.subplots(count, len(labels), sharey="row", sharex="col", squeeze=False)
+        for which, (judgement, number) in enumerate(shown):
+            for d in range(len(labels)):
+                for c in range(count):
+                    _points(panels[c, d], _rates(judgement.pieces, d, c, edges[d]), edges[d], judgement, number, which)
+        for c in range(count):
+            panels[c, 0].set_ylabel(f"{CHANNELS[c]} ({_UNITS[c]})")
+            for axes in panels[c]:
+                axes.axhline(0.0, color="0.3", linewidth=0.8, zorder=1)
+                axes.grid(visible=True, color="0.93")
+                axes.set_axisbelow(True)
+                axes.tick_params(labelsize=8)
+        for axes, label in zip(panels[-1], labels, strict=True):
+            axes.set_xlabel(label)
+        figure.legend(
+            *panels[0, 0].get_legend_handles_labels(), loc="outside upper left", ncols=2 * len(shown), fontsize=9
+        )
+    return figure
+
+
+def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
+    """Return the first and the last model, with their numbers: more would hide each other."""
+    numbered = [(judgement, i) for i, judgement in enumerate(comparison.judgements)]
+    return numbered if len(numbered) <= 2 else [numbered[0], numbered[-1]]
+
+
+def _drivers(piece: Evaluation) -> list[Driver]:
+    m = node_motion(piece.problem)
+    return [
+        Driver("speed (m/s)", m.v),
+        Driver("yaw rate (deg/s)", np.degrees(m.omega)),
+        Driver("acceleration (m/s²)", m.a),
+        Driver("time (s)", m.t_s),
+        Driver("heading (deg)", np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading)))),
+        Driver("path driven (m)", m.distance),
+    ]
+
+
+def _edges(values: Array) -> Array:
+    """Return ends of bins over all but the rarest values, each as wide as the next."""
+    low, high = np.quantile(values, [0.005, 0.995])
+    return np.linspace(low, max(high, low + 1e-9), _BINS + 1)
+
+
+def _rates(pieces: Sequence[Evaluation], driver: int, channel: int, edges: Array) -> Array:
+    """Return growth per metre (bins,) in mm or deg, and one standard deviation of chance (bins,), over all pieces."""
+    weight, total = np.zeros(_BINS), np.zeros(_BINS)
+    for piece in pieces:
+        part = np.clip(np.digitize(_drivers(piece)[driver].values, edges) - 1, 0, _BINS - 1).astype(np.int64)
+        unit = unit_columns(piece.problem)[:, :, channel]
+        rates = joint_rates(piece.whitener, piece.innovations, unit, part, _BINS)
+        known = np.isfinite(rates.estimate) & (rates.allowed > 0.0)
+        own = np.divide(1.0, rates.allowed**2, out=np.zeros(_BINS), where=known)
+        weight += own
+        total += own * np.where(known, rates.estimate, 0.0)
+    scale = np.degrees(1.0) if channel == 2 else 1e3
+    mean = np.divide(total, weight, out=np.full(_BINS, np.nan), where=weight > 0.0)
+    chance = np.divide(1.0, np.sqrt(weight), out=np.full(_BINS, np.nan), where=weight > 0.0)
+    both: Array = scale * np.stack((mean, chance))
+    return both
+
+
+def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, which: int) -> None:
+    mean, chance = rates
+    centre = (edges[:-1] + edges[1:]) / 2.0 + (0.22 * which - 0.11) * (edges[1] - edges[0])
+    # a bin that hardly holds a metre would set the scale for all
+    firm = chance < 6.0 * np.nanmedian(chance)
+    axes.errorbar(
+        centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
+        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + which,
+        label=f"{judgement.name} (bars: two standard deviations)",
+    )  # fmt: skip

@@ -1,0 +1,146 @@
+"""The picture of one motion drawn many times: the banana."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.patches import Ellipse as EllipsePatch
+
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, drawing, new_figure
+from odomcorrupt.report.plots.maps import draw_free_space
+from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.model.noise_laws import Variances
+    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Moments
+
+__all__ = ["draw_banana", "draw_move", "draw_samples", "frame_samples"]
+
+SIGMAS = 2.0
+
+
+def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space: FreeSpace | None = None) -> Figure:
+    """Draw samples (n, 3) of where a motion ended, with their mean, the linearised ellipse, and their headings.
+
+    space : the map they were held against, drawn below
+    """
+    with drawing():
+        figure = new_figure(8.6, 5.4)
+        plane, headings = figure.subplots(1, 2, width_ratios=(3, 1))
+        if space is not None:
+            draw_free_space(plane, space)
+        draw_samples(plane, xyt)
+        _ellipses(plane, move, variances, xyt)
+        draw_move(plane, move)
+        reach = [_corners(linearised_moments(move, variances)), _corners(sample_moments(xyt))]
+        frame_samples(plane, move, np.concatenate((xyt[:, :2], *reach)))
+        _inset(plane, move, variances, xyt)
+        _headings(headings, move, xyt)
+        figure.legend(*plane.get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=9)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure
+
+
+def _inset(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
+    """Show a cloud that is small beside its motion a second time, large."""
+    extent = float(np.ptp(xyt[:, :2], axis=0).max())
+    width = float(np.diff(axes.get_xlim())[0])
+    if not 0.0 < extent < 0.25 * width:
+        return
+    inset = axes.inset_axes((0.47, 0.06, 0.5, 0.5))
+    draw_samples(inset, xyt)
+    _ellipses(inset, move, variances, xyt)
+    middle = xyt[:, :2].mean(axis=0)
+    half = 0.55 * extent
+    inset.set(xlim=(middle[0] - half, middle[0] + half), ylim=(middle[1] - half, middle[1] + half))
+    inset.set_aspect("equal")
+    inset.tick_params(labelsize=7)
+    inset.locator_params(nbins=4)
+    inset.set_title("the cloud alone", fontsize=8)
+    inset.spines[["top", "right"]].set_visible(True)
+
+
+def _corners(moments: Moments) -> Array:
+    """Return the corners (4, 2) of the box around an ellipse."""
+    half = SIGMAS * np.sqrt(np.diag(moments.covariance)[:2])
+    out: Array = moments.mean_xyt[:2] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    return out
+
+
+def draw_samples(axes: Axes, xyt: Array) -> None:
+    """Draw samples as dots that stay visible where they are many."""
+    size = float(np.clip(6000.0 / len(xyt), 1.0, 12.0))
+    axes.scatter(
+        xyt[:, 0], xyt[:, 1], s=size, color=BLUE, alpha=0.45, linewidths=0, label=f"{len(xyt)} samples", rasterized=True
+    )
+
+
+def draw_move(axes: Axes, move: Move) -> None:
+    """Draw the odometry's motion: both poses as arrows, the way between them as a line."""
+    start, end = move.start_xyt, move.end_xyt
+    axes.plot(*np.stack((start, end))[:, :2].T, color=BLACK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=4)
+    for pose, tip in zip((start, end), _tips(move), strict=True):
+        arrow = {"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", (tip[0], tip[1]), (pose[0], pose[1]), arrowprops=arrow, zorder=6)
+    axes.plot(*start[:2], "s", color=BLACK, markersize=6, label="start", zorder=6)
+    axes.plot(*end[:2], "o", color="white", markeredgecolor=BLACK, markersize=6, label="odometry's end", zorder=5)
+
+
+def _tips(move: Move) -> Array:
+    """Return where the arrows (2, 2) of both headings end."""
+    length = 0.22 * max(float(np.hypot(*move.shift_xy)), 0.1)
+    poses = np.stack((move.start_xyt, move.end_xyt))
+    out: Array = poses[:, :2] + length * np.column_stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])))
+    return out
+
+
+def frame_samples(axes: Axes, move: Move, xy: Array) -> None:
+    """Show all points (n, 2) and the motion, a metre as long upwards as sideways."""
+    points = np.concatenate((xy, move.start_xyt[None, :2], move.end_xyt[None, :2], _tips(move)))
+    low, high = points.min(axis=0), points.max(axis=0)
+    pad = 0.07 * float((high - low).max()) + 1e-3
+    axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="box")
+    axes.grid(visible=True, color="0.92", linewidth=0.8)
+    axes.set_axisbelow(True)
+
+
+def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
+    drawn = sample_moments(xyt)
+    for moments, colour, style, label in (
+        (linearised_moments(move, variances), RED, "-", f"linearised, {SIGMAS:g} sigma"),
+        (drawn, ORANGE, (0, (5, 2)), f"of the samples, {SIGMAS:g} sigma"),
+    ):
+        e = ellipse(moments, SIGMAS)
+        patch = EllipsePatch(
+            (e.centre_xy[0], e.centre_xy[1]), 2 * e.major_m, 2 * e.minor_m, angle=float(np.degrees(e.angle_rad)),
+            fill=False, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5,
+        )  # fmt: skip
+        axes.add_patch(patch)
+    axes.plot(
+        *drawn.mean_xyt[:2],
+        "X",
+        color=ORANGE,
+        markersize=6,
+        markeredgecolor="white",
+        markeredgewidth=0.6,
+        label="mean",
+        zorder=8,
+    )
+
+
+def _headings(axes: Axes, move: Move, xyt: Array) -> None:
+    error = np.degrees(xyt[:, 2] - move.start_xyt[2] - move.turn_rad)
+    axes.hist(error, bins=25, orientation="horizontal", color=BLUE, alpha=0.6)
+    axes.axhline(0.0, color=BLACK, linewidth=1.0, linestyle=(0, (4, 3)))
+    reach = 1.08 * max(float(np.abs(error).max()), 1e-6)
+    end = float(np.degrees(wrap(move.end_xyt[2])))
+    axes.set(ylim=(-reach, reach), xlabel="samples", ylabel=f"heading minus the odometry's {end:.4g} deg (deg)")

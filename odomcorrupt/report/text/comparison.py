@@ -1,0 +1,165 @@
+"""A comparison as plain text: what a person reads in a terminal."""
+
+from __future__ import annotations
+
+from math import degrees, isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, sentence
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from odomcorrupt.study.validate.calibration import Horizon
+    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.trajectory_error import TrajectoryError
+
+__all__ = ["comparison_text", "falls_sentence", "ladder_steps", "share_of_worst"]
+
+_BAR = 30
+_NAME = 24
+"""Columns for a model's name; a longer one has a line of its own, so that bars begin below each other."""
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return horizons and verdict of every model, the ladder, and where each model fails."""
+    lines: list[str] = []
+    for judgement in comparison.judgements:
+        how = (
+            "refitted on the other half of each recording it was fitted on" if judgement.refitted else "not fitted here"
+        )
+        lines += [f"{judgement.name} ({how})", *_horizon_lines(judgement.horizons)]
+        lines += [f"  note: {note}" for note in judgement.notes]
+        lines.append("")
+    lines += [*_ladder_lines(comparison), "", *_trajectory_lines(comparison)]
+    for judgement in comparison.judgements:
+        lines += ["", *failure_lines(judgement)]
+    if any(j.failures for j in comparison.judgements):
+        lines += ["", SIGNS]
+    return "\n".join(lines)
+
+
+def failure_lines(judgement: Judgement) -> list[str]:
+    """Return the verdict, and where the model fails, the plainest first."""
+    lines = [judgement_sentence(judgement)]
+    if judgement.failures:
+        shown, more = judgement.failures[:MOST], len(judgement.failures) - MOST
+        lines += [f"  {number}. {sentence(f)}" for number, f in enumerate(shown, start=1)]
+        lines += [f"  and {more} more, see --json"] if more > 0 else []
+    else:
+        lines.append("  no motion, time, place or moment in which it fails")
+    return lines
+
+
+def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
+    row = "  {:>6}{:>9}{:>23}{:>23}{:>20}{:>8}{:>13}{:>13}{:>13}".format
+    lines = [
+        row("path", "windows", "along", "across", "yaw", "NEES", "by chance", "in 50 %", "in 90 %"),
+        row(
+            "",
+            "",
+            "measured (expected)",
+            "measured (expected)",
+            "measured (exp.)",
+            "",
+            "(95 %)",
+            "al/ac/yaw",
+            "al/ac/yaw",
+        ),
+    ]
+    for h in horizons:
+        along, across = (f"{_length(h.measured[c])} ({_length(h.expected[c])})" for c in (0, 1))
+        yaw = f"{degrees(h.measured[2]):.2f} ({degrees(h.expected[2]):.2f}) deg" if isfinite(h.measured[2]) else "-"
+        chance = f"{h.nees_bounds[0]:.2f} to {h.nees_bounds[1]:.2f}"
+        outside = " " if h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] else "*"
+        lines.append(
+            row(
+                f"{h.distance_m:g} m", h.windows, along, across, yaw, f"{h.nees:.2f}{outside}", chance,
+                _percent(h.coverage_50), _percent(h.coverage_90),
+            )
+        )  # fmt: skip
+    return lines
+
+
+def _percent(parts: Iterable[float]) -> str:
+    return "/".join(f"{100.0 * p:.0f}" if isfinite(p) else "-" for p in parts)
+
+
+def _length(metres: float) -> str:
+    return f"{metres * 1e3:.1f} mm" if metres < 1.0 else f"{metres:.2f} m"
+
+
+def ladder_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | None]]:
+    """Return names and 10 s errors (m), from the odometry as it came to the last model."""
+    steps: list[tuple[str, float, Judgement | None]] = [("odometry as it came", comparison.raw_error_m, None)]
+    if comparison.clock_error_m != comparison.raw_error_m:
+        steps.append(("its clock set right", comparison.clock_error_m, None))
+    return [*steps, *((j.name, j.ten_second_error_m, j) for j in comparison.judgements)]
+
+
+def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: float) -> float:
+    """Return an error over the largest of the ladder; 0 where it is not known."""
+    worst = max((e for _, e, _ in steps if isfinite(e)), default=0.0)
+    return error / worst if isfinite(error) and worst > 0.0 else 0.0
+
+
+def _ladder_lines(comparison: Comparison) -> list[str]:
+    steps = ladder_steps(comparison)
+    lines = [f"{_held(comparison)} position error (RMS) after 10 s, and log likelihood:"]
+    for name, error, judgement in steps:
+        bar = "#" * round(_BAR * share_of_worst(steps, error))
+        nats = "" if judgement is None else _nats(comparison, judgement)
+        size = f"{error * 1e3:9.1f} mm" if isfinite(error) else f"{'-':>12}"
+        lines += _named(name, f"{size}  {bar:<{_BAR}}  {nats}")
+    falls = falls_sentence(comparison)
+    return [*lines, f"  {falls}"] if falls else lines
+
+
+def _nats(comparison: Comparison, judgement: Judgement) -> str:
+    n = judgement.nats
+    text = f"{n.per_m:.2f} +- {n.error:.2f} nats/m"
+    if judgement is comparison.judgements[0]:
+        return text
+    return f"{text}  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {comparison.judgements[0].name})"
+
+
+def _held(comparison: Comparison) -> str:
+    return "cross-validated" if any(j.refitted for j in comparison.judgements) else "held-out"
+
+
+def falls_sentence(comparison: Comparison) -> str:
+    """Return by how much the error falls; "" where nothing falls, or where the data were fitted."""
+    first, last = comparison.judgements[0], comparison.judgements[-1]
+    if any(j.refitted for j in comparison.judgements) or not last.ten_second_error_m < first.ten_second_error_m:
+        return ""
+    ratio = last.ten_second_error_m / first.ten_second_error_m
+    return f"the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}"
+
+
+def _trajectory_lines(comparison: Comparison) -> list[str]:
+    cut = len(comparison.judgements[0].pieces) > len(comparison.recordings)
+    which = "paths, in halves" if cut else "whole paths"
+    lines = [f"{which}, each model's effects taken out (ATE, RPE as evo has them, RMS):"]
+    steps: list[tuple[str, TrajectoryError]] = [("odometry, clock right", comparison.clock_trajectory)]
+    steps += [(j.name, j.trajectory) for j in comparison.judgements]
+    for name, e in steps:
+        lines += _named(
+            name,
+            f"ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start; "
+            f"RPE over 1 m {_metres(e.rpe_m)}, {_degrees(e.rpe_rad)}",
+        )
+    return lines
+
+
+def _named(name: str, rest: str) -> list[str]:
+    """Return a row with its name before it, or above it."""
+    above = [] if len(name) < _NAME else [f"  {name}"]
+    return [*above, f"  {'' if above else name:<{_NAME}}{rest}".rstrip()]
+
+
+def _metres(value: float) -> str:
+    return f"{value:.3f} m" if isfinite(value) else "-"
+
+
+def _degrees(value: float) -> str:
+    return f"{degrees(value):.3f} deg" if isfinite(value) else "-"

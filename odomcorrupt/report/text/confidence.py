@@ -1,0 +1,101 @@
+"""How sure each finding is, and the numbers of a believed law: the same in the terminal, the report and JSON."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.random_effects import RandomGain
+    from odomcorrupt.study.select.stepwise import Learned, Round
+
+__all__ = [
+    "ClockFound",
+    "LawNumber",
+    "clocks_found",
+    "law_numbers",
+    "noise_sure",
+    "step_sure",
+    "sure_words",
+    "told_expression",
+]
+
+_CLOCKS = ("time_offset", "clock_skew")
+_REAL = 3.9
+"""Standard errors from which on a clock is off, and has not only been left free."""
+
+
+class ClockFound(NamedTuple):
+    """A clock that is off: as which effect, of which recording, its value, its standard error and how sure that is."""
+
+    name: str
+    recording: int
+    value: float
+    error: float
+    sure: float
+
+
+class LawNumber(NamedTuple):
+    """A number of a law, with its standard error and unit."""
+
+    value: float
+    error: float
+    unit: str
+
+
+def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
+    """Yield what is really there: a skew makes an offset free, too, which need not be."""
+    for position, name in enumerate(_CLOCKS):
+        for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
+            value, error = (clock.offset_s, clock.rate)[position], errors[position]
+            if free[position] and abs(value) > _REAL * error:
+                sure = confidence(Evidence(0.5 * (value / error) ** 2))
+                yield ClockFound(name, i, float(value), float(error), sure)
+
+
+def step_sure(look: Round, learned: Learned) -> float:
+    """Return how sure a name is that a look added."""
+    return confidence(evidence_of(look, learned))
+
+
+def noise_sure(gain: RandomGain, learned: Learned) -> float:
+    """Return how sure a name of noise is; whatever depends on something looks like a gain that wanders."""
+    like_anything = gain.effect.name in WANDERING
+    left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
+    return confidence(Evidence(gain.nats, left=left))
+
+
+def sure_words(sure: float) -> str:
+    """Return "sure 0.99"; never more than it is, for 0.999 is not certain."""
+    return f"sure {int(100.0 * sure) / 100.0:.2f}"
+
+
+def law_numbers(unknown: Unknown, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
+    """Return the numbers of a believed law by name, as a fit of the final model has them; of others none.
+
+    fit : the fit that is told or written, where it is not the search's own
+    """
+    fit = fit or learned.fit
+    if unknown not in learned.laws or unknown.law is None:
+        return {}
+    errors = iter(fit.standard_errors)
+    for effect in fit.effects:
+        own = [LawNumber(getattr(effect, p.name), float(next(errors)), p.unit) for p in amplitudes(effect)]
+        if effect.name == unknown.law.effect.name:
+            return {p.name: number for p, number in zip(amplitudes(effect), own, strict=True)}
+    return {}
+
+
+def told_expression(unknown: Unknown, numbers: Mapping[str, LawNumber]) -> str:
+    """Return the expression of an unknown dependence: with these numbers, where its law is believed."""
+    if unknown.law is None or not numbers:
+        return unknown.expression
+    return unknown.law.law.expression(unknown.law.action, [number.value for number in numbers.values()])

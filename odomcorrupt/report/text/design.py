@@ -1,0 +1,94 @@
+"""Advice as sentences: the same ones in the terminal and in the report."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.text.tables import value_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.study.design.advise import Advice, Choice, Limit, Untestable
+    from odomcorrupt.study.design.plan import Plan
+
+__all__ = [
+    "advice_sentences",
+    "advice_text",
+    "choice_sentence",
+    "drive_sentence",
+    "drive_words",
+    "limits_sentence",
+    "untestable_sentence",
+]
+
+
+def advice_text(advice: Advice) -> str:
+    """Return all advice, a sentence a line; "" where nothing is open."""
+    return "\n".join(advice_sentences(advice))
+
+
+def advice_sentences(advice: Advice) -> list[str]:
+    """Return a sentence for every choice, and one for all effects that share reason and drive."""
+    groups: dict[tuple[str, str], list[Untestable]] = {}
+    for one in advice.untestable:
+        groups.setdefault((one.why, drive_words(one.plan, one.hint)), []).append(one)
+    return [*map(choice_sentence, advice.choices), *map(untestable_sentence, groups.values())]
+
+
+def choice_sentence(choice: Choice) -> str:
+    """Return "A or B: these data cannot tell; drive X"."""
+    names = " or ".join(choice.names)
+    if choice.plan is None:
+        if choice.hint:
+            return f"{names}: the same to every drive: {choice.hint}"
+        return f"{names}: these data cannot tell, and no drive of ten minutes would: what they differ in is too small"
+    why = f" ({choice.why})" if choice.why else ""
+    return (
+        f"{names}: these data cannot tell{why}; drive {drive_sentence(choice.plan)}: "
+        f"that is expected to tell by {choice.nats:.0f} nats"
+    )
+
+
+def untestable_sentence(group: Sequence[Untestable]) -> str:
+    """Return "A, B: not testable here: never reversed; drive X" of effects that share reason and drive."""
+    names = ", ".join(one.effect for one in group)
+    words = drive_words(group[0].plan, group[0].hint)
+    return f"{names}: not testable here: {group[0].why}" + (f"; {words}" if words else "")
+
+
+def drive_words(plan: Plan | None, hint: str) -> str:
+    """Return "drive X", or what an effect itself says where no plan shows it."""
+    return f"drive {drive_sentence(plan)}" if plan is not None else hint
+
+
+def drive_sentence(plan: Plan) -> str:
+    """Return what to drive, how long, how fast and on how much floor."""
+    length, width = plan.floor_m
+    moving = f"up to {plan.fastest_mps:.1f} m/s on {length + 1.0:.0f} m x {width + 1.0:.0f} m"
+    if plan.fastest_mps == 0.0:
+        moving = f"up to {degrees(plan.quickest_radps):.0f} deg/s"
+    return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
+
+
+def limits_sentence(limits: Sequence[Limit]) -> str:
+    """Return the sizes that would have been seen, in units a person thinks in; "" where there are none."""
+    if not limits:
+        return ""
+    names = [limit.effect for limit in limits]
+    sizes = ", ".join(
+        f"{limit_name(limit, alone=names.count(limit.effect) == 1)} {limit_size(limit)}" for limit in limits
+    )
+    return f"these sizes would have been seen: {sizes}"
+
+
+def limit_name(limit: Limit, *, alone: bool) -> str:
+    """Return the effect's name, with the parameter's where the effect has several."""
+    return limit.effect if alone else f"{limit.effect} {limit.parameter}"
+
+
+def limit_size(limit: Limit) -> str:
+    """Return a size in two figures and a unit a person thinks in."""
+    number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
+    return f"{float(f'{float(number):.2g}'):g} {unit}".strip()

@@ -1,0 +1,117 @@
+"""What a search found, as plain text: effects, noise, what is unknown, and what would have been seen."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.text.confidence import law_numbers, noise_sure, sure_words, told_expression
+from odomcorrupt.report.text.design import advice_text, limits_sentence
+from odomcorrupt.report.text.lack_of_fit import rejection, size
+from odomcorrupt.report.text.tables import clock_lines, ladder_text, noise_text, value_text
+from odomcorrupt.study.estimate.intervals import join
+from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.windows import distance_windows, rmse
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.report.text.confidence import LawNumber
+    from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.heterogeneity import Disagreement
+    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.validate.compare import Judgement
+
+__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
+
+NOTHING = "nothing is missing: no known effect would explain more than chance does"
+
+
+def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = None, fit: Fit | None = None) -> str:
+    """Return the findings in the order of their weight, what is open, and the sizes that would have been seen.
+
+    judged : the verdict on the final model, where it is known
+    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
+    """
+    lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
+    if learned.added:
+        lines += ["missing, in the order of evidence, each on top of the ones before:", ladder_text(learned)]
+    for gain in learned.noise:
+        values = ", ".join(noise_text(gain.effect))
+        channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
+        sure = sure_words(noise_sure(gain, learned))
+        lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
+    for unknown in learned.unknown[:3]:
+        lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
+    lines += [_disagreement_line(one, learned) for one in learned.disagreements]
+    why = rejection(judged) if judged is not None and not learned.unknown else ""
+    if why:
+        lines.append(unnamed(why, found=bool(lines)))
+    lines = lines or [NOTHING]
+    lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
+    return "\n".join(lines)
+
+
+def _disagreement_line(one: Disagreement, learned: Learned) -> str:
+    says = ", ".join(
+        f"{value_text(value, error, one.unit)} in {name}"
+        for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
+    )
+    slow = [gain.effect.name for gain in learned.noise if gain.effect.name in WANDERING]
+    noise = f" ({slow[0]} may be nothing but that)" if slow else ""
+    return (
+        f"the recordings disagree about {one.effect}: {says}. Something was changed between them{noise}: "
+        "learn from those that belong together"
+    )
+
+
+def unnamed(why: str, *, found: bool) -> str:
+    """Return what to say of a model that is rejected and of which nothing that is known is missing.
+
+    found : whether something was found on the way
+    """
+    return f"nothing {'else ' if found else ''}that is known is missing, but the model is rejected: {why}"
+
+
+def _unknown_lines(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> list[str]:
+    finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
+    told = f"{told_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
+    return [finding, f"  {'believed and fitted' if believed else 'to try'}: {told}"]
+
+
+def dependence(unknown: Unknown) -> str:
+    """Return on what an error depends, as a clause."""
+    driver = unknown.driver.replace("_", " ")
+    if unknown.wavelength_m is not None:
+        return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
+    if unknown.wheels:
+        whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
+        return f"the error {whose} depends on {driver}"
+    per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
+    return f"the {unknown.channel} error{per} depends on {driver}"
+
+
+def shares_text(ladder: Sequence[Judgement]) -> str:
+    """Return what each step takes off the held-out error, 10 s, 10 m and 50 m after the truth; "" with one model."""
+    lines = ["held-out position error (RMS):"]
+    for before, after in pairwise(ladder):
+        parts = [_fall("10 s", before.ten_second_error_m, after.ten_second_error_m)]
+        parts += [_fall(f"{d:g} m", position_error(before, d), position_error(after, d)) for d in (10.0, 50.0)]
+        lines.append(f"  {after.name:<18}{'   '.join(part for part in parts if part)}")
+    return "\n".join(lines) if len(ladder) > 1 else ""
+
+
+def position_error(judgement: Judgement, distance_m: float) -> float:
+    """Return the position error (m, RMS) after a length of path; NaN where no stretch is that long."""
+    windows = [w for piece in judgement.pieces if len(w := distance_windows(piece.left, distance_m))]
+    return rmse(join(windows, [0] * len(windows))) if windows else float("nan")
+
+
+def _fall(what: str, before: float, after: float) -> str:
+    if not (isfinite(before) and isfinite(after) and before > 0.0):
+        return ""
+    return f"{what}: {size('along', before)} -> {size('along', after)} ({100.0 * (after / before - 1.0):+.0f} %)"

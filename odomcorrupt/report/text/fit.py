@@ -1,0 +1,88 @@
+"""What a fit found, as plain text."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.text.tables import clock_lines, numbers_text, words_text
+from odomcorrupt.study.estimate.outliers import events
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.estimate.confidence_intervals import Interval
+    from odomcorrupt.study.estimate.outliers import Event
+
+__all__ = ["fit_text", "laws_table"]
+
+_AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "rad", "across_trans": "m"}
+_MOST_EVENTS = 8
+
+
+def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
+    """Return what a fit found; without clocks where these are told beside it."""
+    truth = result.fit.noise.truth
+    names = [r.name for r in result.fit.problem.recordings]
+    lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
+    lines += [_interval_line(result, interval) for interval in result.intervals]
+    errors = iter(result.fit.standard_errors)
+    lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
+    lines += clock_lines(names, result.clocks) if clocks else []
+    wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
+    heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
+    lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
+    lines += _event_lines(events(result.fit))
+    lines.append(f"position error after 10 s on the fitted data: {result.ten_second_error_m * 1e3:.1f} mm")
+    return "\n".join(lines)
+
+
+def _interval_line(result: RobotFit, interval: Interval) -> str:
+    name, value = interval.name, interval.value
+    heading = name.startswith("rot_")
+    scale, unit = (degrees(1.0), "deg") if heading else (1e3, "mm")
+    sense = (
+        f"{unit} after one {'metre' if _AFTER[name] == 'm' else 'radian'}" if _plain(result) else "as the law has it"
+    )
+    ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
+    if not interval.identifiable:
+        return f"  {name:<13}{'-':<10} {ends:<22}  not identifiable from this drive"
+    human = f"  = {value * scale:.3g} {sense}" if _plain(result) else f"  {sense}"
+    return f"  {name:<13}{value:<10.4g} {ends:<22}{human}"
+
+
+def _plain(result: RobotFit) -> bool:
+    return result.fit.problem.approach.law_name == "diffusion"
+
+
+def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
+    return f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
+
+
+def _event_lines(found: Sequence[Event]) -> list[str]:
+    """Return the stretches that weigh less, the largest first, with the time since the recording's first odometry."""
+    if not found:
+        return []
+    total = sum(event.end_s - event.start_s for event in found)
+    lines = [f"{len(found)} stretches ({total:.1f} s) are no ordinary noise and weigh less; the largest:"]
+    largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:_MOST_EVENTS]
+    lines += [
+        f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "
+        f"{degrees(e.yaw_rad):+.2f} deg"
+        for e in sorted(largest, key=lambda e: (e.recording, e.start_s))
+    ]
+    return lines
+
+
+def laws_table(results: Mapping[str, RobotFit]) -> str:
+    """Return all laws side by side, the likeliest first; coefficients cost half the logarithm of the data each."""
+    best = next(iter(results.values())).information_nats
+    lines = [f"{'law':<12}{'nats behind the best':>22}{'coefficients':>14}   depends on the step"]
+    for name, result in results.items():
+        behind = best - result.information_nats
+        step = "yes" if result.fit.problem.approach.law.per_step else "no"
+        lines.append(f"{name:<12}{behind:>22.1f}{len(result.fit.pieces.active):>14}   {step}")
+    return "\n".join(lines)

@@ -1,0 +1,108 @@
+"""Failures as sentences: the same ones in the terminal, in the report and in JSON."""
+
+from __future__ import annotations
+
+from math import degrees, isfinite
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.validate.calibration import Horizon
+    from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.lack_of_fit import Failure
+
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size"]
+
+MOST = 8
+"""Sentences told of a model; JSON has all of them."""
+SIGNS = (
+    "Signs: odometry minus truth. Plus means that the odometry ends too far ahead, too far left, or turns too far left."
+)
+_SENSE = {
+    "along": ("the odometry ends too far ahead", "the odometry ends too far behind"),
+    "across": ("the odometry ends too far left", "the odometry ends too far right"),
+    "yaw": ("the odometry turns too far left", "the odometry turns too far right"),
+}
+
+
+def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -> str:
+    """Return a length (m) or angle (rad) in the unit a person thinks in; a dash where it is not known."""
+    if not isfinite(value):
+        return "–"
+    if channel == "yaw":
+        return f"{_figures(degrees(value), digits, signed=signed)} deg"
+    if abs(value) >= 1.0:
+        return f"{_figures(value, digits + 1, signed=signed)} m"
+    return f"{_figures(value * 1e3, digits, signed=signed)} mm"
+
+
+def _figures(value: float, digits: int, *, signed: bool) -> str:
+    """Return a number with so many figures, never as a power of ten."""
+    if value == 0.0:
+        return "0"
+    places = max(digits - 1 - _magnitude(value), 0)
+    return f"{value:{'+' if signed else ''}.{places}f}"
+
+
+def _magnitude(value: float) -> int:
+    return int(f"{abs(value):e}".split("e")[1])
+
+
+def sentence(failure: Failure) -> str:
+    """Return a failure as a person says it."""
+    tail = f" ({failure.recording})" if failure.recording else ""
+    channel, measured, expected = failure.channel, failure.measured, failure.expected
+    sense = _SENSE[channel][measured < 0.0]
+    if failure.kind == "drift":
+        more = "larger" if measured > expected else "smaller"
+        return (
+            f"{channel} error is {size(channel, measured)} RMS {failure.where}, {more} than the "
+            f"{size(channel, expected)} that the model expects ({failure.amount:g} windows){tail}"
+        )
+    if failure.kind == "moment":
+        return (
+            f"{channel} error jumps by {size(channel, measured, signed=True)} {failure.where}: "
+            f"{sense}; the model expects no more than {size(channel, expected)}{tail}"
+        )
+    per, span = (10.0, "10 m") if failure.per == "m" else (60.0, "minute")
+    besides = "on top of the above, " if failure.besides else ""
+    return (
+        f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
+        f"{failure.where}: {sense}; the model expects no more than {size(channel, expected * per)}{tail}"
+    )
+
+
+def judgement_sentence(judgement: Judgement) -> str:
+    """Return the verdict on a model."""
+    verdict = judgement.verdict
+    count = len(verdict.looks)
+    level = f"{100.0 * verdict.level:g} % level, {count} looks together"
+    if not verdict.rejected:
+        return f"{judgement.name} is not rejected ({level}): errors of this size and kind are what it expects"
+    worst = verdict.against[0]
+    others = len(verdict.against) - 1
+    more = f", and {others} more" if others else ""
+    return f"{judgement.name} is rejected ({level}): {worst.question}, p {_p(worst.p)}{more}"
+
+
+def rejection(judgement: Judgement) -> str:
+    """Return by what a model is rejected, how many times too large its errors are, and what that means; "" if not."""
+    verdict = judgement.verdict
+    if not verdict.rejected:
+        return ""
+    worst = verdict.against[0]
+    said = f"{worst.question}, p {_p(worst.p)}"
+    large = [h for h in judgement.horizons if h.nees > h.nees_bounds[1]]
+    small = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
+    if large:
+        return f"{said}; {_times(max(large, key=lambda h: h.nees))}: something is left that has no name here"
+    if small:
+        return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it expects more noise than there is"
+    return f"{said}; the size of its errors is what it expects"
+
+
+def _times(h: Horizon) -> str:
+    return f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times what it expects (NEES {h.nees:.2g})"
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 1e-3 else f"{p:.2g}"

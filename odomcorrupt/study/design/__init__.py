@@ -1,0 +1,1 @@
+"""Experiment design: what the data cannot tell, and which drive would."""

@@ -1,0 +1,139 @@
+"""A or B: pairs of names that the data cannot tell apart, and the drive that would."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
+from odomcorrupt.study.design.information import separation
+from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.design.drives import Drives, Gain
+    from odomcorrupt.study.design.information import Field
+    from odomcorrupt.study.design.plan import Plan
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.stepwise import Round
+
+__all__ = ["TOO_FEW_NATS", "Choice", "open_choices"]
+
+TOO_FEW_NATS = 3.0
+"""Less than this from ten minutes of the best drive: no drive is worth it."""
+
+_OUTDONE = "others explain it better"
+"""How a candidate is passed over that was possible by itself, but not among the few that were fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One of several names, and these data cannot tell which.
+
+    why : what the drive lacked, in words; "" where it lacked nothing
+    plan : the drive that would tell, or None where no drive can
+    nats : by how much it is expected to favour the right one
+    hint : where the two are the very same to every drive: what else can tell; "" where they are only too small
+    """
+
+    names: tuple[str, ...]
+    why: str
+    plan: Plan | None
+    nats: float
+    hint: str = ""
+
+
+def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
+    """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
+    if look.added is None:
+        return [], []
+    kinds = registry()
+    rivals = {c.score.effect.name: c for c in look.candidates}
+    names = [n for n in look.alternatives if n in rivals]
+    dearer = [c.score.effect.name for c in _lookalikes(drives, look) if c.score.effect.name not in names]
+    found, told = [], []
+    for name in (*names, *dearer):
+        gain = _telling(drives, rivals[look.added], rivals[name])
+        plan, nats = best_plan(drives, gain)
+        if nats < TOO_FEW_NATS and name in dearer:
+            continue
+        if nats < TOO_FEW_NATS:
+            found.append(Choice((look.added, name), "", None, nats))
+            continue
+        found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
+        told.append(gain)
+    said = {look.added, *(name for choice in found for name in choice.names)}
+    for twin, kind in kinds.items():
+        if kind.twin_of in said:
+            hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
+            found.append(Choice((str(kind.twin_of), twin), "", None, 0.0, hint))
+    return found, told
+
+
+def _mends(drives: Drives, twin: type[Effect]) -> str:
+    """Return how to accept the twin of an effect that belongs to the set-up, which `correct` leaves alone; or ""."""
+    own = next((e for e in drives.learned.fit.effects if e.name == twin.twin_of), None)
+    if own is None or own.kind != "setup" or twin.kind == "setup":
+        return ""
+    values = ",".join(f"{p.name}={getattr(own, p.name):.4g}" for p in amplitudes(twin))
+    return (
+        f"if it is the robot and not where the truth is taken, a correction mends it only as {twin.name}: "
+        f"give `correct` --effect {twin.name}:{values}"
+    )
+
+
+def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:
+    """Return what would explain this very effect on these drives, and is no alternative for its price alone.
+
+    Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart. What needs a
+    shape to do the same, a patch as large as the floor, is the same thing in more words.
+    """
+    added = look.candidates[0]
+    effect = _as_fitted(added)
+    beside = [e for e in drives.learned.fit.effects if e.name != effect.name]
+    others = [c for c in look.candidates[1:] if all(p.amplitude for p in parameters(c.score.effect))]
+    possible = [c for c in others if c.refused in ("", _OUTDONE)]
+    return [
+        c
+        for c in possible
+        if separation(effect, c.score.effect, [e for e in beside if e.name != c.score.effect.name], [drives.recorded])
+        < ALTERNATIVE_NATS * max(added.score.inflation, c.score.inflation)
+    ]
+
+
+def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
+    """Return what tells how many nats a drive adds to the choice between two, whichever of them is true."""
+    a, b = (_as_fitted(c) for c in (one, other))
+    beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
+    inflation = max(one.score.inflation, other.score.inflation)
+    pairs = [pair for x in _guises(drives, a, beside) for y in _guises(drives, b, beside) for pair in ((x, y), (y, x))]
+
+    def nats(*drive: Field) -> float:
+        fields = [drives.recorded, *drive]
+        return min(separation(x, y, beside, fields) for x, y in pairs) / inflation
+
+    known = nats()
+    return lambda drive: nats(drive) - known
+
+
+def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
+    """Return an effect with every source of the heading that these data leave open, its own first.
+
+    A straight does not say whether the wheels or a gyro give the heading; what a turn would tell hangs on it.
+    """
+    words = choices(effect).get("heading", ())
+    others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]
+    return [effect, *(o for o in others if separation(effect, o, beside, [drives.recorded]) < ENOUGH_NATS)]
+
+
+def _as_fitted(candidate: Candidate) -> Effect:
+    """Return the effect at the size that it was found to have, or would have if it were added."""
+    effect, estimate = candidate.score.effect, candidate.score.estimate
+    if candidate.fit is None:
+        sizes = {p.name: float(value) for p, value in zip(amplitudes(effect), estimate, strict=True)}
+        return replace(effect, **sizes)  # type: ignore[type-var]  # effects are dataclasses
+    return next(e for e in candidate.fit.effects if e.name == effect.name)

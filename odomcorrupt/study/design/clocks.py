@@ -1,0 +1,98 @@
+"""Clocks that these data cannot show, and effects that a clock would explain as well: what drive would tell.
+
+A clock is looked for before anything else and beside what resembles it, so it is among no candidates; what can be known
+of it is asked here in the same terms. It belongs to one drive: the next one tells of its own clock.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.design.ambiguities import TOO_FEW_NATS, Choice
+from odomcorrupt.study.design.drives import best_plan, missing_motion
+from odomcorrupt.study.design.identifiability import HIDDEN, SEEN, Untestable
+from odomcorrupt.study.design.information import clock_errors, separation
+from odomcorrupt.study.estimate.clocks import RIVALS
+from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.design.drives import Drives, Gain
+    from odomcorrupt.study.design.information import Field
+    from odomcorrupt.study.select.stepwise import Round
+
+__all__ = ["CLOCKS", "Unseen", "clock_choices", "unseen_clocks"]
+
+CLOCKS = ("time_offset", "clock_skew")
+"""In the order of the two numbers of a clock."""
+
+
+class Unseen(NamedTuple):
+    """A clock that was not put to the test, and what tells how much of it a drive would show."""
+
+    told: Untestable
+    shows: Gain
+
+
+def unseen_clocks(drives: Drives) -> list[Unseen]:
+    """Return what no recording would show of a clock, were it off by its typical size."""
+    beside = _beside_clocks(drives)
+    found = []
+    for number, name in enumerate(CLOCKS):
+        kind = registry()[name]
+        typical = amplitudes(kind)[0].typical
+        now = float(clock_errors(beside, drives.with_clocks)[number])
+        if SEEN * now <= typical or any(free[number] for free in drives.learned.clocks.free):
+            continue
+
+        def shows(drive: Field, number: int = number, typical: float = typical) -> float:
+            return 0.5 * (typical / float(clock_errors(beside, drive, drives.recorded)[number])) ** 2
+
+        masks = [
+            e.name
+            for e in beside
+            if HIDDEN * float(clock_errors([o for o in beside if o is not e], drives.with_clocks)[number]) < now
+        ]
+        plan, nats = best_plan(drives, shows)
+        why = missing_motion(drives, shows, nats) or "too little motion that shows it"
+        why += f", and here it looks like {' and '.join(masks)}" if masks else ""
+        about = kind.about
+        seen = nats >= 0.5 * SEEN**2
+        told = Untestable(name, why, plan if seen else None, "" if seen or about is None else about.drive)
+        found.append(Unseen(told, shows))
+    return found
+
+
+def clock_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
+    """Return the choice between what was added and a clock that is off by a constant, if these data leave it open."""
+    if look.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
+        return [], []
+    own = next((e for e in drives.learned.fit.effects if e.name == look.added), None)
+    if own is None:
+        return [], []
+    beside = [e for e in drives.learned.fit.effects if e is not own]
+    inflation = look.candidates[0].score.inflation
+    known = separation(own, None, beside, [drives.with_clocks]) / inflation
+    if known >= ALTERNATIVE_NATS:
+        return [], []
+
+    def telling(drive: Field) -> float:
+        return separation(own, None, beside, [drives.with_clocks, drive]) / inflation - known
+
+    names = (look.added, CLOCKS[0])
+    plan, nats = best_plan(drives, telling)
+    if nats < TOO_FEW_NATS:
+        return [Choice(names, "", None, nats)], []
+    return [Choice(names, missing_motion(drives, telling, nats), plan, nats)], [telling]
+
+
+def _beside_clocks(drives: Drives) -> Sequence[Effect]:
+    """Return what is free beside a clock: what is believed, and what must not be mistaken for one."""
+    own = drives.learned.fit.effects
+    track = all(r.track_m is not None for r in drives.learned.fit.problem.recordings)
+    kinds = [registry()[name] for name in RIVALS if track or not registry()[name].needs_track]
+    return [*own, *(kind() for kind in kinds if kind.name not in {e.name for e in own})]

@@ -1,0 +1,152 @@
+"""What the data cannot show even if it were there, for which physical reason, and the sizes that they would show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.design.drives import best_plan, missing_motion
+from odomcorrupt.study.design.information import sizes
+
+if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.design.drives import Drives, Gain
+    from odomcorrupt.study.design.information import Field
+    from odomcorrupt.study.design.plan import Plan
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.stepwise import Learned, Round
+
+__all__ = ["HIDDEN", "SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
+
+SEEN = 4.2
+"""An effect this many standard errors large is found nearly always."""
+HIDDEN = 4.0
+"""What makes the standard error of an effect this many times larger hides it."""
+_NO_TRACK = (
+    "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
+    "drive and steer it"
+)
+_REFUSALS = ("not testable", "cannot be told")
+"""How refusals begin that say something of the drive, and nothing of the effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Untestable:
+    """An effect that these data cannot show, even if it were there.
+
+    why : in words
+    plan : the drive that would show its typical size, or None
+    hint : where no plan is: what else to do
+    """
+
+    effect: str
+    why: str
+    plan: Plan | None
+    hint: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """The least size of an effect's parameter that these data would have shown, in its unit."""
+
+    effect: str
+    parameter: str
+    size: float
+    unit: str
+
+
+def is_untestable(candidate: Candidate) -> bool:
+    """Whether an effect was passed over because of the drive, or its usual size would not have been seen."""
+    if candidate.refused.startswith(_REFUSALS) or not candidate.score.separable:
+        return True
+    sizes_of = zip(amplitudes(candidate.score.effect), candidate.score.standard_error, strict=True)
+    return bool(candidate.refused) and any(SEEN * error > p.typical for p, error in sizes_of)
+
+
+def untestable(drives: Drives, candidate: Candidate) -> Untestable:
+    """Return why a candidate cannot be judged on these drives, and the drive on which it could."""
+    effect = candidate.score.effect
+    gain = shows(drives, candidate)
+    plan, nats = best_plan(drives, gain)
+    why = missing_motion(drives, gain, nats) or _short_of(candidate)
+    if masks := _masks(drives, effect):
+        why += f", and here it looks like {' and '.join(masks)}"
+    if nats < 0.5 * SEEN**2:
+        about = effect.about
+        return Untestable(effect.name, why, None, about.drive if about else "")
+    return Untestable(effect.name, why, plan)
+
+
+def shows(drives: Drives, candidate: Candidate) -> Gain:
+    """Return what tells how many nats the typical size of an effect is worth after a drive."""
+    effect = candidate.score.effect
+    beside = _beside(drives, effect)
+    typical = np.array([p.typical for p in amplitudes(effect)])
+
+    def nats(drive: Field) -> float:
+        return float(np.min(0.5 * (typical / sizes(effect, beside, [drives.recorded, drive])) ** 2))
+
+    return nats
+
+
+def _masks(drives: Drives, effect: Effect) -> list[str]:
+    """Return what is believed already and hides an effect: without it, the effect would be known far better."""
+    beside = _beside(drives, effect)
+    now = float(np.max(sizes(effect, beside, [drives.recorded])))
+    found = []
+    for e in beside:
+        others = [o for o in beside if o is not e]
+        if float(np.max(sizes(effect, others, [drives.recorded]))) * HIDDEN < now:
+            found.append(e.name)
+    return found
+
+
+def _beside(drives: Drives, effect: Effect) -> list[Effect]:
+    return [e for e in drives.learned.fit.effects if e.name != effect.name]
+
+
+def _short_of(candidate: Candidate) -> str:
+    """Return in which number the data fall short, where no motion is missing."""
+    if not candidate.score.separable:
+        return "it looks like other effects on this drive"
+    own = amplitudes(candidate.score.effect)
+    p, error = max(
+        zip(own, candidate.score.standard_error, strict=True),
+        key=lambda pair: pair[1] / max(pair[0].high, -pair[0].low),
+    )
+    unit = f" {p.unit}" if p.unit else ""
+    return f"too little motion that shows it: {p.name} is known to {float(error):.2g}{unit} only"
+
+
+def untried(learned: Learned) -> list[Untestable]:
+    """Return effects that never became candidates: single wheels without a track, places never visited twice.
+
+    Not those of robots that drive sideways: this one does not.
+    """
+    have = {e.name for e in learned.fit.effects} | {c.score.effect.name for c in learned.rounds[-1].candidates}
+    track = all(r.track_m is not None for r in learned.fit.problem.recordings)
+    found = []
+    for name, kind in registry().items():
+        if name in have or kind.kind == "noise" or kind.clock or kind.twin_of is not None or kind.needs_sideways:
+            continue
+        hint = kind.about.drive if kind.about else ""
+        if kind.needs_track and not track:
+            found.append(Untestable(name, _NO_TRACK, None, hint))
+        else:
+            found.append(Untestable(name, "nothing on this drive to try it on", None, hint))
+    return found
+
+
+def limits(look: Round) -> list[Limit]:
+    """Return the least sizes that would have been seen, of all that could be."""
+    found = []
+    for candidate in look.candidates:
+        score = candidate.score
+        if not is_untestable(candidate):
+            sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
+            found += [Limit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
+    return found

@@ -1,0 +1,158 @@
+"""How much a drive would tell: regressor columns of manoeuvres never driven, whitened with the noise of the fit.
+
+The expected log likelihood ratio between "A" and "anything that B can do" is half the squared length of what A adds
+to the whitened residuals, less its projection on the columns of B and of all that is free beside them (clocks, and
+effects that are believed). Columns of the recorded drives and of the planned one are stacked: what is known already
+stays known, and a clock belongs to one drive alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.design.plan import ideal_recording
+from odomcorrupt.study.estimate.gauss_newton import believed_columns
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.random_process import with_random
+from odomcorrupt.study.estimate.whitener import whitener
+from odomcorrupt.study.io.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.design.plan import Plan
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.whitener import Whitener
+
+__all__ = ["Field", "clock_errors", "planned_field", "recorded_field", "separation", "sizes"]
+
+_NOTHING_LEFT = 1e-4
+"""A column of which only this part is left beside others is not known at all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A drive, recorded or planned, and what whitens its residuals.
+
+    clocks : (K, 3, c) columns of its own clock, free
+    """
+
+    problem: Problem
+    whitener: Whitener
+    clocks: Array
+    _known: dict[Effect | None, Array] = field(init=False, default_factory=dict, repr=False)
+    """Whitened columns that were asked for before: the same few are, again and again. None: the clock's."""
+
+    def white(self, effects: Sequence[Effect]) -> Array:
+        """Return whitened columns (3 K, p) of the amplitudes of some effects."""
+        parts = [self._white(effect) for effect in effects if amplitudes(effect)]
+        return np.concatenate([np.zeros((3 * len(self.problem.nodes), 0)), *parts], axis=1)
+
+    def white_clocks(self) -> Array:
+        """Return whitened columns (3 K, c) of its clock."""
+        return self._white(None)
+
+    def _white(self, effect: Effect | None) -> Array:
+        if effect not in self._known:
+            columns = self.clocks if effect is None else self.problem.columns(effect)
+            empty = np.zeros((3 * len(self.problem.nodes), 0))
+            self._known[effect] = self.whitener.whiten(columns) if columns.shape[2] else empty
+        return self._known[effect]
+
+
+def recorded_field(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> Field:
+    """Return the drives that were fitted."""
+    own = sum(len(amplitudes(e)) for e in fit.problem.effects)
+    return Field(fit.problem, fit.noise.whitener, believed_columns(fit.problem, free_clocks)[:, :, own:])
+
+
+def planned_field(fit: Fit, plan: Plan) -> Field:
+    """Return a planned drive, with the noise of the fit and a clock that is free in offset and rate."""
+    problem = pose_problem([ideal_recording(plan, fit.problem.recordings[0])], approach=fit.problem.approach)
+    truth = fit.noise.truth if fit.problem.headings else replace(fit.noise.truth, yaw_rad=UNKNOWN_RAD)
+    q = problem.nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, problem.steps)
+    clocks = problem.clock_columns()
+    noise = replace(fit.noise, whitener=whitener(problem.nodes, q, truth))
+    return Field(problem, with_random(noise, problem, clocks, fit.random).whitener, clocks)
+
+
+def separation(one: Effect, other: Effect | None, beside: Sequence[Effect], fields: Sequence[Field]) -> float:
+    """Return the nats by which the drives together are expected to favour `one`, were it true as it stands.
+
+    other : None where the rival is the drives' clocks
+    beside : effects that are free beside both
+    """
+    away = np.array([getattr(one, p.name) - p.identity for p in amplitudes(one)])
+    signal, rest = _stacked((one,), beside if other is None else (other, *beside), fields)
+    return 0.5 * float(np.sum(_without(rest, signal @ away) ** 2))
+
+
+def sizes(effect: Effect, beside: Sequence[Effect], fields: Sequence[Field]) -> Array:
+    """Return the standard errors (p,) of an effect's amplitudes that the drives together give; inf where none."""
+    signal, rest = _stacked((effect,), beside, fields)
+    left = _without(rest, signal)
+    scale = np.sqrt(np.maximum(np.sum(signal**2, axis=0), 1e-300))
+    normal = (left / scale).T @ (left / scale)
+    if not signal.any() or np.linalg.eigvalsh(normal)[0] < 1e-8:
+        return np.full(signal.shape[1], np.inf)
+    errors: Array = np.sqrt(np.diag(np.linalg.inv(normal))) / scale
+    return errors
+
+
+def clock_errors(beside: Sequence[Effect], drive: Field, *others: Field) -> Array:
+    """Return the standard errors (2,) of the clock of a drive that has all its clocks free: offset, s, and rate.
+
+    That of the offset holds for a clock of the right rate. Of several runs in the field, the best known clock counts.
+
+    beside : effects that are free beside it, and known from the `others` as well
+    """
+    fields = [drive, *others]
+    known = [field.white_clocks() * (field is not drive) for field in fields]
+    _, rest = _stacked((), beside, fields, known)
+    pairs = drive.white_clocks()
+    signal = np.zeros((len(rest), pairs.shape[1]))
+    signal[: len(pairs)] = pairs
+    left = _without(rest, signal)
+    best = np.full(2, np.inf)
+    for run in range(pairs.shape[1] // 2):
+        offset, rate = left[:, 2 * run], left[:, 2 * run + 1]
+        apart = rate - offset * float(offset @ rate) / max(float(offset @ offset), 1e-300)
+        for number, (column, whole) in enumerate(((offset, pairs[:, 2 * run]), (apart, pairs[:, 2 * run + 1]))):
+            if np.linalg.norm(column) > _NOTHING_LEFT * np.linalg.norm(whole):
+                best[number] = min(best[number], 1.0 / float(np.linalg.norm(column)))
+    return best
+
+
+def _stacked(
+    own: Sequence[Effect], beside: Sequence[Effect], fields: Sequence[Field], clocks: Sequence[Array] | None = None
+) -> tuple[Array, Array]:
+    """Return columns of `own` and of the rest, drives on top of each other, clocks beside each other."""
+    clocks = [field.white_clocks() for field in fields] if clocks is None else clocks
+    height = sum(len(c) for c in clocks)
+    apart = np.zeros((height, sum(c.shape[1] for c in clocks)))
+    row = column = 0
+    for block in clocks:
+        apart[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    signal = np.concatenate([field.white(own) for field in fields])
+    shared = np.concatenate([field.white(beside) for field in fields])
+    return signal, np.concatenate((shared, apart), axis=1)
+
+
+def _without(rest: Array, signal: Array) -> Array:
+    """Return what is left of signals (n,) or (n, p) beside the columns (n, q)."""
+    rest = rest[:, np.abs(rest).max(axis=0, initial=0.0) > 0.0]
+    if not rest.shape[1]:
+        return signal
+    unit = rest / np.linalg.norm(rest, axis=0)
+    u, size, _ = np.linalg.svd(unit, full_matrices=False)
+    basis = u[:, size > 1e-8 * size[0]]
+    left: Array = signal - basis @ (basis.T @ signal)
+    return left

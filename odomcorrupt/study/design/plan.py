@@ -1,0 +1,131 @@
+"""A manoeuvre as it would be driven: speeds over time, and the recording that a perfect robot would make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.study.design.manoeuvres import Hold, Limits, straight, turn
+from odomcorrupt.study.io.recording import Recording, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.design.manoeuvres import Manoeuvre
+
+__all__ = ["STEP_S", "Plan", "ideal_recording", "plan_of", "safe_limits"]
+
+STEP_S = 0.05
+"""Time between two commands."""
+_FAST = (0.3, 1.2)
+_TURNING = (0.5, 1.2)
+_REST_S = 2.0
+_STOP = Hold(0.0, 0.0, 0.5)
+_NEAR_M = 0.3
+_STRAIGHT_RAD = 0.5
+"""Smaller turns than this are left out: they are too short for the ramps."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Commands `STEP_S` apart, beginning and ending at rest.
+
+    v_mps, omega_radps : (n,)
+    """
+
+    manoeuvre: Manoeuvre
+    v_mps: Array
+    omega_radps: Array
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes, seconds."""
+        return len(self.v_mps) * STEP_S
+
+    @property
+    def path(self) -> Array:
+        """Poses (n + 1, 3) of a robot that follows exactly, from the origin, m and rad."""
+        steps = Increments(self.v_mps * STEP_S, np.zeros_like(self.v_mps), self.omega_radps * STEP_S)
+        return accumulate(np.zeros(3), steps)
+
+    @property
+    def floor_m(self) -> tuple[float, float]:
+        """Length and width of the floor that its path covers, metres, the longer first."""
+        size = np.ptp(self.path[:, :2], axis=0)
+        return float(size.max()), float(size.min())
+
+    @property
+    def fastest_mps(self) -> float:
+        """Largest speed, m/s."""
+        return float(np.abs(self.v_mps).max())
+
+    @property
+    def quickest_radps(self) -> float:
+        """Largest turn rate, rad/s."""
+        return float(np.abs(self.omega_radps).max())
+
+
+def safe_limits(motions: Sequence[Motion]) -> Limits:
+    """Return how fast a robot may be sent: as fast as it has been seen to go, within what is harmless indoors."""
+    v = np.concatenate([np.abs(m.v) for m in motions])
+    omega = np.concatenate([np.abs(m.omega) for m in motions])
+    seen = float(np.quantile(v, 0.98)), float(np.quantile(omega, 0.98))
+    return Limits(float(np.clip(seen[0], *_FAST)), float(np.clip(seen[1], *_TURNING)))
+
+
+def plan_of(manoeuvre: Manoeuvre, limits: Limits, duration_s: float) -> Plan:
+    """Return the commands of whole moves until `duration_s` is over, and at least for the manoeuvre's own time."""
+    rest = np.zeros((round(_REST_S / STEP_S), 2))
+    speeds, now = [rest], np.zeros(2)
+    left = round(max(duration_s, manoeuvre.least_s) / STEP_S)
+    for step in manoeuvre.round(limits):
+        holds = [step] if isinstance(step, Hold) else _homewards(np.concatenate([*speeds, _ramp(now, _STOP)]), limits)
+        for hold in holds if isinstance(step, Hold) else [_STOP, *holds]:
+            speeds.append(_ramp(now, hold))
+            now = np.array(hold[:2])
+            left -= len(speeds[-1])
+        if left <= 0:
+            break
+    v, omega = np.concatenate([*speeds, _ramp(now, _STOP), rest]).T
+    return Plan(manoeuvre, np.ascontiguousarray(v), np.ascontiguousarray(omega))
+
+
+def _ramp(now: Array, hold: Hold) -> Array:
+    """Return the commands (n, 2) from one pair of speeds to the next, and while these are kept."""
+    wanted = np.array(hold[:2])
+    count = max(1, int(np.ceil(np.max(np.abs(wanted - now) / hold.accelerations) / STEP_S)))
+    part = np.concatenate((np.arange(1, count + 1) / count, np.ones(round(hold.hold_s / STEP_S))))
+    return now + part[:, None] * (wanted - now)
+
+
+def _homewards(speeds: Array, limits: Limits) -> list[Hold]:
+    """Return the moves from where commands (n, 2) have led, at rest, to where they began, facing as then."""
+    steps = Increments(speeds[:, 0] * STEP_S, np.zeros(len(speeds)), speeds[:, 1] * STEP_S)
+    x, y, theta = accumulate(np.zeros(3), steps)[-1]
+    away = float(np.hypot(x, y))
+    if away < _NEAR_M:
+        return []
+    back = float(np.arctan2(-y, -x))
+    moves = [*_turned(back - theta, limits), *straight(away, min(limits.v_mps, max(0.25 * away, 0.1)))]
+    return [*moves, *_turned(-back, limits)]
+
+
+def _turned(angle_rad: float, limits: Limits) -> list[Hold]:
+    wrapped = float(wrap(np.array([angle_rad]))[0])
+    return list(turn(wrapped, limits.omega_radps)) if abs(wrapped) > _STRAIGHT_RAD else []
+
+
+def ideal_recording(plan: Plan, like: Recording) -> Recording:
+    """Return what a perfect robot, watched by a perfect tracker, would record, from where `like` began."""
+    stamps_ns = like.origin_ns + (np.arange(len(plan.v_mps) + 1) * round(STEP_S * 1e9)).astype(np.int64)
+    odometry = Trajectory(stamps_ns, plan.path)
+    start = np.nan_to_num(like.truth.xyt[0])
+    steps = Increments(plan.v_mps * STEP_S, np.zeros_like(plan.v_mps), plan.omega_radps * STEP_S)
+    truth = Trajectory(stamps_ns, accumulate(start, steps))
+    return Recording(plan.manoeuvre.name, odometry, truth, like.origin_ns, like.track_m)

@@ -1,0 +1,1 @@
+"""Estimation: residuals between intervals, their likelihood, and the fit of a model to them."""

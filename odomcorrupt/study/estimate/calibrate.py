@@ -1,0 +1,148 @@
+"""From recordings to a robot's model: the whole of `odomcorrupt fit`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import EffectError
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
+from odomcorrupt.model.noise_laws import LAWS
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.extrinsics import find_setup
+from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
+from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.io.encoders import restore_lost
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFit:
+    """A robot's model, and what stands behind it.
+
+    intervals : the noise coefficients with their 95 % intervals
+    ten_second_error_m : on the fitted recordings themselves: a description, not a test
+    """
+
+    model: MotionModel
+    fit: Fit
+    clocks: Clocks
+    intervals: tuple[Interval, ...]
+    ten_second_error_m: float
+
+    @property
+    def information_nats(self) -> float:
+        """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
+        nodes = len(self.fit.problem.nodes)
+        return self.fit.log_likelihood - 0.5 * len(self.fit.pieces.active) * float(np.log(nodes))
+
+
+def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
+    """Return the effects to fit: those of a start model, at their values, and the added ones at their identity."""
+    effects = [*start.effects, *start.setup.effects] if start is not None else []
+    for name in add:
+        if any(effect.name == name for effect in effects):
+            raise EffectError(f"--add {name}: the start model has it already; leave it out")
+        effect = effect_from_values(name, {})
+        if effect.clock:
+            raise EffectError(f"--add {name}: clocks are part of every fit already; leave it out")
+        if effect.kind == "noise":
+            raise EffectError(f"--add {name}: a random effect cannot be fitted this way yet")
+        effects.append(effect)
+    return effects
+
+
+def fit_robot(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect],
+    *,
+    law_name: str,
+    start: MotionModel | None = None,
+    clocks: Clocks | None = None,
+    shaped: Container[str] = (),
+) -> RobotFit:
+    """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
+
+    Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
+
+    shaped : names of effects whose shapes were looked for in the same recordings
+    """
+    recordings = [restore_lost(recording, effects) for recording in recordings]
+    approach = choose_approach(recordings, law_name)
+    start_noise = None
+    if clocks is None:
+        clocks = find_clocks(recordings, approach)
+        effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
+        start_noise = clocks.noise
+    fitted = fit(
+        recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
+    )
+    fitted = with_told_errors(fitted, clocks.free, shaped)
+    columns = believed_columns(fitted.problem, clocks.free)
+    intervals = coefficient_intervals(fitted, columns)
+    errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
+    error = ten_second_error(fitted)
+    model = model_of(fitted, [e for e in effects if e.kind == "noise"])
+    own = {f"{effect.name}.{p.name}" for effect in model.effects for p in amplitudes(effect)}
+    model = replace(
+        model,
+        noise=replace(model.noise, step=start.noise.step if start is not None else None),
+        track_m=model.track_m if model.track_m is not None or start is None else start.track_m,
+        standard_errors=errors | dict(model.standard_errors),
+        correlation=fit_correlation(fitted, columns, own | errors.keys()),
+        source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
+    )
+    return RobotFit(model, fitted, clocks, tuple(intervals), error)
+
+
+def fit_every_law(
+    recordings: Sequence[Recording], effects: Sequence[Effect], *, start: MotionModel | None = None
+) -> dict[str, RobotFit]:
+    """Fit every law with the same effects, clocks and set-up, the likeliest first.
+
+    A law that depends on the step is applied to the odometry's own steps.
+    """
+    first, *others = LAWS
+    results = {first: fit_robot(recordings, effects, law_name=first, start=start)}
+    same = [*results[first].fit.effects, *(e for e in effects if e.kind == "noise")]
+    for name in others:
+        results[name] = fit_robot(recordings, same, law_name=name, start=start, clocks=results[first].clocks)
+    return dict(sorted(results.items(), key=lambda item: item[1].information_nats, reverse=True))
+
+
+def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
+    """Return the model that a fit stands for; random effects go along as they are."""
+    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
+    problem = fitted.problem
+    clocks = zip(problem.recordings, problem.clocks, strict=True)
+    return MotionModel(
+        noise=Noise(problem.approach.law_name, fitted.noise.coefficients),
+        effects=(*(e for e in fitted.effects if e.kind != "setup"), *random),
+        track_m=problem.recordings[0].track_m,
+        setup=Setup(
+            effects=tuple(e for e in fitted.effects if e.kind == "setup"),
+            truth=fitted.noise.truth,
+            clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
+        ),
+        standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
+        source={
+            "recordings": [r.name for r in problem.recordings],
+            "drivers": problem.approach.side,
+            "log_likelihood_nats": fitted.log_likelihood,
+        },
+    )

@@ -1,0 +1,89 @@
+"""How well the noise coefficients are known: intervals from the profile of the likelihood.
+
+Coefficients are positive and their likelihoods are skewed, so a standard error alone would lie; the interval is where
+the profile likelihood stays within 1.92 nats of its top (95 %), and it may begin at zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseTask
+from odomcorrupt.study.estimate.variance_components import NAMES
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+
+__all__ = ["Interval", "coefficient_intervals"]
+
+_DROP = float(chi2.ppf(0.95, 1)) / 2.0
+_STEPS = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A coefficient with its 95 % interval; low is 0 where the data would do without it."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the drive bounds it from above at all."""
+        return self.high < HIGHEST
+
+    @property
+    def standard_error(self) -> float:
+        """A symmetric stand-in for the interval, where one number is wanted."""
+        return (self.high - self.low) / (2.0 * 1.96)
+
+
+def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
+    """Return the interval of every coefficient that the law knows, in its order; columns are those of the fit.
+
+    One that the drive never asked for, such as noise of turns where nothing turned, has no bounds.
+    """
+    task = NoiseTask(
+        fitted.problem.nodes,
+        fitted.pieces,
+        columns,
+        fitted.noise.weights,
+        headings=fitted.problem.headings,
+    )
+    top = fitted.log_likelihood
+    free = fitted.noise.free
+    found = []
+    for position, index in enumerate(fitted.pieces.active):
+        best = float(free[position])
+        low, high = (_edge(task, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
+        found.append(Interval(NAMES[index], float(getattr(fitted.noise.coefficients, NAMES[index])), low, high))
+    found += [Interval(NAMES[index], 0.0, 0.0, float("inf")) for index in fitted.pieces.unseen]
+    return sorted(found, key=lambda interval: NAMES.index(interval.name))
+
+
+def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:
+    """Return where the profile has dropped by the quantile, in steps that double and then by interpolation."""
+    free = fitted.noise.free.copy()
+    inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
+    step = 0.1
+    for _ in range(_STEPS + 3):
+        outside = inside + direction * step
+        if outside <= np.log(LOWEST):
+            return 0.0
+        free[position] = outside
+        climbed = task.climb(free, fixed=position)
+        drop = top - task.evaluate(climbed).log_likelihood
+        if drop >= _DROP:
+            # a parabola in the logarithm between the two points
+            share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))
+            return float(np.exp(inside + share * (outside - inside)))
+        free, inside, inside_drop = climbed, outside, drop
+        step *= 2.0
+    return 0.0 if direction < 0 else float("inf")

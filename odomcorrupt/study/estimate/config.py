@@ -1,0 +1,57 @@
+"""How recordings are looked at: what drives the regressors, how far apart nodes lie, which noise law is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.study.terms.regressors import choose_side, truth_noise
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.model.noise_laws import Law
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.terms.regressors import Side
+
+__all__ = ["NODE_S", "Approach", "choose_approach"]
+
+NODE_S = 0.5
+"""Spacing of nodes for a good truth, seconds."""
+_COARSE_NODE_S = 1.0
+_COARSE_TRUTH_M = 0.008
+"""A truth noisier than this per sample wanders, too (RTK, SLAM): nodes farther apart than it wanders."""
+_BLIND_NODE_S = 2.0
+"""Positions alone tell of a turn by where it leads to, and their filter's jitter for noise of turns at nodes nearby."""
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """One choice for all recordings of a study.
+
+    side : what drives the regressors, see `drivers`
+    spacing_s : of the nodes
+    law_name : the noise law
+    """
+
+    side: Side = "odometry"
+    spacing_s: float = NODE_S
+    law_name: str = "diffusion"
+
+    @property
+    def law(self) -> Law:
+        """The noise law itself."""
+        return law_named(self.law_name)
+
+
+def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion") -> Approach:
+    """Return what suits the worst of the recordings."""
+    noise_m = max(float(np.hypot(*truth_noise(r.truth)[:2])) / np.sqrt(2.0) for r in recordings)
+    spacing_s = _COARSE_NODE_S if noise_m > _COARSE_TRUTH_M else NODE_S
+    if not all(r.headed for r in recordings):
+        spacing_s = _BLIND_NODE_S
+    sides = {choose_side(r, spacing_s) for r in recordings}
+    return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)

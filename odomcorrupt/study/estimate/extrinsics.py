@@ -1,0 +1,65 @@
+"""Find where the truth's tracked point sits: like the clocks, a property of the set-up and not of the robot."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from scipy.stats import chi2
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.clocks import NUISANCE, Clocks
+from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["find_setup"]
+
+_QUANTITIES = ("lever_arm", "mount_yaw")
+_LEVEL = 1e-4
+
+
+def find_setup(
+    recordings: Sequence[Recording], effects: Sequence[Effect], clocks: Clocks, approach: Approach
+) -> tuple[Effect, ...]:
+    """Return lever arm and mounting yaw of all recordings together, those that are really there.
+
+    They are estimated with the usual systematic effects free beside them, which are then forgotten. One that is not
+    significant, that makes the drift larger, or that cannot be told from an effect that is asked for, is left out.
+    """
+    kinds = registry()
+    asked = {name for effect in effects for name in (effect.name, effect.twin_of)}
+    asked |= {name for name, kind in kinds.items() if kind.twin_of in asked}
+    near = {effect.name: effect for effect in clocks.beside}
+
+    def usual(names: Iterable[str]) -> list[Effect]:
+        return [near.get(name, kinds[name]()) for name in names if name not in asked]
+
+    free, beside = usual(_QUANTITIES), usual(name for name in NUISANCE if name not in _QUANTITIES)
+    if not free:
+        return ()
+
+    def fitted(*together: Effect) -> Fit:
+        return fit(
+            recordings, together, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=clocks.noise
+        )
+
+    best = fitted(*free, *beside, *effects)
+    there = [e for e in best.effects[: len(free)] if chi2.sf(best.wald[e.name], len(amplitudes(e))) < _LEVEL]
+    if not there:
+        return ()
+    alone = fitted(*there, *effects)
+    found = alone.effects[: len(there)]
+    better = ten_second_error(alone) <= ten_second_error(fitted(*effects))
+    return found if better and all(_plausible(effect) for effect in found) else ()
+
+
+def _plausible(effect: Effect) -> bool:
+    """Return whether it is well within its bounds: what runs to their edge makes up for something else."""
+    return all(2.0 * abs(getattr(effect, p.name)) < p.high for p in amplitudes(effect))

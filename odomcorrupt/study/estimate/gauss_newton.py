@@ -1,0 +1,203 @@
+"""Fit a whole model: effects, clocks, noise coefficients and truth noise, together.
+
+Gauss-Newton on the systematic part, with the noise refitted around it: what is believed is undone exactly, the rest is
+one linear step, until the steps are small against their errors.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.random_process import WANDERING, with_random
+from odomcorrupt.study.estimate.stochastic_em import noise_beside
+from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.io.clock import Clock, clock_leaders, led
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["Fit", "believed_columns", "fit"]
+
+_ROUNDS = 6
+_NEAR, _SMALL = 2.0, 0.1
+"""Steps within so many standard errors leave robust weights as they are, and end the search."""
+
+
+class Onward(NamedTuple):
+    """Where the last step of a fit leads: a next look would start there."""
+
+    effects: tuple[Effect, ...]
+    clocks: tuple[Clock, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A fitted model of some recordings.
+
+    pieces : the law's covariances on the problem's nodes
+    problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
+    random : wandering gains that are believed
+    noise : coefficients, truth noise, innovations and likelihood
+    standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
+    clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    onward : effects and clocks after the last step, which the problem is without because it is small
+    """
+
+    problem: Problem
+    pieces: LawPieces
+    noise: NoiseFit
+    random: tuple[Effect, ...]
+    standard_errors: Array
+    clock_errors: Array
+    onward: Onward
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The fitted effects."""
+        return self.problem.effects
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log likelihood in nats."""
+        return self.noise.log_likelihood
+
+    @property
+    def wald(self) -> dict[str, float]:
+        """Wald's statistic of each effect: chi-square with as many degrees as it has amplitudes if it did nothing."""
+        statistics = {}
+        position = 0
+        for effect in self.effects:
+            own = amplitudes(effect)
+            rows = slice(position, position + len(own))
+            position += len(own)
+            away = np.array([getattr(effect, p.name) - p.identity for p in own])
+            covariance = self.noise.theta_covariance[rows, rows]
+            statistics[effect.name] = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+        return statistics
+
+
+def fit(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] = (),
+    *,
+    clocks: Sequence[Clock] | None = None,
+    free_clocks: Sequence[tuple[bool, bool]] | None = None,
+    approach: Approach,
+    start: Array | None = None,
+    weights: Array | None = None,
+    random: Sequence[Effect] = (),
+    nearly: bool = False,
+) -> Fit:
+    """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
+
+    random : wandering gains that are believed, with their parameters
+    start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
+    nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
+    """
+    # a random effect is believed or passed over, never estimated here
+    random = [*random, *(e for e in effects if e.name in WANDERING)]
+    bursts = any(e.name == "slip_burst" for e in effects)
+    effects = [e for e in effects if e.kind != "noise"]
+    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    leaders = clock_leaders(recordings)
+    free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
+    effects = tuple(effects)
+    before: Problem | None = None
+    for _ in range(_ROUNDS):
+        problem = pose_problem(recordings, effects, clocks, approach=approach)
+        if before is not None and weights is not None:
+            weights = _carried(weights, before, problem)
+        columns = believed_columns(problem, free)
+        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
+        noise = noise_beside(
+            problem,
+            pieces,
+            columns,
+            random,
+            start=start,
+            weights=weights,
+            elsewhere=before is None,
+            bursts=bursts,
+        )
+        start, before = noise.free, problem
+        noise = with_random(noise, problem, columns, random)
+        errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
+        old = effects
+        effects, clocks = _moved(effects, clocks, led(free, leaders), noise.theta)
+        clocks = tuple(clocks[leader] for leader in leaders)
+        step = _made(old, effects, noise.theta)
+        if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
+            break
+        if not np.any(np.abs(step) > _NEAR * errors):
+            # so near the end nobody becomes an outlier or ceases to be one
+            weights = noise.weights
+    own = sum(len(amplitudes(e)) for e in effects)
+    clock_errors = np.zeros(free.shape)
+    clock_errors[led(free, leaders)] = errors[own:]
+    clock_errors = clock_errors[leaders]
+    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors, Onward(effects, clocks))
+
+
+def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
+    """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
+    free = led(np.asarray(free_clocks), clock_leaders(problem.recordings))
+    parts = [problem.columns(effect) for effect in problem.effects]
+    if free.any():
+        parts.append(problem.clock_columns()[:, :, free.ravel()])
+    return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+
+
+def _carried(weights: Array, before: Problem, now: Problem) -> Array:
+    """Return the weights (K,) that nodes had on those of now: a clock that moves may win or lose one, or shift them."""
+    if np.array_equal(before.nodes.start_s, now.nodes.start_s):
+        return weights
+    carried = np.ones(len(now.nodes))
+    for r in range(len(now.recordings)):
+        old, new = np.flatnonzero(before.run == r), np.flatnonzero(now.run == r)
+        middle = (before.nodes.start_s[old] + before.nodes.end_s[old]) / 2.0
+        wanted = (now.nodes.start_s[new] + now.nodes.end_s[new]) / 2.0
+        right = np.clip(np.searchsorted(middle, wanted), 1, len(middle) - 1)
+        nearest = right - (wanted - middle[right - 1] < middle[right] - wanted)
+        carried[new] = weights[old[nearest]]
+    return carried
+
+
+def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Array:
+    """Return the steps that were really made: a parameter that stands at its bound goes no farther."""
+    own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
+    return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
+
+
+def _moved(
+    effects: tuple[Effect, ...], clocks: tuple[Clock, ...], free: Array, theta: Array
+) -> tuple[tuple[Effect, ...], tuple[Clock, ...]]:
+    """Return effects and clocks after a step, parameters kept within their bounds."""
+    step = iter(theta)
+    new_effects = []
+    for effect in effects:
+        values = {
+            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
+        }
+        new_effects.append(dataclasses.replace(effect, **values))  # type: ignore[type-var]
+    new_clocks = []
+    for clock, (offset, rate) in zip(clocks, free, strict=True):
+        new_clocks.append(
+            Clock(
+                clock.offset_s + (float(next(step)) if offset else 0.0),
+                clock.rate + (float(next(step)) if rate else 0.0),
+            )
+        )
+    return tuple(new_effects), tuple(new_clocks)

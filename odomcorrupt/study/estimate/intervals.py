@@ -1,0 +1,250 @@
+"""Intervals: truth samples half a second or so apart, and the odometry between them.
+
+Between two neighbouring nodes the odometry says U, the truth says D, and e = log(D^-1 U) is what the model must
+explain. Everything that happens at a single odometry step on the way (a systematic error, a draw of noise) is carried
+to the end of its interval exactly: an error of heading swings the rest of the way around. The truth is never
+interpolated, because that would change its noise; the odometry is (it is smooth between its samples).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import between, rotate, wrap
+from odomcorrupt.model.noise_laws import variances
+from odomcorrupt.study.estimate.resample import cut_at
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.increments import Increments
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["LEAST_NODES", "Intervals", "count_nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
+
+GAP_S = 3.0
+"""An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
+LEAST_NODES = 20
+"""Fewer intervals than this cannot carry a fit of anything."""
+
+
+def pick_nodes(truth_s: Array, first_s: float, last_s: float, spacing_s: float) -> NDArray[np.int64]:
+    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before."""
+    inside = np.flatnonzero((truth_s >= first_s) & (truth_s <= last_s))
+    if len(inside) < 2:
+        raise RecordingError(
+            f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"
+        )
+    grid = np.arange(truth_s[inside[0]], last_s + spacing_s, spacing_s) - 1e-9
+    picked: NDArray[np.int64] = np.unique(inside[np.minimum(np.searchsorted(truth_s[inside], grid), len(inside) - 1)])
+    return picked
+
+
+@dataclass(frozen=True, slots=True)
+class Intervals:
+    """K intervals between neighbouring nodes, and the n steps of odometry inside them.
+
+    start_s, end_s : (K,) times of an interval's ends since the recording's origin, seconds
+    truth_xyt : (K, 3) truth pose at the start
+    truth_step : (K, 3) D, the truth's motion over the interval in the frame of its start
+    odometry_step : (K, 3) U, the odometry's
+    residual : (K, 3) e = log(D^-1 U): along, across (m), yaw (rad), in the frame of the interval's end
+    linked : (K,) whether the interval starts at the node where the one before it ended
+    first : (K,) index of each interval's first step
+    source, share : (n,) which increment of the odometry a step is of, and which part of it
+    axis : (n, 2) forward axis of the step's middle, seen from the interval's end
+    lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
+    """
+
+    start_s: Array
+    end_s: Array
+    truth_xyt: Array
+    truth_step: Array
+    odometry_step: Array
+    residual: Array
+    linked: NDArray[np.bool_]
+    first: NDArray[np.int64]
+    source: NDArray[np.int64]
+    share: Array
+    axis: Array
+    lever: Array
+    lever0: Array
+    lever1: Array
+
+    def __len__(self) -> int:
+        return len(self.start_s)
+
+    @property
+    def distance_m(self) -> Array:
+        """Travel over each interval (K,), metres, as the odometry has it."""
+        return np.hypot(self.odometry_step[:, 0], self.odometry_step[:, 1])
+
+    def column(self, error: Array) -> Array:
+        """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
+        return np.ascontiguousarray(np.add.reduceat(self.carried(error), self.first, axis=1).T)
+
+    def carried(self, error: Array) -> Array:
+        """Return (3, n): what errors (n0, 3) of the odometry's increments do to the residual, step by step."""
+        carried = np.zeros((3, len(self.source)))
+        along, across, yaw = (np.take(part, self.source) * self.share if part.any() else None for part in error.T)
+        (c, s), (ahead, left) = self.axis.T, self.lever.T
+        if along is not None:
+            carried[0], carried[1] = c * along, s * along
+        if across is not None:
+            carried[0] -= s * across
+            carried[1] += c * across
+        if yaw is not None:
+            carried[0] -= yaw * left
+            carried[1] += yaw * ahead
+            carried[2] = yaw
+        return carried
+
+    def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
+        """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
+        return self.spread(law, variances(law, k, steps), steps)
+
+    def spread(self, law: Law, v: Variances, steps: Increments) -> Array:
+        """Return (K, 3, 3): the covariance of the residual from variances of the increments that follow a law."""
+        total = np.zeros((3, 3, len(self)))
+        # a turn spread over the step swings its end as one made half-way
+        for weight, lever in ((v.rot1, self.lever if law.arc else self.lever0), (v.rot2, self.lever1)):
+            if weight.any():
+                self._add_outer(total, weight, -lever[:, 1], lever[:, 0], turns=True)
+        axis = self.axis
+        if law.along_travel:
+            axis = rotate(axis, np.arctan2(steps.dl_m, steps.ds_m)[self.source])
+        if v.trans.any():
+            self._add_outer(total, v.trans, axis[:, 0], axis[:, 1])
+        if v.across.any():
+            self._add_outer(total, v.across, -axis[:, 1], axis[:, 0])
+        return np.ascontiguousarray(np.moveaxis(total, 2, 0))
+
+    def _add_outer(self, total: Array, weight: Array, x: Array, y: Array, *, turns: bool = False) -> None:
+        """Add to (3, 3, K) what noise of a variance (n0,) on each increment does along (x, y, 1 if it turns)."""
+        w = weight[self.source] * self.share
+        wx, wy = w * x, w * y
+        products = {(0, 0): wx * x, (0, 1): wx * y, (1, 1): wy * y}
+        if turns:
+            products |= {(0, 2): wx, (1, 2): wy, (2, 2): w}
+        for (i, j), product in products.items():
+            summed = np.add.reduceat(product, self.first)
+            total[i, j] += summed
+            if i != j:
+                total[j, i] += summed
+
+
+def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
+    """Return the intervals between truth samples `spacing_s` apart, with the odometry between them.
+
+    Raises
+    ------
+    RecordingError
+        Where odometry and truth do not overlap, or too little of them does.
+
+    """
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    try:
+        picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    except RecordingError as error:
+        raise RecordingError(f"{recording.name}: {error}") from error
+    kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
+    if len(kept) < LEAST_NODES:
+        raise RecordingError(
+            f"{recording.name}: only {len(kept)} stretches of {spacing_s:g} s have both odometry and truth; "
+            f"{LEAST_NODES} are needed: record longer, or check the two clocks"
+        )
+    return intervals(recording, picked, kept)
+
+
+def count_nodes(recording: Recording, spacing_s: float) -> int:
+    """Return how many intervals `lay_nodes` would find."""
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
+        return 0
+    between_them = np.diff(truth_s[pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)])
+    return int(np.count_nonzero(between_them < GAP_S * spacing_s))
+
+
+def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.int64] | None = None) -> Intervals:
+    """Return the intervals between the picked truth samples; `kept` names the ones wanted (default: all)."""
+    odometry, truth = recording.odometry, recording.truth
+    origin_ns = recording.origin_ns
+    odo_s = recording.odometry_s
+    node_s, node_xyt = truth.seconds_since(origin_ns)[picked], truth.xyt[picked]
+    if kept is None:
+        kept = np.arange(len(picked) - 1)
+    cut = cut_at(odometry, odo_s, node_s, origin_ns)
+    all_s, all_xyt, at_node = cut.t_s, cut.xyt, cut.at_node
+    interval = np.repeat(np.arange(len(node_s) - 1), np.diff(at_node))  # of the step that starts there
+    position = np.full(len(node_s), -1)
+    position[kept] = np.arange(len(kept))
+    used = np.flatnonzero(position[interval] >= 0)
+    k = position[interval[used]]
+    end_xyt = all_xyt[at_node[kept + 1]]
+    source = np.clip(cut.source[used], 0, len(odo_s) - 2)
+    share = (all_s[used + 1] - all_s[used]) / (odo_s[source + 1] - odo_s[source])
+    start, end = all_xyt[used], all_xyt[used + 1]
+    heading = end_xyt[k, 2]
+    c, s = np.cos(end_xyt[:, 2])[k], np.sin(end_xyt[:, 2])[k]
+    end_x, end_y = end_xyt[k, 0], end_xyt[k, 1]
+
+    def lever(p_xyt: Array) -> Array:
+        x, y = end_x - p_xyt[:, 0], end_y - p_xyt[:, 1]
+        return np.stack((c * x + s * y, c * y - s * x), axis=1)
+
+    lever0, lever1 = lever(start), lever(end)
+    middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
+    truth_step = between(node_xyt[kept], node_xyt[kept + 1])
+    odometry_step = between(all_xyt[at_node[kept]], end_xyt)
+    return Intervals(
+        start_s=node_s[kept],
+        end_s=node_s[kept + 1],
+        truth_xyt=node_xyt[kept],
+        truth_step=truth_step,
+        odometry_step=odometry_step,
+        residual=_log(between(truth_step, odometry_step)),
+        linked=np.concatenate(([False], np.diff(kept) == 1)),
+        first=np.searchsorted(k, np.arange(len(kept))),
+        source=source,
+        share=share,
+        axis=np.stack((np.cos(middle), np.sin(middle)), axis=1),
+        lever=(lever0 + lever1) / 2.0,
+        lever0=lever0,
+        lever1=lever1,
+    )
+
+
+def join(parts: Sequence[Intervals], steps: Sequence[int]) -> Intervals:
+    """Return the intervals of several runs as one chain with breaks between the runs.
+
+    steps : how many increments each run's odometry has; the joined `source` counts through all of them
+    """
+    n0 = np.concatenate(([0], np.cumsum(steps)))
+    n1 = np.concatenate(([0], np.cumsum([len(p.source) for p in parts])))
+    joined = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Intervals)}
+    joined["source"] = np.concatenate([p.source + n for p, n in zip(parts, n0, strict=False)])
+    joined["first"] = np.concatenate([p.first + n for p, n in zip(parts, n1, strict=False)])
+    return Intervals(**joined)
+
+
+def _quarter(xy: Array) -> Array:
+    """Turn vectors (..., 2) by +90 degrees: what a small turn at their foot does to their head."""
+    return np.stack((-xy[..., 1], xy[..., 0]), axis=-1)
+
+
+def _log(xyt: Array) -> Array:
+    """Return the twist (n, 3) whose exponential is a pose (n, 3)."""
+    turn = wrap(xyt[:, 2])
+    half = turn / 2.0
+    # V^-1 = half cot(half) I - half J, even where half is 0
+    cot = np.cos(half) / np.sinc(half / np.pi)
+    xy = cot[:, None] * xyt[:, :2] - half[:, None] * _quarter(xyt[:, :2])
+    return np.concatenate((xy, turn[:, None]), axis=1)

@@ -1,0 +1,229 @@
+"""The likelihood as a function of the noise: evaluated, climbed, with everything linear estimated on the way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.reml import Box, climbed
+from odomcorrupt.study.estimate.selected_inverse import inverse_band
+from odomcorrupt.study.estimate.variance_components import NAMES
+from odomcorrupt.study.estimate.whitener import (
+    BAND,
+    Whitener,
+    band_of,
+    factored,
+    floor_band,
+    truth_pieces,
+    truth_weights,
+)
+from odomcorrupt.study.io.headings import UNKNOWN_RAD
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.variance_components import LawPieces
+
+__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseTask", "by_column", "estimated"]
+
+LOWEST = 1e-5
+"""A coefficient this small is none."""
+HIGHEST = 10.0
+_LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
+_TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
+_TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+_NO_WANDER = 2e-6
+_STEP = 1e-4
+_NATS, _PROFILE_NATS = 1e-4, 1e-3
+"""A climb ends where its next step would gain less."""
+_DEAD, _FAINT = 1e-4, 1e-3
+"""Noise this small has no slope left to climb back on; and where a coefficient is tried again."""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFit:
+    """Fitted noise, and the likelihood it leaves.
+
+    theta, theta_covariance : estimates of the columns that were free, and their covariance
+    weights : (K,) factor on each node's covariance; above 1 where a robust fit saw an outlier
+    innovations : (3 K,) standardised, columns taken out
+    free : (m,) logarithms of the fitted quantities, to start the next fit from
+    """
+
+    coefficients: Coefficients
+    truth: TruthNoise
+    log_likelihood: float
+    theta: Array
+    theta_covariance: Array
+    weights: Array
+    innovations: Array
+    whitener: Whitener
+    free: Array
+
+
+class NoiseTask:
+    """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
+
+    def __init__(
+        self, nodes: Intervals, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True
+    ) -> None:
+        if not pieces.active:
+            raise FitError("the odometry never moves; a noise law has nothing to act on")
+        self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
+        # whatever LAPACK is given lies in memory as it wants it: column by column, a band's column at a time
+        self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
+        bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
+        bands += [band_of(*piece) for piece in truth_pieces(nodes)]
+        self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
+        self._floor = np.asfortranarray(floor_band(len(nodes)))
+
+    def first_guess(self) -> Array:
+        """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
+        scale = np.median(np.abs(self._nodes.residual), axis=0)
+        truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
+        if not self._headings:
+            truth[1] = UNKNOWN_RAD
+        return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
+
+    def evaluate(self, free: Array) -> NoiseFit:
+        """Return the fit at given noise, columns estimated by generalised least squares."""
+        coefficients, truth = self._unpack(free)
+        white = factored(self._band(self._shares(free)))
+        k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
+        nothing = np.zeros(0)
+        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        return estimated(blank, white, self._stacked)
+
+    def climb(self, free: Array, *, fixed: int | None = None) -> Array:
+        """Return the noise of largest likelihood; with one of its numbers held, nearly so (a profile is shallow)."""
+        active = len(self._pieces.active)
+        low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
+        high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
+        if not self._headings:
+            low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
+        if fixed is not None:
+            low[fixed] = high[fixed] = free[fixed]
+        return climbed(self, np.clip(free, low, high), Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
+
+    def second_look(self, free: Array) -> Array:
+        """Return the better of a top and the one that is reached from where no coefficient is nearly zero.
+
+        Noise of travel, of turns and of a wander of the truth look alike at one speed, and the first steps of a climb
+        may put a coefficient where nothing pulls it back.
+        """
+        if not np.any(free[: len(self._pieces.active)] < np.log(_DEAD)):
+            return free
+        other = self.revived(free)
+        other[-1] = _TRUTH_LOW[-1]
+        other = self.climb(other)
+        return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
+
+    def revived(self, free: Array) -> Array:
+        """Return noise of which nothing is nearly zero: there, it would have no slope left to climb back on."""
+        active = len(self._pieces.active)
+        coefficients, truth = free[:active], free[active:]
+        lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
+        return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
+
+    def slope(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the slope (m,) of the log likelihood in the numbers that may move; the columns may be held meanwhile.
+
+        With p = V^-1 r, it is half of p' dV p - trace(V^-1 dV), and dV lies in the band.
+        """
+        factor = done.whitener.factor
+        pull, _ = lapack.dtbtrs(factor, done.innovations, uplo="L", trans="T")
+        lever = -inverse_band(factor)
+        for below in range(BAND + 1):
+            count = len(pull) - below
+            lever[below, :count] += pull[below:] * pull[:count]
+        # what lies below the diagonal stands for what lies above it, too
+        lever[0] *= 0.5
+        by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
+        return np.array([by_band @ self._share_slope(done.free, i) for i in movable])
+
+    def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
+        """Return the average information (m, m) of the numbers that may move.
+
+        Gilmour, Thompson & Cullis 1995, Biometrics 51, eq. 5: half of (dV p)' P (dV p), with p = P r.
+        """
+        white = done.whitener
+        pull, _ = lapack.dtbtrs(white.factor, done.innovations, uplo="L", trans="T")
+        changes = np.stack([self._share_slope(done.free, i) for i in movable]) @ self._bands
+        rows = self._floor.shape[::-1]
+        pushes = np.empty((len(pull), len(movable)), order="F")
+        for i, change in enumerate(changes):
+            pushes[:, i] = blas.dsbmv(BAND, 1.0, change.reshape(rows).T, pull, lower=1)
+        pushes = white.whitened(pushes)
+        information: Array = 0.5 * pushes.T @ pushes
+        return information
+
+    def _shares(self, free: Array) -> Array:
+        """Return the weight of every band."""
+        coefficients, truth = self._unpack(free)
+        return np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+
+    def _share_slope(self, free: Array, i: int) -> Array:
+        """Return by how much every band's weight changes with one number."""
+        more, less = free.copy(), free.copy()
+        more[i] += _STEP
+        less[i] -= _STEP
+        slope: Array = (self._shares(more) - self._shares(less)) / (2.0 * _STEP)
+        return slope
+
+    def _sum(self, shares: Array) -> Array:
+        """Return the bands, weighed and summed."""
+        summed: Array = (shares @ self._bands).reshape(self._floor.shape[::-1]).T
+        return summed
+
+    def _band(self, shares: Array) -> Array:
+        """Return the covariance as a band."""
+        return self._sum(shares) + self._floor
+
+    def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
+        """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
+        active = self._pieces.active
+        coefficients = np.zeros(len(NAMES))
+        log_k = free[: len(active)]
+        coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
+        xy, yaw, wander = np.exp(free[len(active) :])
+        return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def by_column(columns: Array) -> Array:
+    """Return columns (K, 3, c) as (3 K, c), each of them dense in memory."""
+    return np.asfortranarray(columns.reshape(-1, columns.shape[2]))
+
+
+def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
+    """Return a fit with its linear part estimated anew; stacked (3 K, 1 + m) is the residual and the columns."""
+    whitened = white.whitened(stacked)
+    r, b = whitened[:, 0], whitened[:, 1:]
+    theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))
+    if b.shape[1]:
+        covariance = _inverse(b.T @ b)
+        theta = covariance @ (b.T @ r)
+        r = r - b @ theta
+    return replace(
+        noise,
+        log_likelihood=white.log_likelihood(r),
+        theta=theta,
+        theta_covariance=covariance,
+        innovations=r,
+        whitener=white,
+    )
+
+
+def _inverse(normal: Array) -> Array:
+    """Return the inverse of a normal matrix whose columns have very different units; twins share what they carry."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    both = np.outer(scale, scale)
+    inverse: Array = np.linalg.pinv(normal * both, rcond=1e-10, hermitian=True) * both
+    return inverse

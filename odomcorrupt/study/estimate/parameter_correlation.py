@@ -1,0 +1,81 @@
+"""How the errors of a fitted robot's parameters hang together.
+
+What is fitted as a mean (effects) and what is fitted as a spread (noise) have errors that are independent to first
+order: a Gaussian likelihood's information matrix has no block between the two. So there are two blocks: the effects'
+from the normal equations, clocks and mountings left free; the noise's from the curvature of the profile likelihood
+in the logarithms of the coefficients, the truth's own noise left free.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.model.correlation import Correlation
+from odomcorrupt.study.estimate.noise_likelihood import LOWEST, NoiseTask
+from odomcorrupt.study.estimate.variance_components import NAMES
+
+if TYPE_CHECKING:
+    from collections.abc import Container
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+
+__all__ = ["fit_correlation"]
+
+_STEP = 0.05
+"""Of a logarithm: far enough for the likelihood's own rounding, near enough for a parabola."""
+
+
+def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Correlation:
+    """Return the correlations of what a model's file has errors for.
+
+    columns : (K, 3, q) of the fit, see `believed_columns`
+    known : names of the standard errors that are kept
+    """
+    names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
+    effects = fitted.noise.theta_covariance[: len(names), : len(names)]
+    noise_names, noise = _noise_covariance(fitted, columns)
+    whole = np.zeros((len(noise_names) + len(names),) * 2)
+    whole[: len(noise_names), : len(noise_names)] = noise
+    whole[len(noise_names) :, len(noise_names) :] = effects
+    every = Correlation.of_covariance([*noise_names, *names], whole)
+    return every.among([name for name in every.names if name in known])
+
+
+def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
+    """Return the names of the coefficients that are not zero, and the covariance (n, n) of their logarithms.
+
+    All zeros, which says nothing, where the likelihood is no hill there.
+    """
+    active, best = fitted.pieces.active, fitted.noise.free
+    positions = [i for i in range(len(active)) if best[i] > np.log(LOWEST) + 1.0]
+    names = [NAMES[active[i]] for i in positions]
+    blank = np.zeros((len(names), len(names)))
+    task = NoiseTask(
+        fitted.problem.nodes, fitted.pieces, columns, fitted.noise.weights, headings=fitted.problem.headings
+    )
+
+    def value(*moves: tuple[int, float]) -> float:
+        free = best.copy()
+        for i, step in moves:
+            free[i] += step
+        return task.evaluate(free).log_likelihood
+
+    top = value()
+    # noise of the truth whose size does not matter is none that could be mistaken for something
+    truth = range(len(active), len(best))
+    chosen = positions + [i for i in truth if value((i, _STEP)) < top and value((i, -_STEP)) < top]
+    curvature = np.zeros((len(chosen), len(chosen)))
+    for k, i in enumerate(chosen):
+        curvature[k, k] = (2.0 * top - value((i, _STEP)) - value((i, -_STEP))) / _STEP**2
+    for (k, i), (m, j) in combinations(enumerate(chosen), 2):
+        saddle = [value((i, a * _STEP), (j, b * _STEP)) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+        curvature[k, m] = curvature[m, k] = -(saddle[0] - saddle[1] - saddle[2] + saddle[3]) / (4.0 * _STEP**2)
+    if not (np.isfinite(curvature).all() and np.linalg.eigvalsh(curvature).min(initial=np.inf) > 0.0):
+        return names, blank
+    covariance: Array = np.linalg.inv(curvature).astype(np.float64)
+    return names, covariance[: len(names), : len(names)]

@@ -1,0 +1,177 @@
+"""A problem to fit: recordings, with what is believed so far already taken out of them.
+
+Believing in effects means undoing them exactly (increments are corrected and composed again, stamps shifted), never to
+first order; what is left is linear in small changes of the parameters, and each change is one regressor column.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import corrected_twist, error_of, followed, motion_of
+from odomcorrupt.study.estimate.intervals import Intervals, join, lay_nodes
+from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.terms.regressors import drives_sideways, driving_motion
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion, Parameter
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.terms.regressors import Side
+
+__all__ = ["Problem", "pose_problem", "undo"]
+
+_TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
+"""What effects read of the true motion; speeds they read of the odometry's."""
+
+
+def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None = None) -> Recording:
+    """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
+
+    Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
+    from the smooth motion of the odometry (`seen`, where it is known already) and from the recorded truth, which is at
+    hand here.
+    """
+    if not effects:
+        return recording
+    motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
+    left = recording
+    reading = any(effect.reads_truth for effect in effects)
+    # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
+    for again in range(2 if reading else 1):
+        if reading:
+            smooth = seen = driving_motion(left, "odometry", place=seen) if again or seen is None else seen
+            motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
+        robots = [e for e in effects if e.kind != "setup"]
+        twist = corrected_twist([e for e in robots if not e.reads_truth], motion)
+        for effect in robots:
+            if effect.reads_truth and effect.kind != "noise":
+                twist += error_of(effect, motion)
+        twist = followed([e for e in effects if _follows(e)], motion, twist)
+        whole = Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
+        xyt = accumulate(recording.odometry.xyt[0], whole)
+        left = replace(recording, odometry=Trajectory(recording.odometry.stamps_ns, xyt))
+    return left
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Recordings, the effects and clocks believed in, and the nodes of what is left.
+
+    nodes : the K intervals of all runs
+    run : (K,) which recording an interval belongs to
+    motions : per run, what drives the regressors (one entry per odometry interval)
+    """
+
+    recordings: tuple[Recording, ...]
+    effects: tuple[Effect, ...]
+    clocks: tuple[Clock, ...]
+    approach: Approach
+    nodes: Intervals
+    run: Array
+    motions: tuple[Motion, ...]
+
+    @property
+    def headings(self) -> bool:
+        """Whether the truth of every recording has headings of its own."""
+        return all(r.headed for r in self.recordings)
+
+    @property
+    def steps(self) -> Increments:
+        """Increments of all runs as the noise law sees them: smooth, so that noise does not count as motion."""
+        parts = [np.stack((m.v, m.vy, m.omega)) * m.dt_s for m in self.motions]
+        ds, dl, dtheta = np.concatenate(parts, axis=1)
+        sideways = dl if drives_sideways(self.motions) else np.zeros_like(dl)
+        return Increments(np.ascontiguousarray(ds), sideways, np.ascontiguousarray(dtheta))
+
+    def columns(self, effect: Effect) -> Array:
+        """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
+        blocks = []
+        for p in amplitudes(effect):
+            error = [-self._shown(effect, p, m) * m.dt_s[:, None] for m in self.motions]
+            blocks.append(self.nodes.column(np.concatenate(error)))
+        # an expression of numbers alone has none
+        return np.stack(blocks, axis=2) if blocks else np.zeros((len(self.nodes), 3, 0))
+
+    def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
+        """Return the derivative (n, 3) of what the truth follows with respect to a parameter."""
+        slope = _slope(effect, p.name, p.step, motion)
+        after = [e for e in self.effects if _follows(e) and not (_follows(effect) and e.name <= effect.name)]
+        return followed(after, motion, slope)
+
+    def clock_columns(self) -> Array:
+        """Return (K, 3, 2 R): offset and rate of each of the R runs' clocks; a shared one is its first run's."""
+        kinds = registry()
+        both = np.concatenate([self.columns(kinds[name]()) for name in ("time_offset", "clock_skew")], axis=2)
+        clock = np.array(clock_leaders(self.recordings))[self.run]
+        runs = [both * (clock == r)[:, None, None] for r in range(len(self.recordings))]
+        return np.concatenate(runs, axis=2)
+
+
+def pose_problem(
+    recordings: Sequence[Recording],
+    effects: Sequence[Effect] = (),
+    clocks: Sequence[Clock] | None = None,
+    *,
+    approach: Approach,
+) -> Problem:
+    """Take effects and clocks out of recordings and lay nodes over what is left."""
+    clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
+    on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
+    seen = [driving_motion(recording, approach.side) for recording in on_time]
+    if approach.side == "truth":
+        seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
+    own = seen if approach.side == "odometry" else [None] * len(seen)
+    left = [undo(recording, effects, seen=motion) for recording, motion in zip(on_time, own, strict=True)]
+    nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
+    return Problem(
+        recordings=tuple(recordings),
+        effects=tuple(effects),
+        clocks=clocks,
+        approach=approach,
+        nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
+        run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
+        motions=tuple(
+            _seen(motion, now, approach.side) if effects else motion for motion, now in zip(seen, left, strict=True)
+        ),
+    )
+
+
+def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
+    """Return the motion of the robot from that of what the truth follows, which is linear in it."""
+    if not setup or not len(motion):
+        return motion
+    still = np.zeros((len(motion), 3))
+    back = np.linalg.inv([followed(setup, motion, still + unit)[0] for unit in np.eye(3)])
+    v, vy, omega = np.ascontiguousarray((np.stack((motion.v, motion.vy, motion.omega), axis=1) @ back).T)
+    return replace(motion, v=v, vy=vy, omega=omega, acceleration=motion.acceleration @ back)
+
+
+def _seen(was: Motion, now: Recording, side: Side) -> Motion:
+    """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
+    if side == "truth":
+        return was
+    return replace(was, acceleration=driving_motion(now, side, place=was).acceleration)
+
+
+def _follows(effect: Effect) -> bool:
+    """Tell whether an effect is of what the truth follows on the robot."""
+    return effect.kind == "setup" and not effect.clock
+
+
+def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
+    """Return the derivative (n, 3) of f with respect to one parameter."""
+    more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
+    less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
+    slope: Array = (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
+    return slope

@@ -1,0 +1,190 @@
+"""Gains that wander, as Gaussian processes over the nodes: what a unit of one does, and how to believe in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cholesky, eigh
+
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import stacked
+from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.whitener import Whitener
+
+__all__ = [
+    "FINELY",
+    "WANDERING",
+    "Process",
+    "bias_of",
+    "processes",
+    "processes_like",
+    "root_of",
+    "rooted",
+    "unit_column",
+    "widened",
+    "with_random",
+    "without_random",
+]
+
+WANDERING = ("gauss_markov", "gyro_bias_walk")
+"""Random effects that a fit can believe."""
+_TAUS_S = (2.0, 5.0, 15.0, 40.0)
+_LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
+"""Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
+_QUICKEST_S = 3.0
+"""A bias that came back sooner would hardly be told from noise of every step."""
+_MOST_KNOTS = 400
+_COARSELY, FINELY = 2.0, 8.0
+"""Knots to a correlation time: a few show that a process is there, more show how rough it is."""
+_WALK_S = 20.0
+_BREAK_S = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density.
+
+    variance : where it is stationary, at scale 1
+    numbers : how many it is charged for; a walk that comes back has one more than one that does not
+    """
+
+    kind: type[Effect]
+    fixed: dict[str, str | float]
+    scale: str
+    unit: Callable[[Motion], Array]
+    tau: float | None
+    variance: float = 1.0
+    numbers: int = 2
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether it is a bias that does not walk away."""
+        return self.tau is not None and self.unit is bias_of
+
+
+def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
+    """Return a fit of noise with wandering gains in its covariance, everything linear estimated anew."""
+    if not random:
+        return noise
+    wider = widened(noise.whitener, problem, random)
+    return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
+
+
+def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
+    """Return the same noise without the gains that wander."""
+    white = noise.whitener
+    if white.shrink is None:
+        return noise
+    plain = replace(white, directions=None, shrink=None, log_det=white.log_det + float(np.log(white.shrink).sum()))
+    return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
+
+
+def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
+    """Return a whitener of the problem's residuals that knows of wandering gains, too."""
+    if not random:
+        return white
+    designs = np.concatenate([white.whiten(root_of(effect, problem)) for effect in random], axis=1)
+    # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
+    square, turned = eigh(designs.T @ designs)
+    plain = square > 1e-9 * max(float(square[-1]), 1.0)
+    square, directions = square[plain], designs @ (turned[:, plain] / np.sqrt(square[plain]))
+    growth = 1.0 + square
+    return replace(
+        white,
+        directions=directions,
+        shrink=1.0 / np.sqrt(growth),
+        log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
+    )
+
+
+def root_of(effect: Effect, problem: Problem) -> Array:
+    """Return columns (K, 3, m) whose independent standard normal factors make a wandering gain of its own size."""
+    (process,) = processes_like(effect)
+    root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
+    return root
+
+
+def processes() -> list[Process]:
+    """Return the processes to try; a bias that comes back very soon is hardly told from noise of every step."""
+    return _processes(_TAUS_S, _TAUS_S[1:])
+
+
+def _processes(taus_s: Sequence[float], biases_s: Sequence[float]) -> list[Process]:
+    """Return gains with these correlation times, a walk, and biases that come back in these times."""
+    kinds = registry()
+    markov = [
+        Process(kinds["gauss_markov"], {"tau": tau, "channel": channel}, "sigma", unit, tau)
+        for channel, unit in (("along", _along), ("yaw", _turn))
+        for tau in taus_s
+    ]
+    walk = kinds["gyro_bias_walk"]
+    biases = [Process(walk, {"tau": tau}, "density", bias_of, tau, 0.5 * tau, 3) for tau in biases_s]
+    return [*markov, Process(walk, {"tau": 0.0}, "density", bias_of, None), *biases]
+
+
+def processes_like(effect: Effect, *, beside: bool = False) -> list[Process]:
+    """Return the process of an effect, or those with correlation times about its own, too."""
+    tau_s = getattr(effect, "tau", 0.0)
+    near = [t for t in _LADDER_S if tau_s / _STEP < t < tau_s * _STEP] if beside else []
+    channel = getattr(effect, "channel", None)
+    taus_s = sorted({tau_s, *near})
+    every = _processes(taus_s, [t for t in taus_s if t >= _QUICKEST_S or t == tau_s])
+    own = [p for p in every if p.kind is type(effect) and p.fixed.get("channel") == channel]
+    return [p for p in own if (p.tau is None) == (tau_s == 0.0)]
+
+
+def _along(motion: Motion) -> Array:
+    return stacked(motion.v, 0.0, 0.0, motion.v)
+
+
+def _turn(motion: Motion) -> Array:
+    return stacked(0.0, 0.0, motion.omega, motion.v)
+
+
+def bias_of(motion: Motion) -> Array:
+    """Return what (n, 3) a unit of a bias of the yaw rate does."""
+    return stacked(0.0, 0.0, 1.0, motion.v)
+
+
+def unit_column(problem: Problem, process: Process) -> Array:
+    """Return (K, 3): what a constant gain of one does to the residuals."""
+    return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
+
+
+def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Array:
+    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1.
+
+    Its knots lie a correlation time over `parts` apart.
+    """
+    nodes = problem.nodes
+    # runs lie far apart: what wandered in one says nothing about the next
+    time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
+    tau = process.tau
+    gaps = np.diff(time)
+    step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
+    cells = np.unique(np.floor(time / step))
+    knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
+    hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
+    prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
+    root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
+    rooted: Array = unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
+    return rooted
+
+
+def _walk(knots: Array) -> Array:
+    """Return the covariance of a random walk of unit density, anew after every long break."""
+    start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
+    begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
+    since = knots - begin + 1.0
+    shared: Array = np.minimum(since[:, None], since) * (begin[:, None] == begin)
+    return shared

@@ -1,0 +1,66 @@
+"""A noise law on the residuals, taken apart into matrices that its coefficients only weigh."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.model.noise_laws import Coefficients, magnitudes
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.increments import Increments
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.noise_laws import Law
+    from odomcorrupt.study.estimate.intervals import Intervals
+
+__all__ = ["NAMES", "LawPieces"]
+
+NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
+"""Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
+_PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))
+"""Magnitudes of a step on which coefficients that do anything together show it."""
+
+
+class LawPieces:
+    """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
+
+    A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
+    pair. The law itself is the one that corruption uses.
+    """
+
+    def __init__(self, law: Law, nodes: Intervals, steps: Increments) -> None:
+        def of(*ones: int) -> Coefficients:
+            return Coefficients(**{name: float(i in ones) for i, name in enumerate(NAMES)})
+
+        def rows(*ones: int, on: tuple[Array, ...]) -> Array:
+            v = law.rule(of(*ones), *on)
+            return np.stack((v.rot1, v.trans, v.across, v.rot2))
+
+        seen = magnitudes(law, steps)
+        # the more motion, the more noise: the largest of each tells whether a coefficient does anything
+        most = tuple(np.array([m.max(initial=0.0)]) for m in seen)
+        self._degree = law.degree
+        self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]
+        """Which coefficients do anything under this law and on this drive."""
+        self.unseen = [i for i in range(len(NAMES)) if i not in self.active and rows(i, on=_PROBE).any()]
+        """Which do something under this law, but not on this drive."""
+        self._single = {i: nodes.spread(law, law.rule(of(i), *seen), steps) for i in self.active}
+        self._pairs: list[tuple[int, int, Array]] = []
+        for i, j in combinations(self.active, 2) if law.degree == 2 else ():
+            alone, both = rows(i, on=_PROBE) + rows(j, on=_PROBE), rows(i, j, on=_PROBE)
+            # most pairs add up, and carrying their noise to the nodes is the dear part
+            if np.abs(both - alone).max() > 1e-12 * np.abs(both).max():
+                cross = nodes.spread(law, law.rule(of(i, j), *seen), steps) - self._single[i] - self._single[j]
+                self._pairs.append((i, j, cross))
+
+    def parts(self) -> list[Array]:
+        """Return the matrices (K, 3, 3) that `shares` weighs."""
+        return [self._single[i] for i in self.active] + [cross for _, _, cross in self._pairs]
+
+    def shares(self, coefficients: Array) -> Array:
+        """Return the weights of `parts` for the coefficients (7,) in the order of `NAMES`."""
+        single = coefficients[self.active] ** self._degree
+        pairs = [coefficients[i] * coefficients[j] for i, j, _ in self._pairs]
+        return np.concatenate((single, pairs))

@@ -1,0 +1,177 @@
+"""Windows: how far odometry drifts from the truth over a time or a distance, and how far the model says it should."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.stats import norm
+
+from odomcorrupt.geometry.se2 import between
+from odomcorrupt.study.estimate.intervals import intervals, pick_nodes
+from odomcorrupt.study.estimate.whitener import interval_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.increments import Increments
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Noise, TruthNoise
+    from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = [
+    "WINDOW_S",
+    "WindowErrors",
+    "distance_windows",
+    "phased_misses",
+    "phased_rmse",
+    "rmse",
+    "time_windows",
+    "window_errors",
+]
+
+WINDOW_S = 10.0
+
+
+def time_windows(recording: Recording, length_s: float = WINDOW_S, phase: float = 0.0) -> Intervals:
+    """Return non-overlapping windows of a length in time, whole ones only, each started at the truth pose.
+
+    phase : which part of a window to leave out at the start
+    """
+    ends = _time_ends(recording, length_s, phase)
+    return intervals(recording, ends.picked, ends.kept)
+
+
+class _Ends(NamedTuple):
+    """Truth samples where windows begin and end, and which of the intervals between them are wanted."""
+
+    picked: NDArray[np.int64]
+    kept: NDArray[np.int64]
+
+
+def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
+    length = np.diff(truth_s[picked])
+    return _Ends(picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
+
+
+def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) -> Intervals:
+    """Return non-overlapping windows of a length of path, as the odometry measures it.
+
+    phase : which part of a window to leave out at the start
+    """
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]))
+    xy = recording.odometry.xyt[:, :2]
+    travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
+    at_truth = np.interp(truth_s[inside], odo_s, travelled)
+    marks = np.arange(at_truth[0] + phase * length_m, at_truth[-1], length_m)
+    if not len(marks):
+        # who stands, or ends before the first mark, has no window; one end makes none
+        marks = at_truth[:1]
+    picked = np.unique(inside[np.minimum(np.searchsorted(at_truth, marks), len(inside) - 1)])
+    return intervals(recording, picked)
+
+
+def rmse(windows: Intervals) -> float:
+    """Return the root mean square position error (m) at the ends of windows started at the truth pose; NaN if none."""
+    miss = windows.odometry_step[:, :2] - windows.truth_step[:, :2]
+    return float(np.sqrt(np.mean(np.sum(miss**2, axis=1)))) if len(miss) else float("nan")
+
+
+def phased_misses(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> list[Array]:
+    """Return squared position errors (n,), m^2, at the ends of windows, at five phases: steadier than one cut."""
+    phases = np.arange(5) / 5.0
+    return [np.concatenate([_squared_misses(run, length_s, phase) for run in recordings]) for phase in phases]
+
+
+def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> float:
+    """Return the root mean square position error (m) of `phased_misses`; NaN if no window is whole."""
+    squared = np.concatenate(phased_misses(recordings, length_s))
+    return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
+
+
+def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
+    """Return how far odometry ends from the truth in `time_windows`, (n,) m^2; what happens on the way is not asked."""
+    ends = _time_ends(recording, length_s, phase)
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
+    picked = ends.picked
+    odometry_xyt, truth_xyt = recording.odometry.at(truth_s[picked], recording.origin_ns), recording.truth.xyt[picked]
+    first, last = ends.kept, ends.kept + 1
+    went = between(odometry_xyt[first], odometry_xyt[last]) - between(truth_xyt[first], truth_xyt[last])
+    squared: Array = np.sum(went[:, :2] ** 2, axis=1)
+    return squared
+
+
+@dataclass(frozen=True, slots=True)
+class WindowErrors:
+    """Errors at the ends of n windows against what the model expects: odometry minus truth.
+
+    error : (n, c) along, across (m), and yaw (rad) where the truth has headings, in the frame of the window's end
+    covariance : (n, c, c) what the model expects of it, truth noise included
+    """
+
+    error: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        return len(self.error)
+
+    @property
+    def nees(self) -> Array:
+        """Normalised estimation error squared (n,), chi-square with c degrees where the model is right."""
+        solved = np.linalg.solve(self.covariance, self.error[:, :, None])[:, :, 0]
+        squared: Array = np.sum(solved * self.error, axis=1)
+        return squared
+
+    @property
+    def deviation(self) -> Array:
+        """Expected standard deviation (n, c) of each error."""
+        sigma: Array = np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return sigma
+
+    @property
+    def expected(self) -> Array:
+        """Expected root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.deviation**2, axis=0))
+        return rms
+
+    @property
+    def measured(self) -> Array:
+        """Measured root mean square (c,)."""
+        rms: Array = np.sqrt(np.mean(self.error**2, axis=0))
+        return rms
+
+    def coverage(self, part: float) -> Array:
+        """Return which part (c,) of the errors lies inside the central interval that should hold `part` of them."""
+        inside: Array = np.mean(np.abs(self.error) <= norm.isf((1.0 - part) / 2.0) * self.deviation, axis=0)
+        return inside
+
+    @property
+    def crps(self) -> Array:
+        """Mean continuous ranked probability score (c,), m and rad; the smaller, the better and sharper the model.
+
+        Closed form for a normal forecast: Gneiting & Raftery, JASA 102, 2007, section 4.2.
+        """
+        sigma = self.deviation
+        z = self.error / sigma
+        score = sigma * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+        mean: Array = np.mean(score, axis=0)
+        return mean
+
+
+def window_errors(
+    windows: Intervals, noise: Noise, truth: TruthNoise, steps: Increments, *, headed: bool = True
+) -> WindowErrors:
+    """Return errors and expected covariances of windows; `steps` are the odometry's increments as the law sees them.
+
+    Without headings in the truth, yaw is left out: those that were made for it come from the odometry.
+    """
+    q = windows.covariance(noise.law, noise.coefficients, steps)
+    count = 3 if headed else 2
+    return WindowErrors(windows.residual[:, :count], interval_covariance(windows, q, truth)[:, :count, :count])

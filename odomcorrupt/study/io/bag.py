@@ -1,0 +1,154 @@
+"""Read odometry, truth or both from a bag in one pass."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import TopicError
+from odomcorrupt.study.io.address import plain
+from odomcorrupt.study.io.geodesy import east_north_up
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.se3 import headings
+from odomcorrupt.study.io.tf import EdgeReader
+from odomcorrupt.study.io.tf_tree import read_tree
+from odomcorrupt.study.io.topic_selection import EDGES, TRANSFORM, choose, named
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.study.io.address import Address
+    from odomcorrupt.study.io.topic_selection import Role
+
+__all__ = ["read_bag"]
+
+_ENCODINGS = ("cdr", "ros1")
+_MOST_M2 = 1e12
+
+
+def read_bag(path: Path, place: str, wanted: Mapping[Role, Address | None]) -> dict[Role, Samples]:
+    """Read what is wanted of a bag, as recorded.
+
+    Parameters
+    ----------
+    path : any bag
+    place : what messages call it
+    wanted : addresses; None takes the only topic that can be meant
+
+    Raises
+    ------
+    TopicError
+        Where a topic or frame is missing, or several could be meant; the message lists them.
+
+    """
+    with open_reader(path) as reader:
+        channels = [c for c in reader.channels.values() if c.encoding in _ENCODINGS]
+        if not channels:
+            other = sorted({c.encoding for c in reader.channels.values()})
+            said = f"messages in {', '.join(other)} alone" if other else "no topics"
+            raise TopicError(f"{place}: holds {said}; ROS messages (cdr or ros1) can be read")
+        readers: dict[Role, EdgeReader | _PoseReader] = {}
+        taken = [plain(a.topic) for a in wanted.values() if a is not None and not a.frames]
+        for role, address in wanted.items():
+            if address is not None:
+                chosen = named(channels, address, place, role)
+            else:
+                chosen = choose(channels, place, role, {c.topic for c in channels if plain(c.topic) in taken})
+                taken.append(plain(chosen[0].topic))
+            if address is not None and address.frames:
+                readers[role] = _edge_reader(path, place, address, chosen, channels)
+            else:
+                readers[role] = _PoseReader(place, chosen)
+        for block in reader.blocks():
+            for one in readers.values():
+                one.take(block)
+    return {role: one.samples() for role, one in readers.items()}
+
+
+def _edge_reader(
+    path: Path, place: str, address: Address, moving: list[Channel], channels: list[Channel]
+) -> EdgeReader:
+    wanted = plain(address.static)
+    beside = plain(address.topic).rpartition("/")[0]
+    names = {wanted} if wanted else {f"{beside}/tf_static" if beside else "tf_static", "tf_static"}
+    static = [c for c in channels if c.msgtype in EDGES and plain(c.topic) in names and c not in moving]
+    if wanted and not static:
+        raise TopicError(f"{place}: no topic {address.static} with transforms; leave it out of {address}")
+    with open_reader(path) as reader:
+        tree = read_tree(reader, moving, static)
+    return EdgeReader(place, address, [*moving, *static], tree)
+
+
+class _PoseReader:
+    """Collects the poses of one topic, block by block."""
+
+    def __init__(self, place: str, channels: list[Channel]) -> None:
+        self.place = f"{place}: {channels[0].topic}"
+        self.channels = channels
+        self.frames: dict[tuple[str, str], int] = {}
+        self.parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]] = []
+
+    def take(self, block: Block) -> None:
+        """Collect what a block holds of the topic."""
+        for channel in self.channels:
+            for layout in locate(block, channel):
+                item = layout.items[0]
+                n = len(layout.rows)
+                names = (item.frame_id, item.child_frame_id)
+                self.frames[names] = self.frames.get(names, 0) + n
+                values = np.full((n, 5), np.nan)
+                where = "lla" if "lla" in item.fields else "position"
+                values[:, :3] = gather(block, layout, item, where)
+                if "orientation" in item.fields:
+                    values[:, 3] = headings(gather(block, layout, item, "orientation"))
+                if "pose_covariance" in item.fields:
+                    covariance = gather(block, layout, item, "pose_covariance")
+                    values[:, 4] = covariance[:, [0, 7]].clip(-_MOST_M2, _MOST_M2).sum(axis=1)
+                self.parts.append(
+                    (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
+                )
+
+    def samples(self) -> Samples:
+        """Return the poses in the order in which they were recorded."""
+        topic = self.channels[0].topic
+        children = sorted({child for _, child in self.frames})
+        if len(children) > 1 and self.channels[0].msgtype == TRANSFORM:
+            edges = ", ".join(f"{topic}:{plain(f)}.{plain(c)}" for f, c in sorted(self.frames))
+            raise TopicError(f"{self.place} holds transforms of {len(children)} frames; name one of {edges}")
+        empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 5)))
+        stamps, logs, values = (np.concatenate(part) for part in zip(empty, *self.parts, strict=True))
+        # layouts of one block come one after the other: back to the order of arrival
+        arrived = np.argsort(logs, kind="stable")
+        stamps, logs, values = stamps[arrived], logs[arrived], values[arrived]
+        notes = []
+        if self.channels[0].msgtype.endswith("NavSatFix"):
+            fixed = np.isfinite(values[:, :2]).all(axis=1) & (values[:, :2] != 0.0).any(axis=1)
+            if not fixed.all():
+                notes.append(f"{topic}: {np.sum(~fixed)} messages without a fix left out")
+            stamps, logs, values = stamps[fixed], logs[fixed], values[fixed]
+            if len(values):
+                values[:, :3] = east_north_up(values[:, :3])
+                notes.append(f"{topic}: metres east and north of its first fix")
+        if len(self.frames) > 1 and len(children) == 1:
+            named_frames = ", ".join(repr(f) for f, _ in sorted(self.frames))
+            notes.append(f"{topic}: frames {named_frames} mixed; taken as one")
+        frame = max(self.frames, key=lambda names: self.frames[names])[0] if self.frames else ""
+        claimed = values[:, 4]
+        return Samples(
+            self.place,
+            topic,
+            plain(frame),
+            stamps,
+            values[:, :3],
+            values[:, 3],
+            logs,
+            claimed if np.isfinite(claimed).all() else claimed[:0],
+            tuple(notes),
+        )

@@ -1,0 +1,139 @@
+"""Can these two be one run? Odometry and truth, before anything is computed of them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.io.axes import check_plane, check_shape, check_turning
+from odomcorrupt.study.io.cross_correlation import likeness
+from odomcorrupt.study.io.same_run import check_together
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.study.io.raw_trajectory import Samples
+
+__all__ = ["SHORTEST_S", "check_pair"]
+
+SHORTEST_S = 10.0
+"""Less than this in common carries no study."""
+_FEWEST = 20
+_STILL_M, _STILL_RAD = 0.05, 0.1
+_MOVES_M = 1.0
+_SCALE = 20.0
+_CLEAR = 0.7
+_DAY_S = 86_400.0
+_YEAR_S = 365.25 * _DAY_S
+
+
+def check_pair(odometry: Samples, truth: Samples) -> None:
+    """Refuse two that cannot be a run: no time in common, nothing moves, other units, axes, clocks or drives.
+
+    Raises
+    ------
+    RecordingError
+        With what was found and the way out.
+
+    """
+    _check_time(odometry, truth)
+    first, last = max(odometry.stamps_ns[0], truth.stamps_ns[0]), min(odometry.stamps_ns[-1], truth.stamps_ns[-1])
+    here = odometry.only(_within(odometry, first, last))
+    there = truth.only(_within(truth, first, last))
+    for part, whole in ((here, odometry), (there, truth)):
+        if len(part) < _FEWEST:
+            raise RecordingError(
+                f"{whole.place}: only {len(part)} of its {len(whole)} poses lie in the time that odometry and truth "
+                f"share; {_FEWEST} and more are needed: record longer"
+            )
+    _check_motion(here, there)
+    check_plane(here, there)
+    check_turning(here, there)
+    check_shape(here, there)
+    check_together(here, there)
+
+
+def _check_time(odometry: Samples, truth: Samples) -> None:
+    shared = (
+        float(min(odometry.stamps_ns[-1], truth.stamps_ns[-1]) - max(odometry.stamps_ns[0], truth.stamps_ns[0])) * 1e-9
+    )
+    if shared >= SHORTEST_S:
+        return
+    for path in (odometry, truth):
+        if path.span_s < SHORTEST_S:
+            raise RecordingError(
+                f"{path.place}: lasts {path.span_s:.1f} s; a study takes {SHORTEST_S:g} s, better minutes"
+            )
+    apart = float(truth.stamps_ns[0] - odometry.stamps_ns[0]) * 1e-9
+    far = abs(apart)
+    size = (
+        f"{far / _YEAR_S:.1f} years"
+        if far > _YEAR_S
+        else f"{far / _DAY_S:.1f} days"
+        if far > _DAY_S
+        else f"{far:.1f} s"
+    )
+    found = f"share {shared:.1f} s" if shared > 0.0 else "have no time in common"
+    clock = " (one clock is simulated, unset, or counts from its start)" if far > _DAY_S else ""
+    raise RecordingError(
+        f"{odometry.place} and {truth.place} {found}: odometry is from {_span(odometry)}, truth from {_span(truth)}, "
+        f"their starts {size} apart{clock}; {_shift(odometry, truth)}"
+    )
+
+
+def _shift(odometry: Samples, truth: Samples) -> str:
+    """Return the sentence that offers the shift of the truth which makes the motions match."""
+    reach = max(odometry.span_s, truth.span_s)
+    alike = likeness(odometry.trajectory(), truth.trajectory(), reach, from_start=True)
+    best = int(np.argmax(alike.both))
+    start_s = float(odometry.stamps_ns[0] - truth.stamps_ns[0]) * 1e-9
+    if alike.both[best] > _CLEAR:
+        return f"the motions match with --truth-shift {start_s + alike.lag_s[best]:.1f}"
+    return f"if both began together, say --truth-shift {start_s:.1f}"
+
+
+def _check_motion(here: Samples, there: Samples) -> None:
+    extents = [float(np.linalg.norm(np.std(p.xyz[:, :2], axis=0))) for p in (here, there)]
+    turns = [float(np.ptp(np.unwrap(p.yaw_rad))) if p.headed else 0.0 for p in (here, there)]
+    if extents[0] < _STILL_M and turns[0] < _STILL_RAD:
+        if extents[1] > _MOVES_M:
+            raise RecordingError(
+                f"{here.place}: stands still while the truth moves over {extents[1]:.1f} m; name the odometry of this "
+                "robot"
+            )
+        raise RecordingError(
+            f"{here.place}: no motion: {extents[0] * 1000:.0f} mm and {np.degrees(turns[0]):.1f} deg in "
+            f"{here.span_s:.0f} s; record a drive with turns both ways"
+        )
+    if extents[0] > _MOVES_M and extents[1] < _STILL_M:
+        raise RecordingError(
+            f"{there.place}: stands still while the odometry moves over {extents[0]:.1f} m; name the truth of this "
+            "robot"
+        )
+    ratio = extents[1] / max(extents[0], 1e-9)
+    if max(extents) > _MOVES_M and min(extents) > 1e-3 and not 1.0 / _SCALE < ratio < _SCALE:
+        small, large = (here, there) if ratio > 1.0 else (there, here)
+        factor = max(ratio, 1.0 / ratio)
+        unit = "millimetres" if 300.0 < factor < 3000.0 else "centimetres" if 30.0 < factor < 300.0 else "another unit"
+        raise RecordingError(
+            f"{large.place}: covers {factor:.0f} times as much ground as {small.place}: {unit} for metres? Give "
+            "metres, or name a CSV file's columns x_mm, y_mm"
+        )
+
+
+def _within(path: Samples, first: np.int64, last: np.int64) -> NDArray[np.bool_]:
+    return (path.stamps_ns >= first) & (path.stamps_ns <= last)
+
+
+def _span(path: Samples) -> str:
+    first, last = (float(path.stamps_ns[i]) * 1e-9 for i in (0, -1))
+    if first < _YEAR_S:
+        return f"{first:.1f} s to {last:.1f} s"
+    try:
+        begin, end = (datetime.fromtimestamp(t, UTC).strftime("%Y-%m-%d %H:%M:%S") for t in (first, last))
+    except (OverflowError, ValueError, OSError):
+        return f"{first:.0f} s to {last:.0f} s"
+    return f"{begin} to {end} UTC"

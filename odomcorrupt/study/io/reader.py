@@ -1,0 +1,110 @@
+"""Read runs of a robot: odometry and truth from wherever they were recorded, cleaned, checked, and said so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.io.address import parse_address
+from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.jitter import jitter_signs
+from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
+from odomcorrupt.study.io.self_consistency import check_itself
+from odomcorrupt.study.io.text import is_text, read_text
+from odomcorrupt.study.io.time_order import in_order
+from odomcorrupt.study.io.topic_selection import FLAGS
+from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.study.io.address import Address
+    from odomcorrupt.study.io.raw_trajectory import Samples
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.io.topic_selection import Role
+
+__all__ = ["Source", "read_runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where one run lies.
+
+    path : a bag, or a TUM or CSV file with the odometry
+    odom, truth : topics, or edges of TF as /tf:map.base_link; None takes the only topic that can be meant
+    truth_path : the bag, TUM or CSV file with the truth, where it is another one
+    truth_shift_s : what is added to the stamps of the truth, seconds
+    track_m : nominal distance between the wheels, where it is known
+    name : what to call the run, where not by its path
+    """
+
+    path: Path
+    odom: str | None = None
+    truth: str | None = None
+    truth_path: Path | None = None
+    truth_shift_s: float = 0.0
+    track_m: float | None = None
+    name: str = ""
+
+
+def read_runs(source: Source) -> list[Recording]:
+    """Read one run: one recording, or several where resets cut it into independent stretches.
+
+    Raises
+    ------
+    TopicError
+        Where a topic or frame is missing or several could be meant; the message lists them.
+    RecordingError
+        Where what is there cannot be odometry and truth of one run; the message says why.
+
+    """
+    odometry, truth = _read(source)
+    odometry, truth = in_order(odometry), in_order(truth)
+    if source.truth_shift_s:
+        shift = round(source.truth_shift_s * 1e9)
+        truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {source.truth_shift_s:g} s")
+    if not odometry.headed:
+        raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
+    truth = without_constant_heading(odometry, truth)
+    calm, real = without_outliers(odometry), without_outliers(truth)
+    for path in (calm, real):
+        check_itself(path)
+    check_pair(calm, real)
+    said = check_identity(calm, real) or heading_signs(calm, real)
+    said += filter_signs(calm, real) + jitter_signs(calm) + jitter_signs(real)
+    truth = without_gaps(odometry, without_frozen(odometry, truth))
+    opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
+    recordings = independent_parts(source.name or source.path.name, odometry, truth, source.track_m)
+    return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
+
+
+def _read(source: Source) -> tuple[Samples, Samples]:
+    place = source.name or str(source.path)
+    odom = parse_address(source.odom) if source.odom is not None else None
+    truth = parse_address(source.truth) if source.truth is not None else None
+    if source.truth_path is None:
+        if is_text(source.path):
+            raise RecordingError(f"{place}: a text file holds one trajectory; name the truth's with --truth-bag")
+        both = read_bag(source.path, place, {"odometry": odom, "truth": truth})
+        return both["odometry"], both["truth"]
+    odometry = _one(source.path, place, "odometry", odom)
+    return odometry, _one(source.truth_path, str(source.truth_path), "truth", truth)
+
+
+def _one(path: Path, place: str, role: Role, address: Address | None) -> Samples:
+    if not is_text(path):
+        return read_bag(path, place, {role: address})[role]
+    if address is not None:
+        raise RecordingError(f"{place}: is a text file, which has no topics; leave {FLAGS[role]} {address} out")
+    return read_text(path, place)
+
+
+def _named(path: Samples) -> str:
+    frame = f" in frame {path.frame}" if path.frame else ""
+    positions = "" if np.isfinite(path.yaw_rad).any() else " (positions without headings)"
+    return f"{path.name}{frame}{positions}"

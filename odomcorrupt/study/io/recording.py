@@ -1,0 +1,91 @@
+"""Trajectories and recordings: what a robot's odometry said, and where the robot really was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import interpolate, wrap
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Recording", "Trajectory"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """n poses with strictly growing stamps.
+
+    stamps_ns : (n,) int64, nanoseconds since 1970
+    xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
+    """
+
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+
+    def __post_init__(self) -> None:
+        if len(self.stamps_ns) < 2:
+            raise RecordingError(f"a trajectory: {len(self.stamps_ns)} poses; it takes two or more")
+        if not np.all(np.diff(self.stamps_ns) > 0):
+            raise RecordingError("a trajectory's stamps do not grow; sort them and drop repeats first")
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def seconds_since(self, origin_ns: int) -> Array:
+        """Return the stamps as seconds (n,) since an integer origin: float64 stamps since 1970 lose 256 ns."""
+        return (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9
+
+    def at(self, t_s: Array, origin_ns: int) -> Array:
+        """Return poses (m, 3) at times within the trajectory, on arcs between neighbours."""
+        left, fraction = self._place(t_s, origin_ns)
+        return interpolate(self.xyt[left], self.xyt[left + 1], fraction)
+
+    def heading_at(self, t_s: Array, origin_ns: int) -> Array:
+        """Return the headings (m,) of `at`, alone: they cost a tenth."""
+        left, fraction = self._place(t_s, origin_ns)
+        heading = self.xyt[:, 2]
+        return heading[left] + fraction * wrap(heading[left + 1] - heading[left])
+
+    def _place(self, t_s: Array, origin_ns: int) -> tuple[NDArray[np.int64], Array]:
+        """Return the poses (m,) that times come after, and the parts of the way to the next ones."""
+        own = self.seconds_since(origin_ns)
+        left = np.clip(np.searchsorted(own, t_s, side="right") - 1, 0, len(own) - 2)
+        return left, (t_s - own[left]) / (own[left + 1] - own[left])
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """One run of a robot: its odometry and the truth, each on its own clock, in its own frame.
+
+    origin_ns : what float times count from: the odometry's first stamp as it was recorded
+    track_m : the robot's nominal track where it is known
+    notes : what reading it left out or noticed, in words
+    clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
+    heading_error_rad : where the truth has only positions, how far off the headings given to it may be
+    """
+
+    name: str
+    odometry: Trajectory
+    truth: Trajectory
+    origin_ns: int
+    track_m: float | None = None
+    notes: tuple[str, ...] = ()
+    heading_error_rad: float | None = None
+    clock: str = ""
+
+    @property
+    def headed(self) -> bool:
+        """Whether the truth measured headings: those that were given to positions are none."""
+        return self.heading_error_rad is None and bool(np.isfinite(self.truth.xyt[:, 2]).all())
+
+    @property
+    def odometry_s(self) -> Array:
+        """Times of the odometry (n,), seconds since the origin."""
+        return self.odometry.seconds_since(self.origin_ns)

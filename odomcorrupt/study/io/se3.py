@@ -1,0 +1,80 @@
+"""Transforms in space: only what a chain of TF edges needs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Transforms", "composed", "headings", "interpolated", "inverted", "unit"]
+
+
+_SHORTEST = 1e-6
+
+
+class Transforms(NamedTuple):
+    """Positions (n, 3) in metres and unit quaternions xyzw (n, 4); n may be 1 for one that never moves."""
+
+    xyz: Array
+    quat_xyzw: Array
+
+
+def unit(quat_xyzw: Array) -> Array:
+    """Return quaternions (n, 4) of length one; those that have no length, or are no numbers, become NaN."""
+    largest = np.abs(quat_xyzw).max(axis=1, keepdims=True)
+    usable = (largest > _SHORTEST) & (largest < np.inf)
+    # scaled first: squares of what a damaged bag holds would overflow
+    scaled = np.divide(quat_xyzw, largest, out=np.full_like(quat_xyzw, np.nan), where=usable)
+    out: Array = scaled / np.linalg.norm(scaled, axis=1, keepdims=True)
+    return out
+
+
+def headings(quat_xyzw: Array) -> Array:
+    """Return the headings (n,) of quaternions (n, 4) of any length, NaN where they are none."""
+    return np.asarray(yaw_from_quaternion(unit(quat_xyzw)))
+
+
+def composed(a: Transforms, b: Transforms) -> Transforms:
+    """Return a followed by b, b given in the frame of a."""
+    return Transforms(a.xyz + _turned(a.quat_xyzw, b.xyz), _product(a.quat_xyzw, b.quat_xyzw))
+
+
+def inverted(a: Transforms) -> Transforms:
+    """Return the transforms that undo a."""
+    back = a.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
+    return Transforms(-_turned(back, a.xyz), back)
+
+
+def interpolated(t_s: Array, moving: Transforms, at_s: Array) -> Transforms:
+    """Return transforms (m,) at times within t_s (n,), n > 1: straight in position, steady in rotation."""
+    left = np.clip(np.searchsorted(t_s, at_s, side="right") - 1, 0, len(t_s) - 2)
+    fraction = ((at_s - t_s[left]) / (t_s[left + 1] - t_s[left]))[:, None]
+    xyz = moving.xyz[left] + fraction * (moving.xyz[left + 1] - moving.xyz[left])
+    start, end = moving.quat_xyzw[left], moving.quat_xyzw[left + 1]
+    cosine = np.sum(start * end, axis=1, keepdims=True)
+    # q and -q are the same rotation: take the shorter way round
+    end = np.where(cosine < 0.0, -end, end)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    whole = np.sinc(angle / np.pi)
+    a = (1.0 - fraction) * np.sinc((1.0 - fraction) * angle / np.pi) / whole
+    b = fraction * np.sinc(fraction * angle / np.pi) / whole
+    return Transforms(xyz, unit(a * start + b * end))
+
+
+def _product(a: Array, b: Array) -> Array:
+    av, aw, bv, bw = a[:, :3], a[:, 3:], b[:, :3], b[:, 3:]
+    vector = aw * bv + bw * av + np.cross(av, bv)
+    scalar = aw * bw - np.sum(av * bv, axis=1, keepdims=True)
+    return np.concatenate((vector, scalar), axis=1)
+
+
+def _turned(quat_xyzw: Array, xyz: Array) -> Array:
+    axis, w = quat_xyzw[:, :3], quat_xyzw[:, 3:]
+    once = 2.0 * np.cross(axis, xyz)
+    turned: Array = xyz + w * once + np.cross(axis, once)
+    return turned

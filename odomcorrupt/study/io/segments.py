@@ -1,0 +1,135 @@
+"""Cut two paths into recordings that belong together, and take out of the truth what the odometry cannot answer for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.study.io.jumps import reach_of, stretches
+from odomcorrupt.study.io.plausibility import SHORTEST_S
+from odomcorrupt.study.io.recording import Recording
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.io.raw_trajectory import Samples
+
+__all__ = ["independent_parts", "without_frozen", "without_gaps"]
+
+_GAP_S = 0.5
+_GAP_STEPS = 5.0
+_SLOW = np.array([0.02, 0.05])
+_CLOCKS_S = 3.0
+"""How far off a clock may be that the study is to find: so much truth is kept on both sides of a stretch."""
+_LEAST_HEADED_S, _LEAST_BLIND_S = 25.0, 50.0
+"""Stretches shorter than this carry too few nodes to be halved; they are left out where longer ones are there."""
+
+
+def without_frozen(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth without poses that were repeated while the robot moved: a tracker that saw nothing."""
+    t_s, own = truth.seconds_since(int(odometry.stamps_ns[0])), odometry.seconds_since(int(odometry.stamps_ns[0]))
+    yaw = np.nan_to_num(truth.yaw_rad)
+    repeated = np.concatenate(([False], (np.diff(truth.xyz, axis=0) == 0.0).all(axis=1) & (np.diff(yaw) == 0.0)))
+    if not repeated.any():
+        return truth
+    poses = np.concatenate((odometry.xyz[:, :2], np.unwrap(odometry.yaw_rad)[:, None]), axis=1)
+    # a quarter of a second around: odometry comes in ticks
+    before, after = (np.stack([np.interp(t_s + d, own, p) for p in poses.T], axis=1) for d in (-0.25, 0.25))
+    speed = np.stack((np.linalg.norm((after - before)[:, :2], axis=1), np.abs((after - before)[:, 2])), axis=1) / 0.5
+    frozen = repeated & (speed > _SLOW).any(axis=1)
+    if not frozen.any():
+        return truth
+    return truth.only(~frozen, f"{np.sum(frozen)} poses that repeat the one before while the robot moves left out")
+
+
+def without_gaps(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth without what lies inside gaps of the odometry: there is nothing to compare it with."""
+    steps = np.diff(odometry.seconds_since(int(odometry.stamps_ns[0])))
+    gaps = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps))))
+    if not len(gaps):
+        return truth
+    left = np.searchsorted(odometry.stamps_ns, truth.stamps_ns, side="right") - 1
+    inside = np.isin(left, gaps) & (odometry.stamps_ns[np.maximum(left, 0)] < truth.stamps_ns)
+    longest = f"{steps[gaps].max():.1f} s"
+    found = f"{len(gaps)} gaps, the longest of {longest}" if len(gaps) > 1 else f"a gap of {longest}"
+    note = f"{odometry.name}: {found}; {np.sum(inside)} poses of the truth inside left out"
+    return replace(truth.only(~inside), notes=(*truth.notes, note))
+
+
+def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: float | None) -> list[Recording]:
+    """Return a recording for every stretch of odometry and truth that lasts.
+
+    Raises
+    ------
+    RecordingError
+        Where no stretch does.
+
+    """
+    pieces = []
+    notes = [*odometry.notes, *truth.notes]
+    for path in (odometry, truth):
+        cut = stretches(path, reach_of(odometry, path))
+        if cut.outliers:
+            notes.append(f"{path.name}: {cut.outliers} outliers (jumps there and back) left out")
+        if len(cut.rows) > 1:
+            what = ("reset", "resets") if path is odometry else ("jump that lasts", "jumps that last")
+            where = ", ".join(
+                _jump(odometry, path, a[-1], b[0]) for a, b in zip(cut.rows[:6], cut.rows[1:7], strict=False)
+            )
+            notes.append(f"{path.name}: {len(cut.rows) - 1} {what[len(cut.rows) > 2]} ({where})")
+        pieces.append([path.only(rows) for rows in cut.rows])
+    both = [(one, other) for one in pieces[0] for other in pieces[1] if _shared_s(one, other) >= SHORTEST_S]
+    moved = _long_ones([pair for pair in both if _moves(pair[0])])
+    if not moved:
+        longest = max((_shared_s(a, b) for a in pieces[0] for b in pieces[1]), default=0.0)
+        raise RecordingError(
+            f"{name}: jumps leave no stretch of {SHORTEST_S:g} s in which the robot moves (the longest lasts "
+            f"{max(longest, 0.0):.1f} s); {'; '.join(notes)}"
+        )
+    total = len(pieces[0]) * len(pieces[1])
+    if total > 1:
+        used = sum(_shared_s(*pair) for pair in moved)
+        notes.append(f"{len(moved)} independent stretches used, {used:.0f} s of {_shared_s(odometry, truth):.0f} s")
+    recordings = []
+    for i, (one, other) in enumerate(moved):
+        part = f"{name} part {i + 1}" if len(moved) > 1 else name
+        own = one.trajectory()
+        said = tuple(notes) if i == 0 else ()
+        # what resets cut apart was still recorded by one clock
+        origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
+        clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
+        real = _beside(one, other) if len(moved) > 1 else other
+        recordings.append(Recording(part, own, real.trajectory(), origin_ns, track_m, said, clock=clock))
+    return recordings
+
+
+def _long_ones(pairs: list[tuple[Samples, Samples]]) -> list[tuple[Samples, Samples]]:
+    """Return the pairs of odometry and truth that share enough time for all of a study, or all where none does."""
+    enough = [pair for pair in pairs if _shared_s(*pair) >= (_LEAST_HEADED_S if pair[1].headed else _LEAST_BLIND_S)]
+    return enough or pairs
+
+
+def _beside(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth of a stretch of odometry, not that of the whole run."""
+    margin = round(_CLOCKS_S * 1e9)
+    first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
+    return truth.only((truth.stamps_ns >= first) & (truth.stamps_ns <= last))
+
+
+def _shared_s(a: Samples, b: Samples) -> float:
+    return float(min(a.stamps_ns[-1], b.stamps_ns[-1]) - max(a.stamps_ns[0], b.stamps_ns[0])) * 1e-9
+
+
+def _moves(path: Samples) -> bool:
+    extent = float(np.linalg.norm(np.ptp(path.xyz[:, :2], axis=0)))
+    return extent > 0.1 or float(np.ptp(np.unwrap(path.yaw_rad))) > 0.2
+
+
+def _jump(odometry: Samples, path: Samples, last: int, first: int) -> str:
+    at_s = float(path.stamps_ns[first] - odometry.stamps_ns[0]) * 1e-9
+    gone = float(np.linalg.norm(path.xyz[first, :2] - path.xyz[last, :2]))
+    turn = path.yaw_rad[first] - path.yaw_rad[last]
+    turned = f" and {abs(np.degrees(wrap(np.asarray(turn)))):.0f} deg" if np.isfinite(turn) else ""
+    return f"{gone:.2f} m{turned} at {at_s:.1f} s"

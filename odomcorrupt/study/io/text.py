@@ -1,0 +1,136 @@
+"""Read trajectories from text: TUM files and CSV files, told apart by their content.
+
+TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by blanks; lines that begin with # are comments.
+CSV: a header names the columns, see `columns`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.io.columns import TUM, Columns, find_columns, guess_tick
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.rows import Row, are_numbers, read_lines, split_line, whole_rows
+from odomcorrupt.study.io.se3 import headings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["is_text", "read_text"]
+
+_MOST = 50_000_000
+_AHEAD = 1000
+_BATCH = 16_384
+_DELIMITERS = ",;\t"
+_BAGS = (b"#ROSBAG V", b"\x89MCAP", b"SQLite format 3")
+_UNITS = {1: "nanoseconds", 10**3: "microseconds", 10**6: "milliseconds", 10**9: "seconds"}
+
+
+class _Part(NamedTuple):
+    stamps_ns: NDArray[np.int64]
+    xyz: Array
+    yaw: Array
+
+
+def is_text(path: Path) -> bool:
+    """Tell whether a file is text: neither the magic of a bag nor bytes that no text has."""
+    if path.is_dir():
+        return False
+    try:
+        with path.open("rb") as stream:
+            begin = stream.read(4096)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error
+    return bool(begin) and not begin.startswith(_BAGS) and not any(byte < 9 or 13 < byte < 32 for byte in begin)
+
+
+def read_text(path: Path, place: str) -> Samples:
+    """Read a TUM or CSV file, as recorded.
+
+    Raises
+    ------
+    RecordingError
+        Where it is neither, or a line does not hold what its file promises.
+
+    """
+    notes: list[str] = []
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+        lines = read_lines(stream, place)
+        columns, first = _begin(lines, place)
+        more = (split_line(row, columns.delimiter) for row in lines if not row.cells[0].startswith("#"))
+        rows = whole_rows(itertools.chain(first, more), columns.count, notes)
+        ahead = list(itertools.islice(rows, _AHEAD))
+        tick = columns.tick_ns or guess_tick([row.number(columns.time) for row in ahead])
+        rows = itertools.chain(ahead, rows)
+        parts = []
+        while batch := list(itertools.islice(rows, _BATCH)):
+            parts.append(_part(batch, columns, tick))
+            if len(parts) * _BATCH > _MOST:
+                raise RecordingError(f"{place}: more than {_MOST} lines; thin it out")
+    if not parts:
+        raise RecordingError(f"{place}: holds no line of numbers; nothing was recorded")
+    if not columns.tick_ns and tick != 10**9:
+        notes.append(f"stamps read as {_UNITS[tick]}")
+    none = np.zeros(0)
+    return Samples(
+        place=place,
+        name=path.name,
+        frame="",
+        stamps_ns=np.concatenate([part.stamps_ns for part in parts]),
+        xyz=np.concatenate([part.xyz for part in parts]),
+        yaw_rad=np.concatenate([part.yaw for part in parts]),
+        log_ns=none.astype(np.int64),
+        variance_m2=none,
+        notes=tuple(f"{path.name}: {note}" for note in notes),
+    )
+
+
+def _begin(lines: Iterator[Row], place: str) -> tuple[Columns, list[Row]]:
+    """Return the columns, and the lines of numbers that had to be read to know them."""
+    for row in lines:
+        line = row.cells[0]
+        if line.startswith("#") and not any(mark in line for mark in _DELIMITERS):
+            continue
+        delimiter = next((mark for mark in _DELIMITERS if mark in line), None)
+        cut = split_line(row, delimiter)
+        count = len(cut.cells)
+        if delimiter is None and are_numbers(cut):
+            if count == TUM.count:
+                return TUM, [cut]
+            kind = "; KITTI poses have no stamps" if count == 12 else ""
+            raise RecordingError(
+                f"{place}: {count} numbers in line {row.line}{kind}; a TUM file has 8 (stamp x y z qx qy qz qw)"
+            )
+        if delimiter is None:
+            break
+        if are_numbers(cut):
+            raise RecordingError(f"{place}: its first line has no names; head it with time,x,y,yaw or the like")
+        return find_columns(cut.cells, delimiter, place), []
+    raise RecordingError(f"{place}: is neither a bag nor a TUM or CSV file; TUM has 8 numbers a line, CSV a header")
+
+
+def _part(rows: list[Row], columns: Columns, tick_ns: int) -> _Part:
+    stamps = np.array([row.nanoseconds(columns.time, tick_ns) for row in rows])
+    if columns.nanoseconds is not None:
+        stamps += np.array([row.nanoseconds(columns.nanoseconds, 1) for row in rows])
+
+    def numbers(places: Iterable[int | None]) -> Array:
+        return np.array([[0.0 if at is None else row.number(at) for at in places] for row in rows])
+
+    xyz = numbers(columns.xyz) * columns.metre
+    if columns.yaw is not None:
+        yaw = numbers([columns.yaw])[:, 0] * columns.radian
+    elif columns.quat is not None:
+        yaw = headings(numbers(columns.quat))
+    else:
+        yaw = np.full(len(rows), np.nan)
+    return _Part(stamps, xyz, yaw)

@@ -1,0 +1,109 @@
+"""Which channels of a bag are meant: asked for by name, or the only ones it can be."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Literal
+
+from odomcorrupt.corrupt.targets import says_truth
+from odomcorrupt.errors import TopicError
+from odomcorrupt.study.io.address import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from odomcorrupt.bags.block import Channel
+    from odomcorrupt.study.io.address import Address
+
+__all__ = ["EDGES", "FLAGS", "TRANSFORM", "Role", "choose", "named", "near"]
+
+Role = Literal["odometry", "truth"]
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+POSES = (
+    ODOMETRY,
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    TRANSFORM,
+)
+POSITIONS = ("geometry_msgs/msg/PointStamped", "sensor_msgs/msg/NavSatFix")
+"""Message types that say where, but not which way."""
+EDGES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", TRANSFORM)
+"""Message types of which an edge can be read."""
+FLAGS: dict[Role, str] = {"odometry": "--odom", "truth": "--truth"}
+
+
+def near(asked: str, there: Iterable[str]) -> str:
+    """Return what there is instead of a name, near misses first, as the middle of a sentence."""
+    names = sorted(set(there))
+    folded = {plain(name).lower(): name for name in names}
+    close = [folded[n] for n in difflib.get_close_matches(plain(asked).lower(), folded, n=2)]
+    found = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "") or "nothing"
+    return f"did you mean {' or '.join(close)}? found {found}" if close else f"found {found}"
+
+
+def named(channels: Iterable[Channel], address: Address, place: str, role: Role) -> list[Channel]:
+    """Return the channels of the topic asked for, several where it had several publishers.
+
+    Raises
+    ------
+    TopicError
+        Where there is none, or its type holds no such thing.
+
+    """
+    all_channels = list(channels)
+    same = [c for c in all_channels if plain(c.topic) == plain(address.topic)]
+    if not same:
+        there = near(address.topic, (c.topic for c in all_channels if c.msgtype in (*POSES, *POSITIONS, *EDGES)))
+        raise TopicError(f"{place}: no topic {address.topic} ({there}). Name another with {FLAGS[role]}.")
+    types = EDGES if address.frames else _types(role)
+    good = [c for c in same if c.msgtype in types]
+    if not good:
+        kind = same[0].msgtype
+        if kind in EDGES:
+            raise TopicError(
+                f"{place}: {address.topic} is TF; name one of its edges, as in {FLAGS[role]} "
+                f"{address.topic}:{'odom' if role == 'odometry' else 'map'}.base_link"
+            )
+        way_out = ", ".join(t.replace("/msg/", "/") for t in types)
+        raise TopicError(f"{place}: {address.topic} is a {kind}; {role} can be {way_out}, or an edge of TF")
+    return good
+
+
+def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Iterable[str]) -> list[Channel]:
+    """Return the channels of the only topic that can be meant.
+
+    Raises
+    ------
+    TopicError
+        Where none can, or several; the message lists them.
+
+    """
+    taken = set(not_these)
+    free = [c for c in channels if c.topic not in taken]
+    types = (ODOMETRY,) if role == "odometry" else _types(role)
+    fitting = {c.topic for c in free if c.msgtype in types}
+    if len(fitting) > 1:
+        # a truth is no odometry, and of several truths the one that says so is meant
+        said = {topic for topic in fitting if says_truth(topic) is (role == "truth")}
+        fitting = said or fitting
+    if len(fitting) == 1:
+        topic = fitting.pop()
+        return [c for c in free if c.topic == topic and c.msgtype in types]
+    flag = FLAGS[role]
+    if fitting:
+        raise TopicError(
+            f"{place}: several topics could be {role}: {', '.join(sorted(fitting))}. Name one with {flag}."
+        )
+    there = ", ".join(sorted({f"{c.topic} ({c.msgtype.replace('/msg/', '/')})" for c in free})) or "nothing else"
+    way_out = f"Name one with {flag}"
+    if any(c.msgtype in EDGES for c in free):
+        way_out += f", an edge of TF as {flag} /tf:{'odom' if role == 'odometry' else 'map'}.base_link"
+    if role == "truth":
+        way_out += ", or the file it was recorded in with --truth-bag"
+    raise TopicError(f"{place}: no topic that could be {role} (found {there}). {way_out}.")
+
+
+def _types(role: Role) -> tuple[str, ...]:
+    return POSES if role == "odometry" else (*POSES, *POSITIONS)

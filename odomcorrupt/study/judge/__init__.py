@@ -1,1 +1,0 @@
-"""A model against recordings it has not seen: calibration, drift, where it fails, the ladder."""

@@ -1,0 +1,116 @@
+"""Errors that come back with every turn of a wheel: an eccentric one pushes the robot to and fro, and round.
+
+A wave over the way that a wheel has rolled is looked for in the heading, or along where there are no headings, at all
+wavelengths at once: what the residual says of each step is spread over a grid of way, and one Fourier transform gives
+the score of every wave (Lomb's periodogram on a grid).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.study.select.basis import Law
+from odomcorrupt.study.select.channels import Action
+from odomcorrupt.study.select.score import left_over
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+
+__all__ = ["waves"]
+
+LONGEST_M, SHORTEST_M = 4.0, 0.15
+_GRID_M = 0.02
+_TRIED = 3
+
+
+def waves(fit: Fit, believed: Array) -> list[tuple[Law, Action, float]]:
+    """Return the likeliest waves, what they act on, and the nats each gains, exactly."""
+    problem, whitener = fit.problem, fit.noise.whitener
+    left = left_over(fit, believed)
+    r = left.residual
+    pull = whitener.pulled(r)
+    channel = "yaw" if problem.headings else "along"
+    found = []
+    for text, way in _ways(problem.motions[0].track_m):
+        for wavelength_m in _likeliest(fit, pull, channel, way):
+            law = _wave(text, way, wavelength_m)
+            columns = [whitener.whiten(_column(fit, part, channel)) for part in law.parts]
+            white = left.of(np.stack(columns, axis=1))
+            theta = np.linalg.lstsq(white, r, rcond=None)[0]
+            found.append((law, Action(channel, "v"), float(0.5 * (white @ theta) @ r)))
+    return found
+
+
+def _ways(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
+    """Return what may have turned: the way of the body, and of either wheel where the track is known."""
+    ways: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
+    if track_m is not None:
+        for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
+            text = f"(distance {sign} {abs(side):.4g} * theta)"
+            ways.append((text, lambda m, side=side: np.cumsum((m.v + side * m.omega) * m.dt_s)))  # type: ignore[misc]
+    return ways
+
+
+def _likeliest(fit: Fit, pull: Array, channel: str, way: Callable[[Motion], Array]) -> list[float]:
+    """Return the wavelengths (m) at which the score is largest, the channel's information being taken as even."""
+    nodes, motions = fit.problem.nodes, fit.problem.motions
+    moved = np.concatenate([m.v * m.dt_s for m in motions])
+    way_m = np.concatenate([way(m) for m in motions])
+    c = CHANNELS.index(channel)
+    unit = np.zeros((len(moved), 3))
+    unit[:, c] = -moved
+    interval = np.repeat(np.arange(len(nodes)), np.diff(np.append(nodes.first, len(nodes.source))))
+    score = np.einsum("in,ni->n", nodes.carried(unit), pull[interval])
+    run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[nodes.source]
+    # four times as long: peaks lie between the lines of the plain transform
+    size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(way_m) / _GRID_M + 2.0))))
+    power = np.zeros(size // 2 + 1, dtype=np.complex128)
+    for r in range(len(motions)):
+        mine = run == r
+        place = ((way_m[nodes.source[mine]] - way_m.min()) / _GRID_M).astype(np.int64)
+        power += np.fft.rfft(np.bincount(place, score[mine], size))
+    strength = np.abs(power) ** 2
+    per_m = np.fft.rfftfreq(size, _GRID_M)
+    inside = np.flatnonzero((per_m >= 1.0 / LONGEST_M) & (per_m <= 1.0 / SHORTEST_M))
+    # longer waves turn the robot further, and are seen the better: even out what a smooth spectrum has
+    level = _smooth(strength[inside])
+    ranked = inside[np.argsort(-strength[inside] / level)]
+    chosen: list[float] = []
+    for i in ranked[: 40 * _TRIED]:
+        if all(abs(per_m[i] - f) > 8.0 / (size * _GRID_M) for f in chosen):
+            chosen.append(float(per_m[i]))
+        if len(chosen) == _TRIED:
+            break
+    return [1.0 / f for f in chosen]
+
+
+def _smooth(strength: Array) -> Array:
+    width = max(len(strength) // 20, 1)
+    kernel = np.ones(2 * width + 1)
+    level: Array = np.convolve(strength, kernel, "same") / np.convolve(np.ones_like(strength), kernel, "same")
+    return np.maximum(level, 1e-300)
+
+
+def _wave(text: str, way: Callable[[Motion], Array], wavelength_m: float) -> Law:
+    pace = 2.0 * np.pi / wavelength_m
+    trials = int(4.0 * (1.0 / SHORTEST_M) / 0.003)
+    return Law(
+        "distance",
+        f"k * cos({pace:.6g} * {text}) + m * sin({pace:.6g} * {text})",
+        (lambda m: np.cos(pace * way(m)), lambda m: np.sin(pace * way(m))),
+        trials,
+        wavelength_m,
+    )
+
+
+def _column(fit: Fit, part: Callable[[Motion], Array], channel: str) -> Array:
+    error = np.zeros((sum(len(m) for m in fit.problem.motions), 3))
+    error[:, CHANNELS.index(channel)] = -np.concatenate([part(m) * m.v * m.dt_s for m in fit.problem.motions])
+    return fit.problem.nodes.column(error)

@@ -1,0 +1,1 @@
+"""Terms of the regression: what explains the residual of odometry against truth."""

@@ -1,0 +1,179 @@
+"""What drives the regressors: the smooth motion of a run, taken from the odometry or from the truth.
+
+An error can be regressed only on a motion that does not contain it. The encoder of a real robot is smooth and the
+contact with the ground disturbs the truth: take the odometry. Odometry that was made noisy by us (or by a simulator)
+carries the noise itself, sample by sample: take the truth then. The odometry's own jitter tells which it is.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Motion
+from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
+from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.study.io.clock import aligned, coarse_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.recording import Recording, Trajectory
+
+__all__ = ["Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
+
+Side = Literal["odometry", "truth"]
+
+TRUTH_SMOOTHING_S = (0.5, 2.0)
+"""Least and largest window for the truth: as short as its noise allows, because starts and stops are blurred by it."""
+_SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
+"""Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
+_JITTER_S = 0.2
+_SIDEWAYS = 0.1
+"""Part of the way that is driven sideways by a robot which can."""
+_BIAS = 0.002
+_LEAST_BIAS, _PLAIN_SIDE = 2e-4, 3.0
+_FEW = 50
+_SHARED, _PLAINLY = 0.7, 3.0
+"""Roughness of which the truth shows less than this part, beyond so many standard errors, is the odometry's own."""
+
+
+def drives_sideways(motions: Sequence[Motion]) -> bool:
+    """Tell whether a robot can drive sideways; a differential one's sideways speed is an artefact of smoothing."""
+    along = sum(float(np.abs(m.v * m.dt_s).sum()) for m in motions)
+    across = sum(float(np.abs(m.vy * m.dt_s).sum()) for m in motions)
+    return across > _SIDEWAYS * along
+
+
+def driving_motion(recording: Recording, side: Side, *, place: Motion | None = None) -> Motion:
+    """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side.
+
+    It is for regressors and noise laws alone: it cannot be composed exactly. Where a motion over the same stamps is
+    known already, its poses, which are the truth's, are taken over as `place`.
+    """
+    driver = recording.odometry if side == "odometry" else recording.truth
+    t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
+    width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
+    middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
+    world = slopes(own, driver.xyt, middle, width_s)
+    heading = driver.heading_at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
+    twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+    if place is None:
+        # slopes and regions lie in the world: where the robot is, is the truth's to say
+        truth_s = recording.truth.seconds_since(recording.origin_ns)
+        pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns).T
+    else:
+        pose = np.stack((place.x, place.y, place.theta))
+    return Motion(
+        t_s=t_s[1:],
+        dt_s=dt,
+        v=twist[:, 0],
+        vy=twist[:, 1],
+        omega=twist[:, 2],
+        acceleration=slopes(middle, twist, middle, width_s),
+        x=pose[0],
+        y=pose[1],
+        theta=pose[2],
+        distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * dt),
+        track_m=recording.track_m,
+    )
+
+
+def truth_noise(truth: Trajectory) -> Array:
+    """Return the deviation (3,) of the truth's white noise, m and rad: second differences cancel smooth driving."""
+    rough = np.diff(np.nan_to_num(truth.xyt), n=2, axis=0)
+    noise: Array = np.sqrt(np.median(rough**2, axis=0) / 0.4549 / 6.0)  # 0.4549 is the median of chi-square with 1
+    return noise
+
+
+def _truth_window(truth: Trajectory) -> float:
+    """Return the window (s) in which the truth's white noise leaves `_SLOPE_NOISE` of a slope."""
+    rate = 1.0 / float(np.median(np.diff(truth.stamps_ns)) * 1e-9)
+    # a line through N samples in a window T has a slope of deviation sqrt(12 / N) noise / T
+    windows = (truth_noise(truth) * np.sqrt(12.0 / rate) / _SLOPE_NOISE) ** (2.0 / 3.0)
+    return float(np.clip(windows.max(), *TRUTH_SMOOTHING_S))
+
+
+def choose_side(recording: Recording, node_s: float) -> Side:
+    """Return the side whose own noise would bias a regression of gains the less, the odometry unless it is plainly bad.
+
+    Noise of variance q per second inside a regressor of speed v biases a gain by q / (v^2 node_s). Below `_BIAS` nobody
+    sees it; above, the truth drives. Second differences of increments over 0.2 s show the odometry's own noise with its
+    full size (smooth driving cancels, ticks hardly count), and clipping passes over starts and stops. What the truth
+    shows, too, is no noise: motors hunt, and on a drive that hardly turns that is all the turning there is.
+
+    Where all the noise there is plainly lives in the odometry, a tenth of that is enough: on straights, where there
+    is no motion beside it, a law would find it.
+    """
+    t_s = recording.odometry_s
+    grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))
+    step = _steps(recording.odometry, grid, recording.origin_ns)
+    moving = np.hypot(step[:, 0], step[:, 1])[1:-1] > 1e-3
+    if moving.sum() < _FEW:
+        return "odometry"
+    rough = np.diff(step, n=2, axis=0)[moving]
+    square = np.minimum(rough**2, 9.0 * np.median(rough**2, axis=0) + 1e-15)
+    # a drive that never turns has no noise of turns either
+    per_noise = (grid[1] - grid[0]) / node_s / np.maximum((step**2).mean(axis=0), 1e-30)
+    noisy = square.mean(axis=0) / 6.0 * per_noise > _BIAS
+    shared = _shared(recording, moving, grid)
+    if shared is None:
+        return "truth" if noisy.any() else "odometry"
+    noisy &= shared.part + _PLAINLY * shared.error < _SHARED
+    lives_here = shared.odometrys > _PLAIN_SIDE * np.maximum(shared.truths, 0.0)
+    lives_here &= shared.odometrys > _PLAINLY * shared.noise_error
+    noisy |= lives_here & (shared.odometrys * per_noise > _LEAST_BIAS)
+    return "truth" if noisy.any() else "odometry"
+
+
+def _steps(path: Trajectory, grid: Array, origin_ns: int) -> Array:
+    """Return travel and turn (n, 2) from one time of a grid to the next."""
+    steps = increments(path.at(grid, origin_ns))
+    return np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
+
+
+class _Shared(NamedTuple):
+    """Of travel and turn (2,): which part of the odometry's roughness the truth has, too, and what is each one's own.
+
+    part, error : and its standard error
+    odometrys, truths : variance of a step that is noise of the one alone
+    noise_error : standard error of the odometry's
+    """
+
+    part: Array
+    error: Array
+    odometrys: Array
+    truths: Array
+    noise_error: Array
+
+
+def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Shared | None:
+    """Return what the sides' roughness has in common; None where the truth has no headings or too little is seen.
+
+    Noise of either side is in one of the factors alone, so their mean product is what they have in common. A truth
+    that cannot tell is too noisy to drive; one without headings is not asked.
+    """
+    seen = aligned(recording, coarse_clock(recording))
+    truth_s = seen.truth.seconds_since(recording.origin_ns)
+    chosen = moving & (grid[:-3] >= truth_s[0]) & (grid[3:] <= truth_s[-1])
+    own = np.diff(_steps(seen.odometry, grid, recording.origin_ns), n=2, axis=0)[chosen]
+    other = np.diff(_steps(seen.truth, grid, recording.origin_ns), n=2, axis=0)[chosen]
+    if len(own) < _FEW or not np.isfinite(other).all():
+        return None
+    bound = 5.0 * np.median(np.abs(own), axis=0)
+    own = np.clip(own, -bound, bound)
+    common, whole = own * other, np.maximum((own**2).mean(axis=0), 1e-30)
+    other = np.clip(other, -bound, bound)
+    alone = (own**2 - own * other) / 6.0
+    return _Shared(
+        part=common.mean(axis=0) / whole,
+        error=common.std(axis=0) / np.sqrt(len(common)) / whole,
+        odometrys=alone.mean(axis=0),
+        truths=(other**2 - own * other).mean(axis=0) / 6.0,
+        noise_error=alone.std(axis=0) / np.sqrt(len(alone)),
+    )

@@ -1,0 +1,114 @@
+"""Whether a model expects the errors it meets: NEES with honest bounds, coverage and CRPS, by length of path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import chi2
+
+from odomcorrupt.study.estimate.windows import WindowErrors
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty
+
+__all__ = ["CURVE_M", "HORIZONS_M", "Horizon", "horizon_of"]
+
+HORIZONS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+CURVE_M = (0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, 70.0, 100.0)
+_FEWEST = 3
+"""Fewer windows than this say nothing."""
+_DRAWS = 20_000
+_SEED = 1_950_128
+
+
+@dataclass(frozen=True, slots=True)
+class Horizon:
+    """Errors over one length of path, windows not overlapping; odometry minus truth.
+
+    measured, expected : (3,) root mean square along, across (m) and yaw (rad); NaN yaw where the truth has no headings
+    bias : (3,) mean error
+    excess_p : (3,) probability that chance makes so much more (or less) than expected of a channel
+    position_measured, position_expected : root mean square of the position error, m
+    nees : mean normalised squared error per degree of freedom, 1 where the model is right
+    nees_bounds : where 95 % of such means lie by chance; the model's own standard errors widen them
+    nees_p : probability of a mean as far out
+    coverage_50, coverage_90 : (3,) part of the errors inside the model's 50 and 90 % intervals
+    crps : (3,) mean continuous ranked probability score, m and rad
+    """
+
+    distance_m: float
+    windows: int
+    measured: Array
+    expected: Array
+    bias: Array
+    excess_p: Array
+    position_measured: float
+    position_expected: float
+    nees: float
+    nees_bounds: tuple[float, float]
+    nees_p: float
+    coverage_50: Array
+    coverage_90: Array
+    crps: Array
+
+
+def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Horizon | None:
+    """Return what windows of one length say, taken from several pieces; None where there are too few."""
+    if sum(len(errors) for errors, _ in parts) < _FEWEST:
+        return None
+    count = min(errors.error.shape[1] for errors, _ in parts)
+    both = WindowErrors(
+        np.concatenate([errors.error[:, :count] for errors, _ in parts]),
+        np.concatenate([errors.covariance[:, :count, :count] for errors, _ in parts]),
+    )
+    nees = float(both.nees.mean() / count)
+    means = np.sort(_chance_means(parts, count))
+    low, high = np.quantile(means, [0.025, 0.975])
+    below = np.searchsorted(means, nees, side="right")
+    tail = min(below, len(means) - np.searchsorted(means, nees, side="left"))
+    position = np.hypot(both.measured[0], both.measured[1]), np.hypot(both.expected[0], both.expected[1])
+    return Horizon(
+        distance_m=distance_m,
+        windows=len(both),
+        measured=_three(both.measured),
+        expected=_three(both.expected),
+        bias=_three(both.error.mean(axis=0)),
+        excess_p=_three(_excess(both)),
+        position_measured=float(position[0]),
+        position_expected=float(position[1]),
+        nees=nees,
+        nees_bounds=(float(low), float(high)),
+        # the observation counts as one of the draws: valid, and never zero
+        nees_p=min(1.0, 2.0 * (tail + 1.0) / (len(means) + 1.0)),
+        coverage_50=_three(both.coverage(0.5)),
+        coverage_90=_three(both.coverage(0.9)),
+        crps=_three(both.crps),
+    )
+
+
+def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], count: int) -> Array:
+    """Return draws of the mean NEES per degree of freedom under the model, its parameters as uncertain as it says."""
+    rng = np.random.default_rng(_SEED)
+    total = np.zeros(_DRAWS)
+    freedom = sum(len(errors) for errors, _ in parts) * count
+    for errors, doubt in parts:
+        own = len(errors) * count
+        scale, offset = doubt.draw(rng, _DRAWS)
+        total += scale * rng.noncentral_chisquare(own, own * offset)
+    return total / freedom
+
+
+def _excess(errors: WindowErrors) -> Array:
+    """Return, per channel, the two-sided probability of the sum of squares over what is expected."""
+    square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
+    tail: Array = np.minimum(chi2.sf(square, len(errors)), chi2.cdf(square, len(errors)))
+    return np.minimum(1.0, 2.0 * tail)
+
+
+def _three(values: Array) -> Array:
+    return np.concatenate((values, np.full(3 - len(values), np.nan)))

@@ -1,0 +1,205 @@
+"""Compare models with measurements: what they expect, what was measured, where they fail, which one is best.
+
+A model is judged on recordings it was not fitted on. Where a recording was fitted, it is cut in two and the model is
+fitted again on one half and judged on the other, both ways (and every model beside it is judged on the same halves).
+Stretches that resets cut out of one run are halved together.
+Clocks belong to a recording, not to a robot: they are estimated on each one, the same for every model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.intervals import join
+from odomcorrupt.study.estimate.windows import rmse, time_windows
+from odomcorrupt.study.io.clock import Clock, aligned
+from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
+from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.evaluation import Evaluation, horizons_of, judge_stretch
+from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
+from odomcorrupt.study.validate.log_score import LogScore, nats_of
+from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.validate.cross_validation import Pieces
+    from odomcorrupt.study.validate.pit import Pit
+    from odomcorrupt.study.validate.whiteness import Whiteness
+
+__all__ = ["Comparison", "Judgement", "compare"]
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """One model against the recordings.
+
+    refitted : whether it had been fitted on them, so that it was refitted on halves to be judged on the others
+    ten_second_error_m : root mean square position error after 10 s
+    nats : log likelihood per metre driven, with its error, and what it gains over the first model
+    horizons : for the table; curve : more of them, for the picture
+    pits, whiteness : of the whitened innovations, by channel
+    failures : the plainest first; the drifts that they add up to before them
+    trajectory : ATE and RPE
+    notes : what this judgement leaves out, in words
+    pieces : the stretches it was judged on, for pictures
+    """
+
+    name: str
+    refitted: bool
+    ten_second_error_m: float
+    nats: LogScore
+    horizons: tuple[Horizon, ...]
+    curve: tuple[Horizon, ...]
+    pits: Mapping[str, Pit]
+    whiteness: Mapping[str, Whiteness]
+    verdict: Verdict
+    failures: tuple[Failure, ...]
+    trajectory: TrajectoryError
+    notes: tuple[str, ...]
+    pieces: tuple[Evaluation, ...]
+
+    @property
+    def nats_per_m(self) -> float:
+        """Log likelihood per metre driven."""
+        return self.nats.per_m
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
+
+    recordings: tuple[str, ...]
+    clocks: Clocks
+    raw_error_m: float
+    clock_error_m: float
+    clock_trajectory: TrajectoryError
+    judgements: tuple[Judgement, ...]
+
+
+def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
+    """Judge models (by name) on recordings."""
+    approach = choose_approach(recordings)
+    found = find_clocks(recordings, approach)
+    on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
+    fitted = {name for model in models.values() for name in _fitted_on(model)}
+    cutting = cutting_of(on_time, fitted, approach.spacing_s)
+    runs = cutting.pieces(on_time)
+    judged = {name: _judged(model, runs, approach) for name, model in models.items()}
+    first = next(iter(judged.values()))
+    # a truth of positions alone is given headings, for it takes a pose to start from
+    as_it_came = [piece for run in cutting.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
+    clock_right = [piece for run in runs for piece in run.all]
+    return Comparison(
+        recordings=tuple(r.name for r in recordings),
+        clocks=found,
+        raw_error_m=_ten_seconds(as_it_came),
+        clock_error_m=_ten_seconds(clock_right),
+        clock_trajectory=trajectory_error(clock_right),
+        judgements=tuple(
+            _judgement(name, models[name], pieces, first, cutting.notes) for name, pieces in judged.items()
+        ),
+    )
+
+
+def _fitted_on(model: MotionModel) -> list[str]:
+    named = model.source.get("recordings", [])
+    return named if isinstance(named, list) else []
+
+
+def _judged(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Evaluation]:
+    """Return a model on all that it is judged on; the halves of a run that it was fitted on by a fit of the other."""
+    found = []
+    for run in runs:
+        known = not run.names.isdisjoint(_fitted_on(model))
+        if not run.second:
+            found += [judge_stretch(piece, model, approach) for piece in run.first]
+            continue
+        for half, other in ((run.first, run.second), (run.second, run.first)):
+            own = _refit(model, other, approach) if known else model
+            found += [judge_stretch(piece, own, approach, refitted=known) for piece in half]
+    return found
+
+
+def _judgement(
+    name: str, model: MotionModel, pieces: Sequence[Evaluation], first: Sequence[Evaluation], notes: Sequence[str]
+) -> Judgement:
+    every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
+    horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
+    width = 3 if all(piece.headed for piece in pieces) else 2
+    chains = [chain[:, :width] for piece in pieces for chain in piece.chains()]
+    pits, whiteness = pits_of(chains), whiteness_of(chains)
+    return Judgement(
+        name=name,
+        refitted=any(piece.refitted for piece in pieces),
+        ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
+        nats=nats_of(pieces, first),
+        horizons=horizons,
+        curve=tuple(h for h in every if h.distance_m in CURVE_M),
+        pits=pits,
+        whiteness=whiteness,
+        verdict=verdict_of(horizons, pits, whiteness),
+        failures=(*drift_failures(horizons), *_patterns(pieces)),
+        trajectory=trajectory_error([piece.left for piece in pieces]),
+        notes=(*notes, *_notes(model, pieces)),
+        pieces=tuple(pieces),
+    )
+
+
+def _patterns(pieces: Sequence[Evaluation]) -> list[Failure]:
+    """Return failures of all pieces, each told with its recording where there are several."""
+    found = []
+    for piece in pieces:
+        name = piece.recording.name if len(pieces) > 1 else ""
+        found += failures(piece.problem, piece.whitener, piece.innovations, headed=piece.headed, name=name)
+        found += sudden_failures(piece.problem, piece.covariance, piece.innovations, headed=piece.headed, name=name)
+    return sorted(found, key=lambda f: f.log_p)
+
+
+def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
+    notes = []
+    motion = pieces[0].problem.motions[0]
+    random = [effect.name for effect in model.effects if effect.kind == "noise" and not effect.gains(motion)]
+    if random:
+        notes.append(f"corruption draws {', '.join(random)}, but what is expected here does not count it")
+    k = model.noise.coefficients
+    if k.white_v or k.white_omega:
+        notes.append("corruption draws white noise on twists, but what is expected here does not count it")
+    if model.setup.truth is None:
+        truth = pieces[0].truth
+        notes.append(
+            f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
+        )
+    if not all(piece.headed for piece in pieces):
+        notes.append("the truth has positions only: nothing is said of yaw")
+    return tuple(notes)
+
+
+def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:
+    """Return the model with its numbers estimated on these recordings alone, its effects the same."""
+    effects = (*model.effects, *model.setup.effects)
+    recordings = [restore_lost(recording, effects) for recording in recordings]
+    again = fit(recordings, effects, approach=replace(approach, law_name=model.noise.law_name))
+    random = [e for e in model.effects if e.kind == "noise"]
+    count = len(model.effects) - len(random)
+    return replace(
+        model,
+        noise=replace(model.noise, coefficients=again.noise.coefficients),
+        effects=(*again.effects[:count], *random),
+        setup=replace(model.setup, effects=again.effects[count:], truth=again.noise.truth),
+    )
+
+
+def _ten_seconds(recordings: Sequence[Recording]) -> float:
+    windows = [time_windows(recording) for recording in recordings]
+    whole = [w for w in windows if len(w)]
+    return rmse(join(whole, [0] * len(whole))) if whole else float("nan")

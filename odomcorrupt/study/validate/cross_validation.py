@@ -1,0 +1,158 @@
+"""Cut what a model was fitted on in two, so that it can be fitted again on one half and judged on the other.
+
+What resets cut into stretches is still one run: it has one middle, and each half may be of several stretches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.study.estimate.intervals import LEAST_NODES, count_nodes
+from odomcorrupt.study.io.clock import clock_leaders
+from odomcorrupt.study.io.recording import Recording, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Cutting", "Pieces", "cutting_of"]
+
+_LEAST_SHARE = 0.25
+"""A half that holds less of the way than this (the robot stood, or crept) tells too little of a model."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """What of a run is judged: each half is one stretch or several; the second is empty where the run is not cut.
+
+    names : of the recordings that the run came in
+    """
+
+    names: frozenset[str]
+    first: tuple[Recording, ...]
+    second: tuple[Recording, ...] = ()
+
+    @property
+    def all(self) -> tuple[Recording, ...]:
+        """All stretches, those of the first half first."""
+        return (*self.first, *self.second)
+
+
+@dataclass(frozen=True, slots=True)
+class _Middle:
+    """The truth's stamp that begins the second half, and what is to be said of it, if anything."""
+
+    stamp_ns: int
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Cutting:
+    """How recordings are cut, whatever their clocks are set to.
+
+    middles : of each run, None where it is judged as a whole
+    kept : the runs that are long enough to be judged
+    spacing_s : of the nodes
+    notes : what was done that is not usual, in words
+    """
+
+    middles: tuple[_Middle | None, ...]
+    kept: tuple[int, ...]
+    spacing_s: float
+    notes: tuple[str, ...]
+
+    def pieces(self, recordings: Sequence[Recording]) -> list[Pieces]:
+        """Return what is judged of each run."""
+        runs = _runs(recordings)
+        return [_pieces(runs[i], self.middles[i], self.spacing_s) for i in self.kept]
+
+
+def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Cutting:
+    """Return how to cut recordings, clocks set right: those whose names are among the fitted ones in halves.
+
+    Raises
+    ------
+    RecordingError
+        Where nothing is long enough to be judged.
+
+    """
+    runs = _runs(recordings)
+    middles = tuple(_middle(run) if any(r.name in fitted for r in run) else None for run in runs)
+    kept, notes = [], [middle.note for middle in middles if middle is not None and middle.note]
+    for i, (run, middle) in enumerate(zip(runs, middles, strict=True)):
+        pieces = _pieces(run, middle, spacing_s)
+        if middle is None or (pieces.first and pieces.second):
+            kept.append(i)
+        else:
+            word = "second" if pieces.first else "first"
+            notes.append(
+                f"{run[0].name}: too short to be fitted on one half and judged on the other: its {word} half has no "
+                f"{LEAST_NODES} stretches of {spacing_s:g} s with both odometry and truth"
+            )
+    if not kept:
+        raise RecordingError(f"{notes[-1]}; record longer, or judge on another recording")
+    return Cutting(middles, tuple(kept), spacing_s, tuple(notes))
+
+
+def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Return the recordings by the clock that they share: stretches of one run together."""
+    runs: dict[int, list[Recording]] = {}
+    for leader, recording in zip(clock_leaders(recordings), recordings, strict=True):
+        runs.setdefault(leader, []).append(recording)
+    return list(runs.values())
+
+
+def _middle(run: Sequence[Recording]) -> _Middle:
+    """Return the middle of a run's truth while there is odometry; of its way, where a half would hardly move."""
+    stamps, way_m = _way(run)
+    if not len(stamps):
+        raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
+    middle = len(stamps) // 2
+    share = way_m[middle] / max(way_m[-1], 1e-9)
+    if way_m[-1] <= 0.0 or _LEAST_SHARE <= share <= 1.0 - _LEAST_SHARE:
+        return _Middle(int(stamps[middle]))
+    by_way = int(np.searchsorted(way_m, way_m[-1] / 2.0))
+    at_s = float(stamps[by_way] - stamps[0]) * 1e-9
+    still = "first" if share < _LEAST_SHARE else "second"
+    note = f"{run[0].name}: hardly moves in the {still} half of its time: cut at half of its way, after {at_s:.0f} s"
+    return _Middle(int(stamps[by_way]), note)
+
+
+def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) -> Pieces:
+    """Cut a run at its middle, if it has one; stretches with too few nodes `spacing_s` apart are left out."""
+    names = frozenset(recording.name for recording in run)
+    if middle is None:
+        return Pieces(names, tuple(run))
+    sides: tuple[list[Recording], list[Recording]] = ([], [])
+    for recording in run:
+        truth = recording.truth
+        at = int(np.searchsorted(truth.stamps_ns, middle.stamp_ns))
+        for side, word, rows in zip(sides, ("first", "second"), (slice(at), slice(at, None)), strict=True):
+            if len(truth.stamps_ns[rows]) > LEAST_NODES:
+                part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows])
+                side.append(replace(recording, name=f"{recording.name}, {word} half", truth=part))
+    first, second = (tuple(r for r in side if count_nodes(r, spacing_s) >= LEAST_NODES) for side in sides)
+    return Pieces(names, first, second)
+
+
+def _way(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
+    """Return the truth's stamps (n,) while there is odometry, in order, and the way driven until then (n,), metres."""
+    stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+    for recording in run:
+        odometry, truth = recording.odometry, recording.truth
+        travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
+        own_s, truth_s = recording.odometry_s, truth.seconds_since(recording.origin_ns)
+        inside = (truth_s >= own_s[0]) & (truth_s <= own_s[-1])
+        way_m = np.interp(truth_s[inside], own_s, travelled)
+        stamps.append(truth.stamps_ns[inside])
+        gone.append(np.diff(way_m, prepend=way_m[:1]))
+    every = np.concatenate(stamps)
+    order = np.argsort(every, kind="stable")
+    return every[order], np.cumsum(np.concatenate(gone)[order])

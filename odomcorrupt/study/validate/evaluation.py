@@ -1,0 +1,157 @@
+"""A stretch of a recording under a model: residuals, what the model expects of them, and their likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import minimize
+
+from odomcorrupt.errors import FitError
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
+from odomcorrupt.study.estimate.random_process import WANDERING, widened
+from odomcorrupt.study.estimate.whitener import Whitener, interval_covariance, whitener
+from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
+from odomcorrupt.study.io.headings import UNKNOWN_RAD, headed_anew
+from odomcorrupt.study.validate.calibration import Horizon, horizon_of
+from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, doubt_of
+from odomcorrupt.study.validate.random_covariance import wandering_covariance
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.estimate.config import Approach
+    from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["Evaluation", "horizons_of", "judge_stretch"]
+
+_HALF = float(np.sqrt(2.0))
+"""Standard errors of a fit to half of a drive are larger by this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """One stretch of a recording under one model.
+
+    recording : with its clock set right
+    left : what the model leaves of it, its effects taken out of the odometry
+    truth : noise of the truth, as far as the windows' ends feel it
+    q : (K, 3, 3) covariance that the model's noise puts on the residuals
+    innovations : (3 K,) whitened residuals
+    node_nats : (K,) log likelihood of each interval given the ones before
+    node_metres : (K,) odometry's travel as it came, the same for all models
+    refitted : whether the model was fitted anew, to half of a drive, to be judged on this one
+    """
+
+    recording: Recording
+    left: Recording
+    model: MotionModel
+    truth: TruthNoise
+    problem: Problem
+    whitener: Whitener
+    q: Array
+    innovations: Array
+    node_nats: Array
+    node_metres: Array
+    refitted: bool
+
+    @property
+    def headed(self) -> bool:
+        """Whether the truth has headings of its own."""
+        return self.recording.headed
+
+    @property
+    def covariance(self) -> Array:
+        """What the model expects (K, 3, 3) of each residual by itself."""
+        return interval_covariance(self.problem.nodes, self.q, self.truth)
+
+    def chains(self) -> list[Array]:
+        """Return the innovations as unbroken chains (m, 3), or (m, 2) without headings."""
+        rows = self.innovations.reshape(-1, 3)[:, : 3 if self.headed else 2]
+        return np.split(rows, np.flatnonzero(~self.problem.nodes.linked)[1:])
+
+    def windows(self, distance_m: float) -> tuple[WindowErrors, ParameterUncertainty] | None:
+        """Return the errors after a length of path, and how uncertain the model is of them."""
+        windows = distance_windows(self.left, distance_m)
+        if not len(windows):
+            return None
+        errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
+        count = errors.error.shape[1]
+        more = wandering_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
+        errors = replace(errors, covariance=errors.covariance + more)
+        return errors, doubt_of(self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0)
+
+
+def judge_stretch(
+    recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False
+) -> Evaluation:
+    """Take the model's effects out of a recording (its clock right) and whiten what is left by the model's noise."""
+    effects = (*model.effects, *model.setup.effects)
+    problem = pose_problem([recording], effects, approach=approach)
+    nodes = problem.nodes
+    q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
+    headed = recording.headed
+    truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
+    band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    random = [effect for effect in model.effects if effect.name in WANDERING]
+    white = widened(band, problem, random)
+    innovations = white.whiten(nodes.residual)
+    own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
+    # what wanders over all of a run belongs to no single interval
+    own += (white.log_det - band.log_det) / own.size
+    left = headed_anew(undo(recording, effects))
+    as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
+    return Evaluation(
+        recording=recording,
+        left=left,
+        model=model,
+        truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
+        problem=problem,
+        whitener=white,
+        q=q + wandering_covariance(_noisy(model), nodes, problem.motions[0]),
+        innovations=innovations,
+        node_nats=-own.reshape(-1, 3).sum(axis=1),
+        node_metres=as_it_came.distance_m,
+        refitted=refitted,
+    )
+
+
+def horizons_of(pieces: Sequence[Evaluation], distances_m: Sequence[float]) -> tuple[Horizon, ...]:
+    """Return calibration by length of path, for lengths of which there are enough windows."""
+    found = []
+    for distance in distances_m:
+        parts = [w for piece in pieces if (w := piece.windows(distance)) is not None]
+        horizon = horizon_of(distance, parts) if parts else None
+        if horizon is not None:
+            found.append(horizon)
+    return tuple(found)
+
+
+def _noisy(model: MotionModel) -> list[Effect]:
+    """Return what is still random when the odometry is put right where it shows what was lost."""
+    return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
+
+
+def _truth_noise(nodes: Intervals, q: Array, *, headed: bool) -> TruthNoise:
+    """Return the truth's noise of largest likelihood, for a model that was written by hand and states none."""
+
+    def unpack(free: Array) -> TruthNoise:
+        xy, yaw, wander = np.exp(free)
+        return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(wander))
+
+    def cost(free: Array) -> float:
+        try:
+            white = whitener(nodes, q, unpack(free))
+        except FitError:
+            return 1e12
+        return -white.log_likelihood(white.whiten(nodes.residual))
+
+    start = np.log([0.003, 0.003, 1e-4])
+    bounds = [(np.log(2e-5), 0.0), (np.log(2e-5), 0.0), (np.log(1e-6), np.log(0.3))]
+    return unpack(minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x)

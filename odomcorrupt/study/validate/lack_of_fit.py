@@ -1,0 +1,188 @@
+"""Where a model fails, as findings that a person understands: in which motion, when, where, at what length of path.
+
+All patterns (kinds of motion, stretches of time, discs of the truth's plane) compete: the plainest is taken, its error
+is taken out, and the rest is looked at again, so one cause is not told ten times. Signs: odometry minus truth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from odomcorrupt.study.validate.error_rates import CHANNELS, node_motion, unit_columns
+from odomcorrupt.study.validate.strata import Pattern, all_patterns
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.whitener import Whitener
+    from odomcorrupt.study.validate.calibration import Horizon
+
+__all__ = ["Failure", "drift_failures", "failures", "sudden_failures"]
+
+LEVEL = 0.01
+_MOST = 6
+_MOST_SUDDEN = 3
+_WORTH_SAYING = float(np.log(1.2))
+"""Smaller factors between measured and expected are not worth a sentence, however sure they are."""
+_LEFT = 0.3
+"""A pattern that keeps less than this part of its length beside the ones found already says nothing new."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """One way in which the odometry is wrong beyond what the model expects; numbers are odometry minus truth.
+
+    kind : "motion", "time", "place" (a rate of error), "moment" (a sudden error) or "drift" (too much after some path)
+    channel : "along", "across" or "yaw"
+    where : the part of the drive in words: "in left turns"
+    per : what a rate is of: "m" driven, "s" at rest; "" for a size
+    measured : the rate (m or rad per `per`), or the size (m or rad)
+    expected : what the model expects at most: two standard deviations of a rate or of a moment; of a drift its RMS
+    amount : metres (seconds at rest) it was seen over; windows of a drift; 1 of a moment
+    log_p : natural logarithm of the probability of something as plain anywhere by chance, all tries counted
+    besides : whether a rate comes on top of rates of the same channel that were found before it
+    recording : which one it was seen in
+    span_s, place : (start, end) in seconds since the recording began; (x, y, radius) in the truth's frame, m
+    """
+
+    kind: Literal["motion", "time", "place", "moment", "drift"]
+    channel: str
+    where: str
+    per: str
+    measured: float
+    expected: float
+    amount: float
+    log_p: float
+    besides: bool = False
+    recording: str = ""
+    span_s: tuple[float, float] | None = None
+    place: tuple[float, float, float] | None = None
+
+
+def failures(
+    problem: Problem, whitener: Whitener, innovations: Array, *, headed: bool = True, name: str = ""
+) -> list[Failure]:
+    """Return the parts of a drive in which the error grows as the model does not expect, the plainest first.
+
+    Parameters
+    ----------
+    problem, whitener : a single recording under a model
+    innovations : (3 K,) standardised
+    name : the recording's
+
+    """
+    motion = node_motion(problem)
+    patterns = all_patterns(motion)
+    units = {"m": unit_columns(problem), "s": unit_columns(problem, per_second=True)}
+    tries = [(pattern, c) for pattern in patterns for c in range(3 if headed else 2)]
+    raw = np.stack([units[p.per][:, :, c] * p.mask[:, None] for p, c in tries], axis=2)
+    columns = whitener.whiten(raw)
+    r = innovations.copy()
+    own = np.linalg.norm(columns, axis=0)
+    # nothing is claimed where errors are larger everywhere: that is said by the noise, not by a pattern
+    inflation = np.sqrt(max(1.0, float(r @ r) / len(r)))
+    family = {kind: 3 * sum(p.kind == kind for p in patterns) for kind in ("motion", "time", "place")}
+    cost = np.array([np.log(3.0 * family[p.kind]) for p, _ in tries])
+    found: list[Failure] = []
+    while len(found) < _MOST:
+        length = np.linalg.norm(columns, axis=0)
+        usable = length > np.maximum(_LEFT * own, 1e-12)
+        z = np.where(usable, columns.T @ r / np.where(usable, length, 1.0), 0.0) / inflation
+        log_p = norm.logsf(np.abs(z)) + np.log(2.0) + cost
+        best = int(np.argmin(log_p))
+        if log_p[best] > np.log(LEVEL):
+            break
+        pattern, c = tries[best]
+        rate = float(columns[:, best] @ r / length[best] ** 2)
+        failure = _rate_failure(pattern, CHANNELS[c], rate, 2.0 / float(length[best]), float(log_p[best]), name)
+        found.append(replace(failure, besides=any(f.channel == failure.channel for f in found)))
+        unit = columns[:, best] / length[best]
+        r = r - unit * (unit @ r)
+        columns = columns - np.outer(unit, unit @ columns)
+    return found
+
+
+def _rate_failure(pattern: Pattern, channel: str, rate: float, expected: float, log_p: float, name: str) -> Failure:
+    return Failure(
+        kind=pattern.kind,
+        channel=channel,
+        where=pattern.where,
+        per=pattern.per,
+        measured=rate,
+        expected=expected,
+        amount=pattern.amount,
+        log_p=log_p,
+        recording=name,
+        span_s=pattern.span_s,
+        place=pattern.place,
+    )
+
+
+def sudden_failures(
+    problem: Problem, covariance: Array, innovations: Array, *, headed: bool = True, name: str = ""
+) -> list[Failure]:
+    """Return the moments (intervals between two nodes) whose error no chance makes, the worst first.
+
+    covariance : (K, 3, 3) what the model expects of each residual by itself
+    """
+    count = 3 if headed else 2
+    square = np.sum(innovations.reshape(-1, 3)[:, :count] ** 2, axis=1)
+    log_p = chi2.logsf(square, count) + np.log(len(square))
+    deviation = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    nodes = problem.nodes
+    found = []
+    for k in np.argsort(square)[::-1][:_MOST_SUDDEN]:
+        if log_p[k] > np.log(LEVEL):
+            break
+        ratio = (np.abs(nodes.residual[k]) / deviation[k])[:count]
+        c = int(np.argmax(ratio))
+        start, end = float(nodes.start_s[k]), float(nodes.end_s[k])
+        x, y, _ = map(float, nodes.truth_xyt[k])
+        found.append(
+            Failure(
+                kind="moment",
+                channel=CHANNELS[c],
+                where=f"within {end - start:.2g} s at {start:.1f} s",
+                per="",
+                measured=float(nodes.residual[k, c]),
+                expected=2.0 * float(deviation[k, c]),
+                amount=1.0,
+                log_p=float(log_p[k]),
+                recording=name,
+                span_s=(start, end),
+                place=(x, y, 0.0),
+            )
+        )
+    return found
+
+
+def drift_failures(horizons: Sequence[Horizon]) -> list[Failure]:
+    """Return, per channel, the longest path after which errors are larger or smaller than the model expects."""
+    found = []
+    looks = 3 * len(horizons)
+    for c, channel in enumerate(CHANNELS):
+        for h in reversed(horizons):
+            ratio = h.measured[c] / h.expected[c]
+            if h.excess_p[c] * looks < LEVEL and abs(np.log(ratio)) > _WORTH_SAYING:
+                log_p = float(np.log(max(h.excess_p[c] * looks, 1e-300)))
+                found.append(
+                    Failure(
+                        kind="drift",
+                        channel=channel,
+                        where=f"over {h.distance_m:g} m of path",
+                        per="",
+                        measured=float(h.measured[c]),
+                        expected=float(h.expected[c]),
+                        amount=float(h.windows),
+                        log_p=log_p,
+                    )
+                )
+                break
+    # the channel that is off by the largest factor first
+    return sorted(found, key=lambda f: abs(np.log(f.measured / f.expected)), reverse=True)

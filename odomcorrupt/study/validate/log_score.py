@@ -1,0 +1,62 @@
+"""Held-out log likelihood per metre driven, with errors from blocks of the drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.validate.evaluation import Evaluation
+
+__all__ = ["LogScore", "nats_of"]
+
+BLOCK_S = 15.0
+"""Errors of a robot remember for seconds; blocks this long hardly know of each other."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogScore:
+    """Log likelihood per metre, and its gain over the first model on the very same blocks; standard errors of both."""
+
+    per_m: float
+    error: float
+    gain_per_m: float
+    gain_error: float
+    blocks: int
+
+
+def nats_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
+    """Return nats per metre of pieces, and the paired difference to those of the first model."""
+    own, base = _blocks(pieces, pieces), _blocks(first, pieces)
+    metres = _blocks(pieces, pieces, metres=True)
+    ratio, error = _ratio(own, metres)
+    gain, gain_error = _ratio(own - base, metres)
+    return LogScore(ratio, error, gain, gain_error, len(metres))
+
+
+def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], *, metres: bool = False) -> Array:
+    """Return sums over blocks of time (b,): of log likelihood or of metres."""
+    sums = []
+    for piece, like in zip(pieces, cut_by, strict=True):
+        end_s = like.problem.nodes.end_s
+        block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
+        sums.append(np.bincount(block, piece.node_metres if metres else piece.node_nats))
+    joined: Array = np.concatenate(sums)
+    return joined
+
+
+def _ratio(values: Array, metres: Array) -> tuple[float, float]:
+    """Return the sum over metres and its standard error: the ratio estimator over b blocks (Cochran, 1977, ch. 6)."""
+    total, count = float(metres.sum()), len(metres)
+    if total <= 0.0:
+        return float("nan"), float("nan")
+    ratio = float(values.sum()) / total
+    if count < 2:
+        return ratio, float("nan")
+    left = values - ratio * metres
+    return ratio, float(np.sqrt(count / (count - 1.0) * float(left @ left))) / total

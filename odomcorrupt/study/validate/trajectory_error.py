@@ -1,0 +1,125 @@
+"""ATE and RPE, the two numbers of the SLAM world, between poses at the same stamps.
+
+Definitions: Sturm et al., A benchmark for the evaluation of RGB-D SLAM systems, IROS 2012; alignment: Umeyama, PAMI
+13(4), 1991, without scale. The numbers are those of the tool evo (its defaults, in the plane). An alignment hides what
+it can turn away: read them beside errors that start at the truth pose, not in their place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import between, compose, wrap
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = [
+    "TrajectoryError",
+    "absolute_errors",
+    "aligned_at_origin",
+    "aligned_rigidly",
+    "relative_errors",
+    "trajectory_error",
+]
+
+RPE_M = 1.0
+"""Distance between the poses that RPE compares, metres."""
+
+
+def aligned_rigidly(reference_xyt: Array, estimate_xyt: Array) -> Array:
+    """Return the estimate (n, 3) turned and shifted so that its positions lie closest to the reference's (n, 3)."""
+    p, q = reference_xyt[:, :2], estimate_xyt[:, :2]
+    centre_p, centre_q = p.mean(axis=0), q.mean(axis=0)
+    dp, dq = p - centre_p, q - centre_q
+    # in the plane the best rotation has a closed form: no singular values, no mirror images
+    turn = np.arctan2(np.sum(dq[:, 0] * dp[:, 1] - dq[:, 1] * dp[:, 0]), np.sum(dq * dp))
+    c, s = np.cos(turn), np.sin(turn)
+    shift = centre_p - np.array([c * centre_q[0] - s * centre_q[1], s * centre_q[0] + c * centre_q[1]])
+    return compose(np.array([*shift, turn]), estimate_xyt)
+
+
+def aligned_at_origin(reference_xyt: Array, estimate_xyt: Array) -> Array:
+    """Return the estimate (n, 3) moved rigidly so that its first pose is the reference's."""
+    return compose(reference_xyt[0], between(estimate_xyt[0], estimate_xyt))
+
+
+def absolute_errors(reference_xyt: Array, estimate_xyt: Array) -> Array:
+    """Return the distances (n,) between positions, metres."""
+    distances: Array = np.linalg.norm(estimate_xyt[:, :2] - reference_xyt[:, :2], axis=1)
+    return distances
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeErrors:
+    """Errors of m motions: translation_m (m,) metres, rotation_rad (m,) radians, both without sign."""
+
+    translation_m: Array
+    rotation_rad: Array
+
+
+def relative_errors(reference_xyt: Array, estimate_xyt: Array, delta_m: float) -> RelativeErrors:
+    """Return errors of motions one after the other, each `delta_m` long on the estimate's path."""
+    ends = _cuts(estimate_xyt, delta_m)
+    true = between(reference_xyt[ends[:-1]], reference_xyt[ends[1:]])
+    error = between(true, between(estimate_xyt[ends[:-1]], estimate_xyt[ends[1:]]))
+    return RelativeErrors(np.hypot(error[:, 0], error[:, 1]), np.abs(wrap(error[:, 2])))
+
+
+def _cuts(xyt: Array, delta_m: float) -> NDArray[np.int64]:
+    """Return the index of the first pose, and of each that lies at least `delta_m` of path behind the one before."""
+    cuts, gone = [0], 0.0
+    for i, step in enumerate(np.linalg.norm(np.diff(xyt[:, :2], axis=0), axis=1).tolist(), start=1):
+        gone += step
+        if gone >= delta_m:
+            cuts.append(i)
+            gone = 0.0
+    return np.array(cuts)
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryError:
+    """Root mean squares over recordings; NaN where the truth has no headings and the number needs them.
+
+    ate_m : after rigid alignment; ate_origin_m : with the first poses put on each other
+    rpe_m, rpe_rad : of motions `RPE_M` long
+    """
+
+    ate_m: float
+    ate_origin_m: float
+    rpe_m: float
+    rpe_rad: float
+
+
+def trajectory_error(recordings: Sequence[Recording]) -> TrajectoryError:
+    """Return the errors of the odometry at the truth's stamps, each recording aligned by itself."""
+    aligned, origin, shift, turn = [], [], [], []
+    for recording in recordings:
+        truth, estimate = _at_truth(recording)
+        aligned.append(absolute_errors(truth, aligned_rigidly(truth, estimate)))
+        if recording.headed:
+            origin.append(absolute_errors(truth, aligned_at_origin(truth, estimate)))
+            motions = relative_errors(truth, estimate, RPE_M)
+            shift.append(motions.translation_m)
+            turn.append(motions.rotation_rad)
+    return TrajectoryError(*(_rms(parts) for parts in (aligned, origin, shift, turn)))
+
+
+def _at_truth(recording: Recording) -> tuple[Array, Array]:
+    """Return truth poses (n, 3) while there is odometry, and the odometry there (n, 3)."""
+    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    inside = (truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])
+    return recording.truth.xyt[inside], recording.odometry.at(truth_s[inside], recording.origin_ns)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    values = np.concatenate(parts) if parts else np.zeros(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")

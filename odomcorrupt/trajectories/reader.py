@@ -1,0 +1,156 @@
+"""Read the odometry of a drive, and the poses of any other topic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corrupt.targets import ODOMETRY, find_driver, plain
+from odomcorrupt.errors import RecordingError, TopicError
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
+from odomcorrupt.study.io.recording import Trajectory
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Drive", "find_truth", "read_drive", "read_poses"]
+
+POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Odometry of a drive, n messages with growing stamps.
+
+    frame_id, child_frame_id : as in the first message
+    stamps_ns : (n,) header stamps
+    xyt : (n, 3) poses, metres and radians, headings unwrapped
+    twist : (n, 3) vx, vy in m/s and yaw rate in rad/s, in the robot's frame
+    notes : what reading it left out, in words
+    """
+
+    topic: str
+    frame_id: str
+    child_frame_id: str
+    stamps_ns: NDArray[np.int64]
+    xyt: Array
+    twist: Array
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def t_s(self) -> Array:
+        """Seconds since the first stamp (n,)."""
+        out: Array = (self.stamps_ns - self.stamps_ns[0]) * np.float64(1e-9)
+        return out
+
+    @property
+    def distance_m(self) -> Array:
+        """Distance travelled (n,) since the first pose."""
+        step = np.diff(self.xyt[:, :2], axis=0)
+        return np.concatenate(([0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses alone."""
+        return Trajectory(self.stamps_ns, self.xyt)
+
+
+def read_drive(path: Path, topic: str | None) -> Drive:
+    """Read the odometry of a bag; topic None takes the only one there is.
+
+    Raises
+    ------
+    BagError
+        Where the bag cannot be read.
+    TopicError
+        Where no odometry is there, or several are.
+    RecordingError
+        Where it holds fewer than two usable messages.
+
+    """
+    with open_reader(path) as reader:
+        name = find_driver(reader.channels.values(), topic, reader.name)
+        rows = _Rows([c for c in reader.channels.values() if c.topic == name and c.msgtype == ODOMETRY])
+        for block in reader.blocks():
+            rows.take(block)
+        return rows.drive(reader.name, name)
+
+
+def read_poses(path: Path, topic: str) -> Trajectory:
+    """Read the poses of an Odometry, PoseStamped or PoseWithCovarianceStamped topic, in their own frame."""
+    with open_reader(path) as reader:
+        channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
+        if not channels:
+            raise TopicError(f"{reader.name}: no topic {topic} (found {_topics(reader)}); name another one")
+        if channels[0].msgtype not in POSES:
+            raise TopicError(f"{reader.name}: {topic} is a {channels[0].msgtype}; poses are {', '.join(POSES)}")
+        rows = _Rows(channels)
+        for block in reader.blocks():
+            rows.take(block)
+        return rows.drive(reader.name, topic).trajectory
+
+
+def find_truth(path: Path) -> str | None:
+    """Return the topic of poses that is called a truth, None where there is none or more than one."""
+    with open_reader(path) as reader:
+        named = {c.topic for c in reader.channels.values() if c.msgtype in POSES and "truth" in c.topic}
+    return named.pop() if len(named) == 1 else None
+
+
+def _topics(reader: BagReader) -> str:
+    return ", ".join(sorted({c.topic for c in reader.channels.values()})) or "nothing"
+
+
+class _Rows:
+    """Numbers of one topic while a bag is read."""
+
+    def __init__(self, channels: list[Channel]) -> None:
+        self.channels = channels
+        self.parts: list[tuple[NDArray[np.int64], Array]] = []
+        self.frames: tuple[str, str] | None = None
+
+    def take(self, block: Block) -> None:
+        for channel in self.channels:
+            for layout in locate(block, channel):
+                item = layout.items[0]
+                self.frames = self.frames or (item.frame_id, item.child_frame_id)
+                stamps = gather_stamps_ns(block, layout, item)
+                stamps = np.where(stamps == 0, block.table["log_ns"][layout.rows], stamps)
+                xy = gather(block, layout, item, "position")[:, :2]
+                yaw = yaw_from_quaternion(gather(block, layout, item, "orientation"))
+                twist = np.zeros((len(yaw), 3))
+                if "twist" in item.fields:
+                    twist = gather(block, layout, item, "twist")[:, [0, 1, 5]]
+                self.parts.append((stamps, np.column_stack((xy, yaw, twist))))
+
+    def drive(self, bag: str, topic: str) -> Drive:
+        stamps = np.concatenate([p[0] for p in self.parts]) if self.parts else np.zeros(0, dtype=np.int64)
+        numbers = np.concatenate([p[1] for p in self.parts]) if self.parts else np.zeros((0, 6))
+        good = np.isfinite(numbers).all(axis=1)
+        # of messages with the same stamp the last one stands: its twist is the one that goes on
+        kept, index = np.unique(stamps[good][::-1], return_index=True)
+        if len(kept) < 2:
+            raise RecordingError(f"{bag}: {topic} holds {len(kept)} usable messages; it takes two or more")
+        notes = []
+        if len(kept) < len(stamps):
+            unusable = int(np.count_nonzero(~good))
+            notes.append(
+                f"{topic}: {unusable} messages without numbers and {int(good.sum()) - len(kept)} repeats left out"
+            )
+        numbers = numbers[good][::-1][index]
+        xyt = numbers[:, :3].copy()
+        xyt[:, 2] = np.unwrap(xyt[:, 2])
+        frame, child = self.frames or ("", "")
+        return Drive(topic, frame, child, kept, xyt, numbers[:, 3:].copy(), tuple(notes))
