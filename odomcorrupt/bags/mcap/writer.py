@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
+from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
@@ -68,12 +68,23 @@ class McapWriter:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    whole : whether all messages of the reader are to be written, which is then made sure of
     pack : compresses chunks, as `packed` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
 
-    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        output: Output,
+        reader: BagReader,
+        codec: str | None = None,
+        level: int | None = None,
+        *,
+        whole: bool = True,
+    ) -> None:
+        self._whole = whole
+        self._added_count = 0
         self._output = output
         self._reader = reader
         self._codec = codec
@@ -136,6 +147,7 @@ class McapWriter:
         """Frame a block's added messages, behind the channels they need."""
         messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
+        self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
@@ -182,6 +194,8 @@ class McapWriter:
 
     def _finish(self) -> None:
         output = self._output
+        if self._whole:
+            require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
         output.write(record(DATA_END, struct.pack("<I", output.crc)))
         begin, output.crc = output.position, 0
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []

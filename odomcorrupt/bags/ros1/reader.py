@@ -50,6 +50,7 @@ class Ros1Reader:
     """A ROS 1 bag, file or pipe.
 
     losses : what could not be read, one sentence each, where recovery was asked for
+    count : messages that the last pass has given
     """
 
     kind: Kind = "ros1"
@@ -66,7 +67,7 @@ class Ros1Reader:
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
-        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self._count = 0
+        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self.count = 0
         try:
             self._read_header(source)
         except BagError:
@@ -118,7 +119,7 @@ class Ros1Reader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._header_losses :]
-        self._count = self._seen = 0
+        self.count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
@@ -131,10 +132,10 @@ class Ros1Reader:
             yield from self._blocks(self._source)
             if not self._recover:
                 self._read_index(self._source)
-        if self._count < self._stated and not self.losses:
+        if self.count < self._stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its index tells of {self._stated} messages, {self._count} are there: the bag is "
+                    f"{self.name}: its index tells of {self._stated} messages, {self.count} are there: the bag is "
                     "damaged; --recover saves those"
                 )
             )
@@ -214,7 +215,7 @@ class Ros1Reader:
         except BagError as error:
             self._lose(error)
             block = self._salvaged(chunk)
-        self._count += len(block.table)
+        self.count += len(block.table)
         yield block
 
     def _salvaged(self, chunk: Chunk) -> Block:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Message
+from odomcorrupt.bags.block import Block, Channel, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.connections import Connections
@@ -49,6 +49,8 @@ class Ros1Writer:
         self._level = level
         self.pack = compress_for_ros1
         self._connections = Connections(reader)
+        self._reader = reader
+        self._written = self._added = 0
         self._infos: list[bytes] = []
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
@@ -61,6 +63,7 @@ class Ros1Writer:
     def write(self, block: Block) -> None:
         """Write a block, its added messages behind its own."""
         added = self._frame(block.added)
+        self._added += len(block.added)
         framing = block.raw
         if isinstance(framing, Ros1Framing):
             framed = Framed(block.data, block.table, framing.starts, block.ends)
@@ -97,6 +100,7 @@ class Ros1Writer:
             {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
         found = indexes(framed)
+        self._written += len(framed.table)
         self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)), packed)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
@@ -126,6 +130,7 @@ class Ros1Writer:
         return pack_record(header, b" " * (_HEADER_BYTES - len(header)))
 
     def _finish(self) -> None:
+        require_all(self._output.name, self._reader, self._written, self._added)
         index_at = self._output.position
         connections = self._connections.packed()
         self._output.write(*connections, *self._infos)
