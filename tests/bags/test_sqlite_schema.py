@@ -49,7 +49,10 @@ SCHEMAS = {
     "trigger": [DELETES],
     "trigger on insertion": [DELETES.replace("UPDATE ON", "INSERT ON")],
     "temporary view": [f"CREATE VIEW v AS {ENDLESS}"],
-    "view of definitions": ["DROP TABLE IF EXISTS message_definitions", f"CREATE VIEW message_definitions AS {ENDLESS}"],
+    "view of definitions": [
+        "DROP TABLE IF EXISTS message_definitions",
+        f"CREATE VIEW message_definitions AS {ENDLESS}",
+    ],
     "check": remade(PLAIN, ", CHECK (length(hex(data)) > 0)"),
     "conflict": remade(PLAIN, ", UNIQUE (timestamp) ON CONFLICT REPLACE"),
     "generated": [*remade(PLAIN), "ALTER TABLE messages ADD COLUMN more AS (hex(data))"],

@@ -233,10 +233,12 @@ class McapReader:
         self.losses.append(loss_of(error))
 
     def _learn_summary(self) -> None:
+        """Learn what the summary repeats; channels whose schemas it does not repeat are read where they stand."""
         for schema in self.summary.schemas:
             self._known.learn(SCHEMA, schema)
         for channel in self.summary.channels:
-            self._known.learn(CHANNEL, channel)
+            if self._known.defines(channel):
+                self._known.learn(CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Learn the channels of a file that its summary does not tell."""

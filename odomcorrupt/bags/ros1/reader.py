@@ -256,9 +256,10 @@ class Ros1Reader:
     def _learn(self, header: bytes, data: bytes) -> None:
         connection = Connection.parse(header, data, self.name)
         msgtype = connection.type.replace("/", "/msg/", 1)
-        self._channels.setdefault(
-            connection.id, Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
-        )
+        channel = Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
+        if self._channels.setdefault(connection.id, channel) != channel:
+            topics = f"{self._channels[connection.id].topic} and {connection.topic}"
+            raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
     def _read_index(self, source: Source) -> None:
         """Read connections and chunk infos at the bag's end: that they are all there tells that nothing was cut."""

@@ -104,17 +104,20 @@ def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
     if not whole:
         # With this sqlite reads what there is of a file that was cut; nothing is ever written.
         connection.execute("PRAGMA writable_schema = ON")
-    harden(connection)
+    harden(connection, defensive=whole)
     return connection
 
 
-def harden(connection: sqlite3.Connection) -> None:
-    """Switch off what a file's own schema could do: triggers, views and functions in it."""
+def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
+    """Switch off what a file's own schema could do: triggers, views and functions in it.
+
+    defensive : not where the schema of a file that was cut is to be read as far as it goes
+    """
     connection.execute("PRAGMA trusted_schema = OFF").fetchall()
     connection.execute("PRAGMA cell_size_check = ON").fetchall()
     for name, on in _SWITCHES.items():
         if hasattr(sqlite3, name):
-            connection.setconfig(getattr(sqlite3, name), on)  # type: ignore[attr-defined,unused-ignore]
+            connection.setconfig(getattr(sqlite3, name), on and defensive)  # type: ignore[attr-defined,unused-ignore]
 
 
 def require_plain(connection: sqlite3.Connection, path: Path) -> None:
