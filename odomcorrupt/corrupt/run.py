@@ -123,7 +123,8 @@ def corrupt_bag(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )
         if silent and not adds and container.as_it_was and may_stay(source, target, reader):
-            write_as_it_was(tape or reader.paths[0], target, transform.blocks(reader, reader.name), watch)
+            blocks = transform.blocks(reader, reader.name)
+            write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
             if tape is not None:
                 tape.stop()

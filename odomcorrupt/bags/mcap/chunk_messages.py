@@ -64,9 +64,7 @@ def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> C
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
     """Return the contents as the indexes tell them, or None where they do not tell all, or not the truth."""
-    if any(len(index) < 6 or (len(index) - 6) % 16 for index in indexes):
-        return None
-    entries = [np.frombuffer(index, _INDEX_ENTRY, offset=6) for index in indexes]
+    entries = [np.frombuffer(index, _INDEX_ENTRY, offset=6) for index in indexes if (len(index) - 6) % 16 == 0]
     offsets = np.concatenate([entry["offset"] for entry in entries]) if entries else np.empty(0, dtype=np.uint64)
     if not offsets.size or data.size < MESSAGE_HEADER_BYTES or offsets.max() > data.size - MESSAGE_HEADER_BYTES:
         return None

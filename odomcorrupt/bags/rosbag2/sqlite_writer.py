@@ -6,13 +6,14 @@ import os
 import shutil
 import sqlite3
 from contextlib import closing, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
 from odomcorrupt.bags.derive_definition import retyped
-from odomcorrupt.bags.output import beside
+from odomcorrupt.bags.placement import beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.bags.rosbag2.salvage import copy_tables
@@ -21,7 +22,6 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
     from types import TracebackType
 
     from odomcorrupt.bags.block import Block
@@ -35,12 +35,14 @@ _AT_ONCE_BYTES = 1 << 30
 class SqliteWriter:
     """One .db3 file being written.
 
+    overwrite : whether it may replace a file
     keeps_rest : what is never passed to `write` is there all the same
     """
 
-    def __init__(self, path: Path, reader: SqliteReader) -> None:
-        self._path = path
-        self._partial = beside(path)
+    def __init__(self, path: Path, reader: SqliteReader, *, overwrite: bool = False) -> None:
+        self._path = Path(os.path.realpath(path))
+        self._partial = beside(self._path)
+        self._overwrite = overwrite
         self._reader = reader
         self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
@@ -175,6 +177,7 @@ class SqliteWriter:
         return self
 
     def _begin(self) -> None:
+        sweep(self._path.parent, self._path.name)
         if not self._reader.damaged:
             with reported(self._reader.path), closing(read_only(self._reader.readable, whole=False)) as source:
                 self._expected = count_messages(source)
@@ -207,7 +210,7 @@ class SqliteWriter:
                 self._expect(topic, -(size or 0), -1)
 
     def _require_all(self) -> None:
-        """Refuse a file in which not exactly those rows changed that were to change: a count of all others is enough."""
+        """Refuse a file in which other rows changed than were to change."""
         done = self._connection.total_changes
         expected = {topic: seen for topic, seen in self._expected.items() if seen != (0, 0)}
         if done != self._changes or count_messages(self._connection) != expected:
@@ -223,15 +226,12 @@ class SqliteWriter:
         if self._journal == "wal":
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
         self._connection.close()
-        with self._partial.open("rb") as stream:
-            os.fsync(stream.fileno())
-        self._partial.replace(self._path)
+        place(self._partial, self._path, overwrite=self._overwrite)
 
     def _discard(self) -> None:
         if self._open is not None:
             self._open.close()
-        for leftover in self._path.parent.glob(f"{self._partial.name}*"):
-            leftover.unlink()
+        remove(self._partial)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
