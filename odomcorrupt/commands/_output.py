@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from odomcorrupt.bags.output import Output
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
@@ -28,6 +27,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write beside the target and rename when complete."""
+    from odomcorrupt.bags.output import Output
+
     output = Output(path, overwrite=True)
     output.open()
     try:
