@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
@@ -85,6 +86,7 @@ class Ros1Reader:
             for _ in self._blocks(source):
                 pass
             source.seek(self._data_start)
+            source.budget = Budget()
             return
         if not self._index_at:
             raise BagError(f"{self.name}: is not indexed, its recording was never closed; --recover reads it")
