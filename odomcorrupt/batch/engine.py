@@ -162,7 +162,9 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
     try:
         distributed: Any = importlib.import_module("distributed")  # an optional extra
     except ImportError as error:
-        raise BatchError('dask is not installed; --dask needs it: pip install "odomcorrupt[dask]"') from error
+        raise BatchError(
+            'dask is not installed; --dask needs it: in a copy of the repository, pip install ".[dask]"'
+        ) from error
     try:
         client = distributed.Client(address, timeout="20s", set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
