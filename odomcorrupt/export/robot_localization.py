@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.covariance import FLOOR
+from odomcorrupt.corruption.covariance import FLOOR
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.noise_laws import variances
