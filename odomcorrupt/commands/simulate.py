@@ -68,10 +68,10 @@ def command(
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
     require("scipy", "the study needs it", "study")
-    from odomcorrupt.simulate.bag import write_mcap
-    from odomcorrupt.simulate.commands import read_commands
-    from odomcorrupt.simulate.ground_truth import fingerprint, format_answer
-    from odomcorrupt.simulate.run import simulate
+    from odomcorrupt.simulation.bag import write_mcap
+    from odomcorrupt.simulation.commands import read_commands
+    from odomcorrupt.simulation.ground_truth import fingerprint, format_answer
+    from odomcorrupt.simulation.run import simulate
 
     piped = str(output) == "-"
     if piped and answer is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.corrupt.covariance import FLOOR
+from odomcorrupt.corruption.covariance import FLOOR
 from odomcorrupt.export.step_variance import Steady, message_noise
 
 if TYPE_CHECKING:

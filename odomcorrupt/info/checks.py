@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.corrupt.reorder import WINDOW_NS
+from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.corruption.reorder import WINDOW_NS
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import interpolate, inverse, wrap
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.patch import PLANAR_BLOCK
+from odomcorrupt.corruption.patch import PLANAR_BLOCK
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array

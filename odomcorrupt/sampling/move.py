@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
+from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import BEARING_MIN_M, increments, rot_trans_rot
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from odomcorrupt.correct.undo import undo_effects
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.correction.undo import undo_effects
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import ModelError
 from odomcorrupt.export.amcl import amcl_alphas

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from rooms import MODEL, RESOLUTION, drive, room
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError
 from odomcorrupt.mapping.conditioned import move_sampled_in_map
 from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths

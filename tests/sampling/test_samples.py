@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients

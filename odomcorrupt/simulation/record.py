@@ -1,0 +1,75 @@
+"""What a simulated drive leaves behind: a recording, and its secret."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from odomcorrupt.simulation.encoders import Odometry
+from odomcorrupt.simulation.fault import Parameters
+from odomcorrupt.simulation.planar import wrap
+from odomcorrupt.simulation.tracker import Track
+
+EPOCH_NS = 1_750_000_000_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedRun:
+    """A recording and its secret. Poses are m, m, rad wrapped to (-pi, pi]; twists m/s, m/s, rad/s in the body.
+
+    Attributes
+    ----------
+    odom_stamps_ns : ndarray of int64, shape (n,)
+        By the odometry's clock.
+    odom_xyt, odom_twist : ndarray, shape (n, 3)
+        Base in the odometry frame; mean twist since the sample before.
+    truth_stamps_ns : ndarray of int64, shape (m,)
+        By the tracker's clock.
+    truth_xyt : ndarray, shape (m, 3)
+        Tracked frame in the world.
+    answer : dict
+        ``cause`` (str, several joined by +, or None), ``parameters`` of a single cause (names and units as in the
+        effects' table), ``causes`` (parameters of each by its name) and ``track_m`` (nominal).
+    track_m : float
+        Nominal track, which a user would know; m.
+    """
+
+    odom_stamps_ns: np.ndarray
+    odom_xyt: np.ndarray
+    odom_twist: np.ndarray
+    truth_stamps_ns: np.ndarray
+    truth_xyt: np.ndarray
+    answer: dict[str, Any]
+    track_m: float
+
+
+def record(odom: Odometry, track: Track, flaws: Mapping[str, Parameters], track_m: float) -> SimulatedRun:
+    """Put together what the driver and the tracker say, and what was wrong.
+
+    Parameters
+    ----------
+    flaws : mapping
+        Parameters of each cause by its name.
+    track_m : float
+        Nominal track, m.
+    """
+    causes = {name: dict(parameters) for name, parameters in flaws.items()}
+    single = next(iter(causes.values())) if len(causes) == 1 else {}
+    return SimulatedRun(
+        odom_stamps_ns=_to_ns(odom.stamps_s),
+        odom_xyt=_wrapped(odom.xyt),
+        odom_twist=odom.twist,
+        truth_stamps_ns=_to_ns(track.stamps_s),
+        truth_xyt=_wrapped(track.xyt),
+        answer={"cause": "+".join(causes) or None, "parameters": single, "causes": causes, "track_m": track_m},
+        track_m=track_m,
+    )
+
+
+def _to_ns(times_s: np.ndarray) -> np.ndarray:
+    return EPOCH_NS + np.rint(times_s * 1e9).astype(np.int64)
+
+
+def _wrapped(xyt: np.ndarray) -> np.ndarray:
+    return np.column_stack((xyt[:, :2], wrap(xyt[:, 2])))
