@@ -15,11 +15,17 @@ from odomcorrupt.geometry.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect, Gain, State
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
+
+    _ErrorAt = Callable[[Array], tuple[Array, list[State]]]
 
 __all__ = ["Drive", "EffectInverse", "acts"]
 
@@ -33,6 +39,11 @@ _SAME = 1e-6
 """Two changes that differ by less than this part of them are the same."""
 _JUMP = 0.5
 """A law that sets in all at once may change less than this part of a motion."""
+NEWTON_ROUNDS = 60
+_NUDGE = 1e-6
+"""By how much a speed is changed to see what that does to f, m/s and rad/s."""
+_FARTHEST, _JITTER = 20.0, 1e-3
+"""Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
 
 
 def acts(effect: Effect) -> bool:
@@ -129,47 +140,89 @@ class EffectInverse:
         travel = np.hypot(drive.steps.ds_m, drive.steps.dl_m)
         distance = np.cumsum(np.concatenate(([self._distance_m], travel)))
 
-        f = np.zeros((n, 3))
-        open_ = np.ones(n, dtype=bool)
-        states = self._states
-        was, last = f, np.zeros(n)
-        for _ in range(MAX_ROUNDS):
+        def error_at(f: Array) -> tuple[Array, list[State]]:
+            """Return the f of the motion that is left of the clean one by f, and the states after it."""
             motion = _motion(clean - f, drive, faster, distance[1:], self._track_m)
-            f_next = np.zeros((n, 3))
-            states = []
+            total, states = np.zeros((n, 3)), []
             for effect, state in zip(self._effects, self._states, strict=True):
                 if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
-                    motion = _motion(clean - f + f_next, drive, faster, distance[1:], self._track_m)
+                    motion = _motion(clean - f + total, drive, faster, distance[1:], self._track_m)
                 # an effect may draw from its state: every round must see the same draws
                 with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
                     answer = effect.twist_error(motion, copy.deepcopy(state))
-                f_next += answer.f
+                total += answer.f
                 states.append(answer.state)
-            # a row that is solved stays as it is, so that its bits do not depend on its neighbours
-            change = np.abs((f_next - f) * dt).max(axis=1)
-            was, f = f, np.where(open_[:, None], f_next, f)
-            open_ &= ~(change <= TOLERANCE)
-            if not open_.any():
-                break
-            if not change[open_].max() < _RUNAWAY:
-                raise self._too_strong()
-            swinging, last = np.abs(change - last) <= _SAME * change, change
-        else:
-            # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for
-            # such a true one, and of the two that it swings between the one nearer to the truth stands;
-            # what takes all of a motion away in one round and puts it back in the next is no such law
-            swinging &= change < _JUMP * np.abs(clean * dt).max(axis=1)
-            if not swinging[open_].all():
-                raise self._too_strong()
-            nearer = open_ & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
-            f = np.where(nearer[:, None], was, f)
+            return total, states
+
+        f, self._states = self._solved(error_at, clean, dt)
         if self.wandering:
             true = _motion(clean, drive, faster, distance[1:], self._track_m)
             self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
-        self._states = states
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])
         return -f * dt
+
+    def _solved(self, error_at: _ErrorAt, clean: Array, dt: Array) -> tuple[Array, list[State]]:
+        """Return f (n, 3) with f = error_at(f), and the states after it.
+
+        Plain rounds settle wherever effects change less than the whole of a motion. Newton's follow for the rest: for
+        errors as large as the motion, as of a robot that turns several times as far as its odometry says.
+        """
+        f = np.zeros_like(clean)
+        open_ = np.ones(len(clean), dtype=bool)
+        was, last = f, np.zeros(len(clean))
+        for _ in range(MAX_ROUNDS):
+            f_next, states = error_at(f)
+            # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
+            # runs away take them along
+            change = np.abs((f_next - f) * dt).max(axis=1)
+            settling = open_ & (change < _RUNAWAY)
+            was, f = f, np.where(settling[:, None], f_next, f)
+            open_ &= ~(change <= TOLERANCE)
+            if not open_.any():
+                return f, states
+            swinging, last = np.abs(change - last) <= _SAME * change, change
+        # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for
+        # such a true one, and of the two that it swings between the one nearer to the truth stands;
+        # what takes all of a motion away in one round and puts it back in the next is no such law
+        swinging &= open_ & (change < _JUMP * np.abs(clean * dt).max(axis=1))
+        nearer = swinging & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
+        f = np.where(nearer[:, None], was, f)
+        open_ &= ~swinging
+        if open_.any():
+            f = self._by_newton(error_at, f, open_, clean, dt)
+        return f, error_at(f)[1]
+
+    def _by_newton(
+        self, error_at: _ErrorAt, f: Array, open_: NDArray[np.bool_], clean: Array, dt: Array
+    ) -> Array:
+        """Return f (n, 3) with its open rows solved by Newton's method, each from where the effects do nothing."""
+        rows = np.flatnonzero(open_)
+        f = np.where(open_[:, None], 0.0, f)
+        for _ in range(NEWTON_ROUNDS):
+            miss = (error_at(f)[0] - f)[rows]
+            if not np.isfinite(miss).all():
+                break
+            settled = np.abs(miss * dt[rows]).max(axis=1) <= TOLERANCE
+            slope = np.empty((len(rows), 3, 3))
+            for i in range(3):
+                nudge = np.zeros(3)
+                nudge[i] = _NUDGE
+                slope[:, :, i] = -(error_at(f + nudge)[0] - error_at(f - nudge)[0])[rows] / (2.0 * _NUDGE)
+            slope += np.eye(3)  # of the true motion by the odometry's
+            if not np.isfinite(slope).all() or (np.linalg.eigvals(slope[settled]).real <= 0.0).any():
+                break  # the robot would go the slower, or back, the faster its odometry goes forth
+            rows, miss, slope = rows[~settled], miss[~settled], slope[~settled]
+            if not len(rows):
+                far = np.abs(f[open_]).max(axis=1) > _FARTHEST * np.abs(clean[open_]).max(axis=1)
+                if (far & (np.abs(f[open_] * dt[open_]).max(axis=1) > _JITTER)).any():
+                    break
+                return f
+            try:
+                f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+            except np.linalg.LinAlgError:
+                break
+        raise self._too_strong()
 
     def _too_strong(self) -> EffectError:
         names = ", ".join(effect.name for effect in self._effects)
