@@ -89,7 +89,7 @@ def command(
         shaped=learned.added,
     )
     ladder = {"without effects": base.model}
-    laws = [f"{one.channel} over {one.driver}" for one in learned.laws]
+    laws = [f"{one.channel} over {one.regressor}" for one in learned.laws]
     names = [*learned.added, *laws, *(effect.name for effect in random)]
     if names:
         ladder["with " + ", ".join(names)] = robot.model

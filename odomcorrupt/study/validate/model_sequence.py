@@ -27,5 +27,5 @@ def ladder_comparison(learned: Learned, recordings: Sequence[Recording], first: 
     # what was tried on the way and left again is no step
     before = [look.before for look in (*learned.rounds[:1], *steps[1:])] if steps else []
     fits = [*before, learned.fit]
-    names = [first, *(f"+ {look.step}" for look in steps)]
+    names = [first, *(f"+ {look.name}" for look in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})
