@@ -327,7 +327,7 @@ def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
     table = laws_table({"quadratic": fitted, "other": fitted}).splitlines()
-    assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.pieces.active)), "yes"]
+    assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.components.active)), "yes"]
 
 
 @pytest.fixture

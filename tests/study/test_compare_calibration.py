@@ -16,12 +16,18 @@ from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.windows import WindowErrors
 from odomcorrupt.study.validate.calibration import horizon_of
 from odomcorrupt.study.validate.evaluation import horizons_of, judge_stretch
-from odomcorrupt.study.validate.goodness_of_fit import Look, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.validate.goodness_of_fit import (
+    Look,
+    Verdict,
+    ljung_box,
+    pit_of,
+    pits_of,
+    verdict_of,
+    whiteness_of,
+)
 from odomcorrupt.study.validate.lack_of_fit import drift_failures, failures, sudden_failures
 from odomcorrupt.study.validate.log_score import nats_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty
-from odomcorrupt.study.validate.pit import pit_of
-from odomcorrupt.study.validate.whiteness import ljung_box
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))

@@ -49,7 +49,7 @@ class RobotFit:
     def information_nats(self) -> float:
         """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
         nodes = len(self.fit.problem.nodes)
-        return self.fit.log_likelihood - 0.5 * len(self.fit.pieces.active) * float(np.log(nodes))
+        return self.fit.log_likelihood - 0.5 * len(self.fit.components.active) * float(np.log(nodes))
 
 
 def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import WANDERING, with_random
-from odomcorrupt.study.estimate.stochastic_em import noise_beside
-from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class Onward(NamedTuple):
 class Fit:
     """A fitted model of some recordings.
 
-    pieces : the law's covariances on the problem's nodes
+    components : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
     random : wandering gains that are believed
     noise : coefficients, truth noise, innovations and likelihood
@@ -58,7 +58,7 @@ class Fit:
     """
 
     problem: Problem
-    pieces: LawPieces
+    components: VarianceComponents
     noise: NoiseFit
     random: tuple[Effect, ...]
     standard_errors: Array
@@ -156,17 +156,9 @@ def fit(
         if before is not None and weights is not None:
             weights = _carried(weights, before, problem)
         columns = design_matrix(problem, free)
-        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = noise_beside(
-            problem,
-            pieces,
-            columns,
-            random,
-            start=start,
-            weights=weights,
-            elsewhere=before is None,
-            bursts=bursts,
-        )
+        components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
+        noise = fit_noise_beside(problem, components, columns, random, begin)
         start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
@@ -185,7 +177,7 @@ def fit(
     clock_errors = clock_errors[leaders]
     return Fit(
         problem=problem,
-        pieces=pieces,
+        components=components,
         noise=noise,
         random=tuple(random),
         standard_errors=errors[:own],

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Law
     from odomcorrupt.study.estimate.intervals import Intervals
 
-__all__ = ["NAMES", "LawPieces"]
+__all__ = ["NAMES", "VarianceComponents"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
@@ -23,7 +23,7 @@ _PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))
 """Magnitudes of a step on which coefficients that do anything together show it."""
 
 
-class LawPieces:
+class VarianceComponents:
     """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
 
     A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per

@@ -217,8 +217,12 @@ class _Selection:
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
-            self.fit = backward_eliminate(proposal.candidate.fit, self.given, self.decisions)
-        self.noise, self.fit = eliminate_random(self.noise, self.fit, self.decisions)
+            self._continue_from(proposal.candidate.fit)
+
+    def _continue_from(self, fit: Fit) -> None:
+        """Take a model with one more term, without what the term makes redundant."""
+        fit = backward_eliminate(fit, self.given, self.decisions)
+        self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
@@ -242,7 +246,7 @@ class _Selection:
             return False
         self._record(candidates, added=best.name)
         # robust weights are estimated again, because what looked like outliers may be explained now
-        self.fit, _ = with_shape_refined(best.fit.refit(), best.score, decisions)
+        self._continue_from(with_shape_refined(best.fit.refit(), best.score, decisions)[0])
         return True
 
     def _record(

@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.validate.cross_validation import Pieces
-    from odomcorrupt.study.validate.pit import Pit
-    from odomcorrupt.study.validate.whiteness import Whiteness
+    from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
 __all__ = ["Comparison", "Judgement", "compare"]
 
