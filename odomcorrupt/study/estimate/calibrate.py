@@ -62,7 +62,7 @@ def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect
         if effect.clock:
             raise EffectError(f"--add {name}: clocks are part of every fit already; leave it out")
         if effect.kind == "noise":
-            raise EffectError(f"--add {name}: a random effect cannot be fitted this way yet")
+            raise EffectError(f"--add {name}: a random effect cannot be fitted from recordings by this command")
         effects.append(effect)
     return effects
 
@@ -78,9 +78,10 @@ def fit_robot(
 ) -> RobotFit:
     """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
 
-    Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
+    Random effects stay as they are: random coefficients are in the covariance, what encoders did is undone where it
+    shows.
 
-    shaped : names of effects whose shapes were looked for in the same recordings
+    shaped : names of effects whose shapes were searched in the same recordings
     """
     recordings = [restore_lost(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)

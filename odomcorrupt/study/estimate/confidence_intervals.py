@@ -78,12 +78,12 @@ def _edge(likelihood: NoiseLikelihood, fitted: Fit, position: int, best: float, 
         if outside <= np.log(LOWEST):
             return 0.0
         free[position] = outside
-        climbed = likelihood.maximise(free, fixed=position)
-        drop = top - likelihood.evaluate(climbed).log_likelihood
+        profiled = likelihood.maximise(free, fixed=position)
+        drop = top - likelihood.evaluate(profiled).log_likelihood
         if drop >= _DROP:
             # a parabola in the logarithm between the two points
             share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))
             return float(np.exp(inside + share * (outside - inside)))
-        free, inside, inside_drop = climbed, outside, drop
+        free, inside, inside_drop = profiled, outside, drop
         step *= 2.0
     return 0.0 if direction < 0 else float("inf")

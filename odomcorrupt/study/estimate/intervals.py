@@ -1,8 +1,8 @@
 """Intervals: truth samples half a second or so apart, and the odometry between them.
 
 Between two neighbouring nodes the odometry says U, the truth says D, and e = log(D^-1 U) is what the model must
-explain. Everything that happens at a single odometry step on the way (a systematic error, a draw of noise) is carried
-to the end of its interval exactly: an error of heading swings the rest of the way around. The truth is never
+explain. Everything that happens at a single odometry step in between (a systematic error, a draw of noise) is carried
+to the end of its interval exactly: an error of heading rotates the rest of the path. The truth is never
 interpolated, because that would change its noise; the odometry is (it is smooth between its samples).
 """
 

@@ -38,7 +38,7 @@ _MOST_ROUNDS = 8
 _SETTLED = 0.03
 """Change of a logarithm at which the rounds end; draws alone move it by about as much."""
 _FAINT = 1e-4
-"""Noise smaller than this hardly matters, and its logarithm goes anywhere."""
+"""Noise smaller than this hardly matters, and its logarithm may be anything."""
 _SEED = 20261121
 
 

@@ -219,7 +219,7 @@ class NoiseLikelihood:
             if gain > 0.0:
                 done, before, slope = new, slope, self.slope(new, movable)
                 reach = min(2.0 * reach, _FAR)
-                # outliers bend the top more than the average tells, and what they bend is steep
+                # outliers bend the maximum more than the average information says
                 bend = float(np.clip((before - slope) @ step / (step @ information @ step), *_BENDS))
                 if abs(gain - promise) < _AS_PROMISED * promise:
                     fresh = False
@@ -271,7 +271,7 @@ def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Arr
     inside: Array = np.clip(step, low, high)
     if np.array_equal(inside, step):
         return inside
-    # one number after the other: each goes as far as the others, where they now are, let it
+    # coordinate by coordinate: each as far as the others, where they are now, let it
     for _ in range(_SWEEPS):
         before = inside.copy()
         for i in range(len(slope)):
@@ -288,7 +288,7 @@ def by_column(columns: Array) -> Array:
 
 
 def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
-    """Return a fit with its linear part estimated anew; stacked (3 K, 1 + m) is the residual and the columns."""
+    """Return a fit with its linear part estimated again; stacked (3 K, 1 + m) is the residual and the columns."""
     whitened = white.whitened(stacked)
     r, b = whitened[:, 0], whitened[:, 1:]
     theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))

@@ -49,7 +49,7 @@ def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Corre
 def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
     """Return the names of the coefficients that are not zero, and the covariance (n, n) of their logarithms.
 
-    All zeros, which says nothing, where the likelihood is no hill there.
+    All zeros, which says nothing, where the likelihood has no maximum there.
     """
     active, best = fitted.components.active, fitted.noise.free
     positions = [i for i in range(len(active)) if best[i] > np.log(LOWEST) + 1.0]

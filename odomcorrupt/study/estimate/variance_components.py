@@ -1,4 +1,4 @@
-"""A noise law on the residuals, taken apart into matrices that its coefficients only weigh."""
+"""Variance components: the covariance that a noise law puts on the residuals, linear in shares."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class VarianceComponents:
             return np.stack((v.rot1, v.trans, v.across, v.rot2))
 
         seen = magnitudes(law, steps)
-        # the more motion, the more noise: the largest of each tells whether a coefficient does anything
+        # the more motion, the more noise: the largest of each shows whether a coefficient does anything
         most = tuple(np.array([m.max(initial=0.0)]) for m in seen)
         self._degree = law.degree
         self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]

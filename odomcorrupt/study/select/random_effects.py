@@ -70,7 +70,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
-        least = decisions.mean_reverting_nats if process.comes_back else decisions.correlated_nats
+        least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         one = RandomCoefficient(effect, nats - 0.5 * process.numbers * log_count)
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:

@@ -24,7 +24,7 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
     "omega": lambda m: m.omega,
     "1": lambda m: np.ones(len(m)),
 }
-"""What an error goes with; 1 for one that grows with time."""
+"""What an error is proportional to; 1 for one that grows with time."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 _GROUND, _TOWARD = "ground", 6
 """What carries the robot where it is, and the directions, over half a turn, in which it may."""
@@ -52,9 +52,9 @@ class Action:
 
     @property
     def reaches(self) -> frozenset[str]:
-        """What it reaches: the "body", "one" wheel or "both"; the heading as time goes, a "bias"; or the "ground".
+        """What it reaches: the "body", "one" wheel or "both"; the heading over time, a "bias"; or the "ground".
 
-        What turns the body with its way may be its "heading" that is drawn aside.
+        What turns the body as it travels may be an error of its "heading".
         """
         if self.move == "1":
             return frozenset({"bias"})

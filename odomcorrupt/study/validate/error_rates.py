@@ -1,4 +1,4 @@
-"""Rates of error: by how much the odometry goes wrong per metre in some part of a drive, and what chance would make.
+"""Rates of error: by how much odometry errs per metre in some part of a drive, and what chance would make.
 
 Everything here is odometry minus truth: a positive rate along means that the odometry ends too far ahead, across too
 far left, yaw that it turns too far left.
