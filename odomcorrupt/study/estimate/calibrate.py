@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFit:
     """A robot's model, and what stands behind it.
 
@@ -108,7 +108,7 @@ def fit_robot(
         correlation=fit_correlation(fitted, columns, own | errors.keys()),
         source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
     )
-    return RobotFit(model, fitted, clocks, tuple(intervals), error)
+    return RobotFit(model=model, fit=fitted, clocks=clocks, intervals=tuple(intervals), ten_second_error_m=error)
 
 
 def fit_every_law(

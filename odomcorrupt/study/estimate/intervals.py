@@ -47,7 +47,7 @@ def pick_nodes(truth_s: Array, first_s: float, last_s: float, spacing_s: float) 
     return picked
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Intervals:
     """K intervals between neighbouring nodes, and the n steps of odometry inside them.
 

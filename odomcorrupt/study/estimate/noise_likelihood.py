@@ -62,7 +62,7 @@ _BENDS = (0.7, 3.0)
 """Bounds of the curvature along a step over that of the information."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
     """Fitted noise, and the likelihood it leaves.
 
@@ -133,7 +133,17 @@ class NoiseLikelihood:
         white = factored(self._band(self._shares(free)))
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         nothing = np.zeros(0)
-        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        blank = NoiseFit(
+            coefficients=k,
+            truth=truth,
+            log_likelihood=0.0,
+            theta=nothing,
+            theta_covariance=nothing,
+            weights=self._weights,
+            innovations=nothing,
+            whitener=white,
+            free=free,
+        )
         return estimated(blank, white, self._stacked)
 
     def maximise(self, free: Array, *, fixed: int | None = None) -> Array:

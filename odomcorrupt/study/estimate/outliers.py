@@ -37,7 +37,7 @@ _PLAIN = 2.0
 """How much more one wheel has lost than the other where it is plain which one slipped."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """A stretch in which odometry and truth part at once.
 

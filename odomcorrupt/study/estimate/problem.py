@@ -64,7 +64,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None
     return left
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
     """Recordings, effects and clocks of a model, and the intervals of what these leave.
 

@@ -140,7 +140,8 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
     plain = [one for one in scores if one.score.robust_nats > 0.0 and one.score.significant(decisions.level)]
     by_kind = {one.kind: one for one in plain}
     found = []
-    for (regressor, channel, per), where, score in _curves(fit):
+    for kind, where, score in _curves(fit):
+        regressor, channel, per = kind
         of_turns = channel == "yaw" and (per == "rad" or regressor in _OF_TURNS)
         if of_turns and still:
             continue
@@ -152,9 +153,9 @@ def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) ->
             own = best.score
             most = max(nats, own.robust_nats) if seen else own.robust_nats
             p = min(score.p, own.p) if seen else own.p
-            found.append(_dependence(regressor, channel, per, where, score, p, most, best))
+            found.append(_dependence(kind, where, score, best, p=p, nats=most))
         elif seen and best is None and per != "s":  # a bias that bends is known by its basis function alone
-            found.append(_dependence(regressor, channel, per, where, score, score.p, nats, None))
+            found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
     return sorted(found, key=lambda u: u.nats, reverse=True)
 
 
@@ -202,15 +203,10 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
 
 
 def _dependence(
-    regressor: str,
-    channel: str,
-    per: str,
-    where: Array,
-    score: ColumnScore,
-    p: float,
-    nats: float,
-    best: BasisScore | None,
+    kind: tuple[str, str, str], where: Array, score: ColumnScore, best: BasisScore | None, *, p: float, nats: float
 ) -> Dependence:
+    """Return a dependence of a kind (regressor, channel, per) from the score of its curve and its basis function."""
+    regressor, channel, per = kind
     curve, error = score.estimate, score.standard_error
     if best is not None and best.term.function.wavelength_m:  # a wave is shown, not the hats that are too wide for it
         where = np.linspace(0.0, best.term.function.wavelength_m, 13)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 __all__ = ["Comparison", "Judgement", "compare"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
     """One model against the recordings.
 
@@ -73,7 +73,7 @@ class Judgement:
         return self.nats.per_m
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
 

@@ -35,7 +35,7 @@ _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
     """One stretch of a recording under one model.
 

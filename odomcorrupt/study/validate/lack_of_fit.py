@@ -34,7 +34,7 @@ _LEFT = 0.3
 """A pattern that keeps less than this part of its length beside the ones found already says nothing new."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
     """A part of a drive in which odometry errs beyond what the model expects; numbers are odometry minus truth.
 
