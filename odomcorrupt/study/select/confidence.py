@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["Evidence", "confidence", "evidence_of", "odds_against"]
+__all__ = ["Evidence", "confidence", "evidence_of", "odds_against", "odds_formula"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +60,16 @@ def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> floa
     dependence = _exp(prior.dependence_nats - prior.temper * evidence.margin)
     rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.wandering, 0.0)
     return rivals + nothing + dependence + prior.elsewhere + rest / evidence.own
+
+
+def odds_formula(prior: PriorOdds = DECISIONS.prior) -> str:
+    """Return the formula of `odds_against` with its numbers filled in, as the documents print it."""
+    t = "" if prior.temper == 1.0 else f"{prior.temper:g} * "
+    left = "u" if prior.unexplained == 1.0 else f"{prior.unexplained:g} * u"
+    return (
+        f"sum(exp({t}(g_i - g)) for g_i in rivals) + exp(-{t}g) + exp({prior.dependence_nats:g} - {t}m)"
+        f" + {prior.elsewhere:g} + ({left} + {prior.correlated:g} * w) / g"
+    )
 
 
 def _exp(nats: float) -> float:
