@@ -91,7 +91,8 @@ def command(
     )
     proof = proved(robot.model, runs)
     ladder = {"without effects": base.model}
-    names = [*learned.added, *(f"{one.channel} over {one.driver}" for one in learned.laws), *(e.name for e in random)]
+    laws = [f"{one.channel} over {one.regressor}" for one in learned.laws]
+    names = [*learned.added, *laws, *(effect.name for effect in random)]
     if names:
         ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)
