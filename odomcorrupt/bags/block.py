@@ -79,8 +79,6 @@ class Block:
     raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
     added : messages to append, in order
     ends : where the chunks end that the block was joined from; none of a block that is one chunk
-    read_crcs : CRC-32 of each of its chunks as it was read, none where they were not summed
-    crcs : the same of what is in them now; none where nobody has said so, and whoever writes them sums them up
     """
 
     data: NDArray[np.uint8]
@@ -88,8 +86,6 @@ class Block:
     raw: Any = None
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
-    read_crcs: tuple[int, ...] = ()
-    crcs: tuple[int, ...] = ()
 
     def present(self) -> set[int]:
         """Return the channels that its messages are of."""

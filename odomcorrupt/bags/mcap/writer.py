@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
@@ -55,9 +55,9 @@ class Packed(NamedTuple):
     shared: Shared | None = None
 
 
-def packed(codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:
-    """Compress a chunk's records, and sum them where that was not done before."""
-    crc = zlib.crc32(data.data) if crc is None else crc
+def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+    """Compress a chunk's records, and sum them."""
+    crc = crc32(data.data)
     require_level(codec, level)
     return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
 
@@ -123,7 +123,7 @@ class McapWriter:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
         native = isinstance(framing, McapFraming)
         if native and not isinstance(block.raw, PartFraming):
-            return Framed(block.data, block.table, block.ends, block.crcs)
+            return Framed(block.data, block.table, block.ends)
         table = block.table.copy()
         table["channel"] = self._directory.translate(table["channel"])
         if native:
@@ -149,11 +149,10 @@ class McapWriter:
         stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
         rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
         chunks = [ChunkRows(*row) for row in rows]
-        crcs = framed.crcs or (None,) * len(chunks)
-        for chunk, indexes, crc in zip(chunks, message_indexes(framed.table, chunks), crcs, strict=True):
+        for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
-            chunk_data = self.pack(codec, data, self._level, crc)
+            chunk_data = self.pack(codec, data, self._level)
             size = len(chunk_data.data)
             head = chunk_head(start_ns, end_ns, size=data.size, crc=chunk_data.crc, codec=codec, packed=size)
             span = ChunkSpan(

@@ -70,7 +70,7 @@ class Rosbag2Writer:
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
-        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends, crcs=block.crcs))
+        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
 
     def _described(self, channel: int) -> TopicInfo:
         if channel in self._fresh:
