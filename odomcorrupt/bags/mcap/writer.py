@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -15,7 +16,7 @@ from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
-from odomcorrupt.bags.mcap.index import ChunkRows, ChunkSpan, Index, message_indexes, span_ns
+from odomcorrupt.bags.mcap.index import ChunkPlace, ChunkRows, ChunkSpan, Index, message_indexes, span_ns
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
     DATA_END,
@@ -28,6 +29,7 @@ from odomcorrupt.bags.mcap.records import (
     record,
     string,
 )
+from odomcorrupt.bags.pipeline import OrderedResults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.output import Output, Shared
+    from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["McapWriter", "Packed", "packed"]
 
@@ -68,13 +71,22 @@ class McapWriter:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    workers : who compress chunks, while more is written; what is written must then stay as it is
     pack : compresses chunks, as `packed` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
 
-    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        output: Output,
+        reader: BagReader,
+        codec: str | None = None,
+        level: int | None = None,
+        workers: Workers | None = None,
+    ) -> None:
         self._output = output
+        self._results = OrderedResults(workers)
         self._reader = reader
         self._codec = codec
         self._level = level
@@ -114,7 +126,7 @@ class McapWriter:
                 framed = framed.followed_by(self._added(block))
         if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
-            self._output.write(framed.data.data)
+            self._results.put_behind(partial(self._output.write, framed.data.data))
         else:
             codec = getattr(framing, "codec", "zstd")
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
@@ -151,35 +163,35 @@ class McapWriter:
         chunks = [ChunkRows(*row) for row in rows]
         for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
-            start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
-            chunk_data = self.pack(codec, data, self._level)
-            size = len(chunk_data.data)
-            head = chunk_head(start_ns, end_ns, size=data.size, crc=chunk_data.crc, codec=codec, packed=size)
-            span = ChunkSpan(
-                start_ns,
-                end_ns,
-                position=self._output.position,
-                length=len(head) + size,
-                codec=codec,
-                size=data.size,
-                packed=size,
+            span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
+            self._results.put(
+                partial(self.pack, codec, data, self._level), partial(self._write_chunk, span, indexes), data.size
             )
-            self._output.write(head)
-            if chunk_data.shared is not None:
-                self._output.write_shared(chunk_data.shared)
-            elif chunk_data.packed_crc is not None:
-                self._output.write_summed(chunk_data.data, chunk_data.packed_crc)
-            else:
-                self._output.write(chunk_data.data)
-            self._output.write(self._index.add_chunk(span, indexes))
+
+    def _write_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]], chunk: Packed) -> None:
+        """Write a chunk and its message indexes."""
+        position, size = self._output.position, len(chunk.data)
+        head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
+        self._output.write(head)
+        if chunk.shared is not None:
+            self._output.write_shared(chunk.shared)
+        elif chunk.packed_crc is not None:
+            self._output.write_summed(chunk.data, chunk.packed_crc)
+        else:
+            self._output.write(chunk.data)
+        self._output.write(self._index.add_chunk(span, ChunkPlace(position, len(head) + size, size), indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
-        """Write a record as it stands, or a later piece of one (opcode 0)."""
+        """Write a record as it stands, or a later piece of one (opcode 0), behind what waits."""
+        self._results.put_behind(partial(self._write_record_now, opcode, data))
+
+    def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:
         if opcode:
             self._index.add_record(opcode, bytes(data[: 1 << 20]), self._output.position)
         self._output.write(data)
 
     def _finish(self) -> None:
+        self._results.finish()
         output = self._output
         output.write(record(DATA_END, struct.pack("<I", output.crc)))
         begin, output.crc = output.position, 0

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
 __all__ = ["Rosbag2Writer"]
@@ -31,7 +32,15 @@ __all__ = ["Rosbag2Writer"]
 class Rosbag2Writer:
     """A directory being written beside its final name, with the files of the reader's bag."""
 
-    def __init__(self, path: Path, reader: Rosbag2Reader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        reader: Rosbag2Reader,
+        codec: str | None = None,
+        level: int | None = None,
+        workers: Workers | None = None,
+    ) -> None:
+        self._workers = workers
         self.keeps_rest = all(isinstance(part, SqliteReader) and not part.damaged for part in reader.parts)
         self._path = path
         self._partial = beside(path)
@@ -125,7 +134,7 @@ class Rosbag2Writer:
     def _writer(self, part: McapReader | SqliteReader) -> SqliteWriter | McapWriter:
         target = self._partial / part.paths[0].name
         if isinstance(part, McapReader):
-            return McapWriter(Output(target), part, self._codec, self._level)
+            return McapWriter(Output(target), part, self._codec, self._level, self._workers)
         return SqliteWriter(target, part)
 
     def __exit__(
