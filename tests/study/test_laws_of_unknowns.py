@@ -8,9 +8,9 @@ from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.motion import error_of
-from odomcorrupt.simulate import simulate, simulate_without
+from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.basis import laws
 from odomcorrupt.study.select.channels import every_action, views
 from odomcorrupt.study.select.dependence import unknown_dependences
@@ -24,7 +24,7 @@ def _fitted(seed: int, cause: str | None, **options):
 
 def _looked(seed: int, cause: str | None, **options):
     _, fitted = _fitted(seed, cause, **options)
-    return unknown_dependences(fitted, believed_columns(fitted.problem, [(False, False)]))
+    return unknown_dependences(fitted, fitted.design_matrix())
 
 
 def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted():
@@ -62,7 +62,7 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     run = simulate(79, "wet_strip", duration_s=300.0)
     recording = as_recording(run)
     fitted = fit([recording], approach=choose_approach([recording]))
-    found = unknown_dependences(fitted, believed_columns(fitted.problem, [(False, False)]))[0]
+    found = unknown_dependences(fitted, fitted.design_matrix())[0]
     assert (found.driver, found.wheels) == ("position", "wheels")
     strip = run.answer["parameters"]
     away = np.exp(-1j * strip["direction"]) * (

@@ -9,11 +9,11 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.basis.places import _box, _strip
 from odomcorrupt.study.select.basis.values import laws_of_values
@@ -53,7 +53,7 @@ def test_the_error_of_a_slip_grows_where_its_place_was_looked_for_too():
     recording, free = as_recording(run), [(False, False)]
     patch = effect_from_values("region_slip", run.answer["parameters"])
     fitted = fit([recording], [patch], approach=choose_approach([recording]))
-    known, sought = (with_told_errors(fitted, free, names).standard_errors[0] for names in ((), ("region_slip",)))
+    known, sought = (with_robust_errors(fitted, free, names).standard_errors[0] for names in ((), ("region_slip",)))
     assert known >= fitted.standard_errors[0]
     assert 1.1 * known < sought < 4.0 * known
 

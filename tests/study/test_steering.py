@@ -10,7 +10,7 @@ from wandering import recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.basis import Law
 from odomcorrupt.study.select.basis_columns import LawColumns
 from odomcorrupt.study.select.channels import Action
@@ -40,7 +40,7 @@ def kept_on_a_line(seed: int, seconds: float = 600.0):
 def gain_of(run):
     fitted = fit([run], approach=replace(choose_approach([run]), spacing_s=2.0))
     columns = LawColumns(fitted.problem).of(GAIN, Action("yaw", "omega"))
-    (score,) = score_columns(fitted, [columns], believed_columns(fitted.problem, [(False, False)]))
+    (score,) = score_columns(fitted, [columns], fitted.design_matrix())
     return fitted, columns, score
 
 

@@ -17,9 +17,9 @@ from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficien
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import find_setup
-from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
-from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
 
 if TYPE_CHECKING:
@@ -92,8 +92,8 @@ def fit_robot(
     fitted = fit(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
-    fitted = with_told_errors(fitted, clocks.free, shaped)
-    columns = believed_columns(fitted.problem, clocks.free)
+    fitted = with_robust_errors(fitted, shaped)
+    columns = fitted.design_matrix()
     intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     error = ten_second_error(fitted)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "believed_columns", "fit"]
+__all__ = ["Fit", "design_matrix", "fit"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
@@ -43,7 +43,7 @@ class Onward(NamedTuple):
     clocks: tuple[Clock, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """A fitted model of some recordings.
 
@@ -53,6 +53,7 @@ class Fit:
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    free_clocks : (R, 2) whether offset and rate of each recording's clock were free
     onward : effects and clocks after the last step, which the problem is without because it is small
     """
 
@@ -62,6 +63,7 @@ class Fit:
     random: tuple[Effect, ...]
     standard_errors: Array
     clock_errors: Array
+    free_clocks: tuple[tuple[bool, bool], ...]
     onward: Onward
 
     @property
@@ -73,6 +75,39 @@ class Fit:
     def log_likelihood(self) -> float:
         """Log likelihood in nats."""
         return self.noise.log_likelihood
+
+    def design_matrix(self) -> Array:
+        """Return the columns (K, 3, q) of everything that was free: the effects' amplitudes first, then clocks."""
+        return design_matrix(self.problem, self.free_clocks)
+
+    def refit(
+        self,
+        effects: Sequence[Effect] | None = None,
+        *,
+        random: Sequence[Effect] | None = None,
+        weights: Array | None = None,
+        free_clocks: Sequence[tuple[bool, bool]] | None = None,
+    ) -> Fit:
+        """Return a fit of the same recordings, started from this one's clocks and noise.
+
+        Parameters
+        ----------
+        effects, random : systematic effects at their starting values, and random ones; default those of this fit
+        weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated again
+        free_clocks : (R, 2), default as in this fit
+
+        """
+        problem = self.problem
+        return fit(
+            problem.recordings,
+            self.effects if effects is None else effects,
+            clocks=problem.clocks,
+            free_clocks=self.free_clocks if free_clocks is None else free_clocks,
+            approach=problem.approach,
+            start=self.noise.free,
+            weights=weights,
+            random=self.random if random is None else random,
+        )
 
     @property
     def wald(self) -> dict[str, float]:
@@ -120,7 +155,7 @@ def fit(
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         if before is not None and weights is not None:
             weights = _carried(weights, before, problem)
-        columns = believed_columns(problem, free)
+        columns = design_matrix(problem, free)
         pieces = LawPieces(approach.law, problem.nodes, problem.steps)
         noise = noise_beside(
             problem,
@@ -148,10 +183,19 @@ def fit(
     clock_errors = np.zeros(free.shape)
     clock_errors[led(free, leaders)] = errors[own:]
     clock_errors = clock_errors[leaders]
-    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors, Onward(effects, clocks))
+    return Fit(
+        problem=problem,
+        pieces=pieces,
+        noise=noise,
+        random=tuple(random),
+        standard_errors=errors[:own],
+        clock_errors=clock_errors,
+        free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
+        onward=Onward(effects, clocks),
+    )
 
 
-def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
+def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
     """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
     free = led(np.asarray(free_clocks), clock_leaders(problem.recordings))
     parts = [problem.columns(effect) for effect in problem.effects]

@@ -33,7 +33,7 @@ _STEP = 0.05
 def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Correlation:
     """Return the correlations of what a model's file has errors for.
 
-    columns : (K, 3, q) of the fit, see `believed_columns`
+    columns : (K, 3, q) of the fit, see `Fit.design_matrix`
     known : names of the standard errors that are kept
     """
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]

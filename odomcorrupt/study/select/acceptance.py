@@ -9,8 +9,7 @@ import numpy as np
 
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.select.basis_columns import topmost
-from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS, CHALLENGE_NATS, put_back
-from odomcorrupt.study.select.refit import again
+from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS, CHALLENGE_NATS, drop_term
 from odomcorrupt.study.select.screening import QuickLook
 
 if TYPE_CHECKING:
@@ -36,7 +35,7 @@ class Lawful(NamedTuple):
     nats: float
 
 
-def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: Sequence[Unknown]) -> Lawful | None:
+def believable(fitted: Fit, unknown: Sequence[Unknown]) -> Lawful | None:
     """Return the plainest dependence whose law gains and does not spoil the path; of some as plain, as fits say."""
     have = {effect.name for effect in fitted.effects}
     lawful = [(one, one.law) for one in unknown if one.law is not None and one.law.effect.name not in have]
@@ -44,7 +43,7 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
     for one, law in lawful[:_TRIED]:
         if one.nats < plainest - ALTERNATIVE_NATS:
             break
-        form, with_it = _reshaped(*_best_form(fitted, free_clocks, law), free_clocks)
+        form, with_it = _reshaped(*_best_form(fitted, law))
         gain = with_it.log_likelihood - fitted.log_likelihood - form.price
         if gain > max(0.0, best.nats if best else 0.0) and not drift(with_it).worse_than(drift(fitted)):
             said = one if form is law else replace(one, law=form, expression=form.expression)
@@ -52,30 +51,28 @@ def believable(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], unknown: S
     return best
 
 
-def _best_form(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], law: ScoredLaw) -> tuple[ScoredLaw, Fit]:
+def _best_form(fitted: Fit, law: ScoredLaw) -> tuple[ScoredLaw, Fit]:
     """Return the form of a law that explains most when everything is fitted with it, and that fit."""
     have = {effect.name for effect in fitted.effects}
     forms = [form for form in (law, *law.others) if form.effect.name not in have]
-    fits = [(form, again(fitted, free_clocks, (*fitted.effects, form.effect))) for form in forms]
+    fits = [(form, fitted.refit((*fitted.effects, form.effect))) for form in forms]
     return max(fits, key=lambda found: found[1].log_likelihood - found[0].price)
 
 
-def _reshaped(form: ScoredLaw, with_it: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[ScoredLaw, Fit]:
+def _reshaped(form: ScoredLaw, with_it: Fit) -> tuple[ScoredLaw, Fit]:
     """Return a law and its fit with the shape looked for anew, now that what it explains is no noise any more."""
     effect = next(e for e in with_it.effects if e.name == form.effect.name)
-    bare, believed = put_back(with_it, effect, free_clocks)
+    bare, believed = drop_term(with_it, effect)
     law, action = topmost(bare, believed, *QuickLook(bare, believed).around(form.law, form.action))
     moved = replace(form, law=law, action=action)
     if (law.shape, action) == (form.law.shape, form.action):
         return form, with_it
     others = [e for e in with_it.effects if e is not effect]
-    shaped = again(with_it, free_clocks, (*others, moved.effect))
+    shaped = with_it.refit((*others, moved.effect))
     return (moved, shaped) if shaped.log_likelihood > with_it.log_likelihood + _WORTH_NATS else (form, with_it)
 
 
-def challenger(
-    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rivalries: Mapping[str, Rivalry]
-) -> Lawful | None:
+def challenger(fitted: Fit, rivalries: Mapping[str, Rivalry]) -> Lawful | None:
     """Return a law that explains plainly more than a known effect which was added, believed in its place."""
     for effect in fitted.effects:
         if effect.name not in rivalries:
@@ -85,7 +82,7 @@ def challenger(
         for one, law in own.better_laws():
             if law.effect.name in {e.name for e in others}:
                 continue
-            with_it = again(fitted, free_clocks, (*others, law.effect))
+            with_it = fitted.refit((*others, law.effect))
             gain = with_it.log_likelihood - fitted.log_likelihood - law.price + own.price
             least = best.nats if best else CHALLENGE_NATS
             if gain > least and not drift(with_it).worse_than(drift(fitted)):

@@ -16,7 +16,6 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.estimate.drift_error import drift
-from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
 from odomcorrupt.study.select.score import Score, score_tests
@@ -24,9 +23,8 @@ from odomcorrupt.study.select.shape_search import Members
 from odomcorrupt.study.terms.regressors import drives_sideways
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.gauss_newton import Fit
 
 __all__ = ["Candidate", "library", "next_effect", "price"]
 
@@ -78,19 +76,19 @@ def library(fitted: Fit) -> list[tuple[Effect, ...]]:
     return [family for family in families if family]
 
 
-def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
+def next_effect(fitted: Fit) -> list[Candidate]:
     """Return all candidates, the ones that may be added first and in order of evidence."""
-    candidates = _candidates(fitted, free_clocks)
+    candidates = _candidates(fitted)
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
-    excused = [_excused(c, free_clocks) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
+    excused = [_excused(c) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     return sorted(excused, key=_rank, reverse=True)
 
 
-def _excused(candidate: Candidate, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+def _excused(candidate: Candidate) -> Candidate:
     """Return the candidate admitted, where what comes next makes good the path that it spoils alone."""
     if candidate.fit is None:
         return candidate
-    following = [c for c in _candidates(candidate.fit, free_clocks) if not c.refused]
+    following = [c for c in _candidates(candidate.fit) if not c.refused]
     made_good = any(c.rmse[1] <= candidate.rmse[0] for c in following)
     return replace(candidate, refused="") if made_good else candidate
 
@@ -99,8 +97,8 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
     return (candidate.refused == "", candidate.gain, -candidate.score.p)
 
 
-def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
-    believed = believed_columns(fitted.problem, free_clocks)
+def _candidates(fitted: Fit) -> list[Candidate]:
+    believed = fitted.design_matrix()
     families = library(fitted)
     look = Members(fitted, believed)
     members = [look.best(family) for family in families]
@@ -121,7 +119,7 @@ def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[C
             candidates.append(Candidate(score, refused=refused or "others explain it better"))
             continue
         refits += 1
-        candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
+        candidates.append(_refitted(fitted, score, trials[score.effect.name]))
         if not candidates[-1].refused:
             # one that cannot be had stands in nobody's way
             leader = max(leader, weight)
@@ -164,7 +162,7 @@ def _steered(fitted: Fit, score: Score, *, still: bool) -> str:
     return ""
 
 
-def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+def _refitted(fitted: Fit, score: Score, trials: int) -> Candidate:
     problem = fitted.problem
     values = {
         p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)
@@ -172,27 +170,17 @@ def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tupl
     moved = replace(score.effect, **values)  # type: ignore[type-var]  # effects are dataclasses
     worth = price(score.effect, trials, len(problem.nodes))
 
-    def refit(free: Sequence[tuple[bool, bool]] | None) -> Fit:
-        return fit(
-            problem.recordings,
-            (*problem.effects, moved),
-            clocks=problem.clocks,
-            free_clocks=free,
-            approach=problem.approach,
-            start=fitted.noise.free,
-            weights=fitted.noise.weights,
-            random=fitted.random,
-        )
-
-    again = refit(free_clocks)
-    gain = again.log_likelihood - fitted.log_likelihood - worth
-    if gain <= 0.0 and np.any(free_clocks):
+    effects = (*problem.effects, moved)
+    refitted = fitted.refit(effects, weights=fitted.noise.weights)
+    gain = refitted.log_likelihood - fitted.log_likelihood - worth
+    if gain <= 0.0 and np.any(fitted.free_clocks):
         # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss
-        gain = refit(None).log_likelihood - fitted.log_likelihood - worth
-    before, after = drift(fitted), drift(again)
+        held = fitted.refit(effects, weights=fitted.noise.weights, free_clocks=[(False, False)] * len(problem.clocks))
+        gain = held.log_likelihood - fitted.log_likelihood - worth
+    before, after = drift(fitted), drift(refitted)
     refused = ""
     if gain <= 0.0:
         refused = "gains nothing when everything is fitted together"
     elif after.worse_than(before):
         refused = _SPOILS
-    return Candidate(score, again, gain, (before.rmse, after.rmse), refused)
+    return Candidate(score, refitted, gain, (before.rmse, after.rmse), refused)

@@ -16,14 +16,12 @@ from scipy.stats import chi2
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, block_of, inflation, shared_variance
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
+from odomcorrupt.study.estimate.gauss_newton import design_matrix
 from odomcorrupt.study.estimate.random_process import without_random
 from odomcorrupt.study.io.clock import clock_leaders
 from odomcorrupt.study.select.score import left_over
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
@@ -55,7 +53,7 @@ class Disagreement:
     p: float
 
 
-def disagreements(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Disagreement, ...]:
+def disagreements(fit: Fit) -> tuple[Disagreement, ...]:
     """Return the parameters that recordings disagree about, the plainest first; none where there is one recording."""
     problem = fit.problem
     leaders = np.array(clock_leaders(problem.recordings))
@@ -66,7 +64,7 @@ def disagreements(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[D
     own = {e.name: e for e in problem.effects}
     asked = [own.get(name) or kinds[name]() for name in _CHANGING]
     others = tuple(e for e in problem.effects if e.name not in _CHANGING)
-    believed = believed_columns(replace(problem, effects=others), free_clocks)
+    believed = design_matrix(replace(problem, effects=others), fit.free_clocks)
     calm = replace(fit, noise=without_random(fit.noise, problem, believed), random=())
     belongs = leaders[problem.run]
     common = [problem.columns(effect) for effect in asked]

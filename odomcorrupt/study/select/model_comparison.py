@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
+from odomcorrupt.study.estimate.gauss_newton import design_matrix
 from odomcorrupt.study.select.basis_columns import LawColumns
 from odomcorrupt.study.select.basis_scores import likeliest
 from odomcorrupt.study.select.candidates import price
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.basis_scores import ScoredLaw
     from odomcorrupt.study.select.dependence import Unknown
 
-__all__ = ["ALTERNATIVE_NATS", "CHALLENGE_NATS", "Rivalry", "put_back", "rivalry"]
+__all__ = ["ALTERNATIVE_NATS", "CHALLENGE_NATS", "Rivalry", "drop_term", "rivalry"]
 
 ALTERNATIVE_NATS = 3.0
 """Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
@@ -38,7 +38,7 @@ _COPY = 0.985
 """Part of an effect's work that a law does which is nothing else; laws that were causes of their own did up to 0.96."""
 
 
-def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Fit, Array]:
+def drop_term(fit: Fit, effect: Effect) -> tuple[Fit, Array]:
     """Return the fit with what one effect explains back in its innovations, and the columns of what else is believed.
 
     To first order, and with the noise as it is with the effect.
@@ -46,7 +46,7 @@ def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]])
     explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
     noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
     others = tuple(e for e in fit.effects if e is not effect)
-    return replace(fit, noise=noise), believed_columns(replace(fit.problem, effects=others), free_clocks)
+    return replace(fit, noise=noise), design_matrix(replace(fit.problem, effects=others), fit.free_clocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,9 +79,9 @@ class Rivalry:
         return [(one, law) for one, law in better if one.nats > better[0][0].nats - ALTERNATIVE_NATS]
 
 
-def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]], samples: LawSamples) -> Rivalry:
+def rivalry(fit: Fit, effect: Effect, samples: LawSamples) -> Rivalry:
     """Put an effect of a fit to the test against every law."""
-    bare, believed = put_back(fit, effect, free_clocks)
+    bare, believed = drop_term(fit, effect)
     (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
     worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
     nats = 0.5 * own.statistic - worth

@@ -6,17 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS
 from odomcorrupt.study.select.random_effects import RandomGain, random_gains
-from odomcorrupt.study.select.refit import again
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
@@ -49,17 +45,15 @@ def odd_steps_named(fitted: Fit, *, calm: bool) -> list[RandomGain]:
     return [RandomGain(*tails)] if tails is not None else []
 
 
-def beside_bursts(
-    noise: list[RandomGain], fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]
-) -> tuple[list[RandomGain], Fit]:
+def beside_bursts(noise: list[RandomGain], fitted: Fit) -> tuple[list[RandomGain], Fit]:
     """Drop wandering gains that are not in what is left when all that stands out is set apart: they were the bursts."""
     wandering = {gain.effect.name for gain in noise} & set(WANDERING)
     if not wandering:
         return noise, fitted
-    calm = again(fitted, free_clocks, fitted.effects, random=(), weights=set_apart(fitted))
-    left = {gain.effect.name for gain in random_gains(calm, believed_columns(calm.problem, free_clocks))}
+    calm = fitted.refit(random=(), weights=set_apart(fitted))
+    left = {gain.effect.name for gain in random_gains(calm, calm.design_matrix())}
     if wandering <= left:
         return noise, fitted
     stay = [gain for gain in noise if gain.effect.name not in wandering - left]
     random = [effect for effect in fitted.random if effect.name in left]
-    return stay, again(fitted, free_clocks, fitted.effects, random=random)
+    return stay, fitted.refit(random=random)

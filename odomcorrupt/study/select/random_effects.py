@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh
 
+from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.random_process import (
     FINELY,
     bias_of,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMING_BACK_NATS", "NAMED_NATS", "RandomGain", "random_gains", "remeasured"]
 
-_SCALES = (1e-6, 0.3)
+_LEAST_SCALE = 1e-6
 NAMED_NATS = 6.0
 """Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
 COMING_BACK_NATS = 25.0
@@ -104,11 +105,12 @@ def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tup
     strength, vectors = eigh(white.T @ white)
     strength = np.maximum(strength, 0.0)
     score = (vectors.T @ (white.T @ r)) ** 2
-    scales = np.geomspace(*_SCALES, 121)
+    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
+    scales = np.geomspace(_LEAST_SCALE, most, 121)
     for _ in range(2):
         q = scales[:, None] ** 2
         gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
         best = int(np.argmax(gains))
         nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, 1.1 * scale, 21)
+        scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
     return nats, scale

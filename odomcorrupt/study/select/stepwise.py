@@ -14,9 +14,9 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
-from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import WANDERING
-from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.select.acceptance import believable, challenger
 from odomcorrupt.study.select.basis_samples import LawSamples
@@ -25,7 +25,7 @@ from odomcorrupt.study.select.candidates import Candidate, next_effect, price
 from odomcorrupt.study.select.dependence import Unknown, unknown_dependences
 from odomcorrupt.study.select.heading_source import with_one_heading
 from odomcorrupt.study.select.heterogeneity import Disagreement, disagreements
-from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS, CHALLENGE_NATS, Rivalry, put_back, rivalry
+from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS, CHALLENGE_NATS, Rivalry, drop_term, rivalry
 from odomcorrupt.study.select.noise_identification import (
     PLAIN_NATS,
     beside_bursts,
@@ -34,7 +34,7 @@ from odomcorrupt.study.select.noise_identification import (
     worth_of,
 )
 from odomcorrupt.study.select.random_effects import RandomGain
-from odomcorrupt.study.select.refit import again, settled, without_idle_noise, without_idlers
+from odomcorrupt.study.select.refit import backward_eliminate, eliminate_random, iterate
 from odomcorrupt.study.select.shape_search import Members
 
 if TYPE_CHECKING:
@@ -157,19 +157,19 @@ def learn(
         approach=approach,
         random=[e for e in start if e.name in WANDERING],
     )
-    search = _Search(clocks.free, {e.name for e in start}, tuple(RandomGain(e, PLAIN_NATS) for e in encoders), most)
+    search = _Search({e.name for e in start}, tuple(RandomGain(e, PLAIN_NATS) for e in encoders), most)
     way = search.from_here(fitted)
     other = search.law_first(way)
-    if other is not None and _explains_more(other, way, clocks.free):
+    if other is not None and _explains_more(other, way):
         way = other
     kept = {effect.name for effect in way.fit.effects}
     believed_laws = tuple(one for one in way.laws if one.law is not None and one.law.effect.name in kept)
-    told = with_told_errors(way.fit, clocks.free, kept - search.given)
+    told = with_robust_errors(way.fit, kept - search.given)
     errors = tuple((float(offset), float(rate)) for offset, rate in told.clock_errors)
     clocks = replace(clocks, clocks=told.problem.clocks, errors=errors)
     return Learned(
         clocks, way.rounds, way.noise, (*believed_laws, *way.unknown), believed_laws, way.margins, told,
-        ten_second_error(told), disagreements(told, clocks.free),
+        ten_second_error(told), disagreements(told),
     )  # fmt: skip
 
 
@@ -177,7 +177,6 @@ def learn(
 class _Search:
     """How to search: which clocks are free, what the user gave, what encoders did, and how many effects at most."""
 
-    free: Sequence[tuple[bool, bool]]
     given: set[str]
     encoders: tuple[RandomGain, ...]
     most: int
@@ -189,24 +188,24 @@ class _Search:
         laws: list[Unknown] = [first.law] if first is not None and first.law is not None else []
         tested: tuple[Fit, dict[str, Rivalry]] = (fitted, {})
         while True:
-            candidates = next_effect(fitted, self.free)
+            candidates = next_effect(fitted)
             best = candidates[0] if candidates and not candidates[0].refused else None
-            believed = believed_columns(fitted.problem, self.free)
+            believed = fitted.design_matrix()
             gain = wandering_gain(fitted, believed, best) if len(fitted.random) < _MOST_NOISE else None
             unknown, samples = [], LawSamples(fitted.problem)
             if best is None or gain is not None:
                 unknown = unknown_dependences(fitted, believed, likeliest(fitted, believed, samples))
             if best is None:
-                tested = _tested(fitted, self.free, rounds, samples)
+                tested = _tested(fitted, rounds, samples)
             lawful = None
             if len(laws) < _MOST_LAWS and (best is None or gain is not None):
-                lawful = challenger(fitted, self.free, tested[1]) if best is None else None
-                lawful = lawful or believable(fitted, self.free, unknown)
+                lawful = challenger(fitted, tested[1]) if best is None else None
+                lawful = lawful or believable(fitted, unknown)
             if gain is not None:
-                calmer = again(fitted, self.free, fitted.effects, random=(*fitted.random, gain.effect))
+                calmer = fitted.refit(random=(*fitted.random, gain.effect))
                 explained = max((lawful.nats if lawful else 0.0, *(u.nats for u in unknown)))
                 if worth_of(gain, calmer, fitted) > explained + ALTERNATIVE_NATS:
-                    fitted, effect = settled(calmer, self.free, gain.effect)
+                    fitted, effect = iterate(calmer, gain.effect)
                     noise.append(replace(gain, effect=effect))
                     continue
             if lawful is not None and best is not None and lawful.nats < best.gain + CHALLENGE_NATS:
@@ -214,16 +213,16 @@ class _Search:
             if lawful is not None:
                 laws.append(lawful.law)
                 rounds.append(Round(fitted, tuple(candidates), None, lawful.law))
-                fitted = without_idlers(lawful.fit, self.free, self.given)
-                noise, fitted = without_idle_noise(noise, fitted, self.free)
+                fitted = backward_eliminate(lawful.fit, self.given)
+                noise, fitted = eliminate_random(noise, fitted)
                 continue
             full = len([r for r in rounds if r.added is not None]) >= self.most
             rounds.append(Round(fitted, tuple(candidates), None if best is None or full else best.score.effect.name))
             if best is None or best.fit is None or full:
                 break
             # believe it: robust weights are taken anew, because what looked like outliers may be explained now
-            fitted = again(best.fit, self.free, best.fit.effects)
-            fitted = _reshaped(fitted, self.free, best.score.effect.name)
+            fitted = best.fit.refit()
+            fitted = _reshaped(fitted, best.score.effect.name)
         return self._ended(fitted, rounds, noise, laws, unknown, tested)
 
     def _ended(
@@ -237,15 +236,15 @@ class _Search:
     ) -> _Way:
         """Return where the looks have come to: odd stretches named, one heading, nothing idle, each name tested."""
         odd = odd_steps_named(fitted, calm=not noise and not unknown)
-        noise, fitted = beside_bursts(noise, fitted, self.free) if odd else (noise, fitted)
+        noise, fitted = beside_bursts(noise, fitted) if odd else (noise, fitted)
         noise += odd
-        fitted = with_one_heading(fitted, self.given, lambda said: again(fitted, self.free, said))
-        fitted = without_idlers(fitted, self.free, self.given)
+        fitted = with_one_heading(fitted, self.given, fitted.refit)
+        fitted = backward_eliminate(fitted, self.given)
         bursts = [gain.effect for gain in odd if gain.effect.name == "slip_burst"]
         if bursts:  # what they do is no noise of every step
-            fitted = again(fitted, self.free, (*fitted.effects, *bursts))
+            fitted = fitted.refit((*fitted.effects, *bursts))
         if tested[0] is not fitted:
-            tested = _tested(fitted, self.free, rounds, LawSamples(fitted.problem))
+            tested = _tested(fitted, rounds, LawSamples(fitted.problem))
         margins = {name: own.margin for name, own in tested[1].items()}
         return _Way(tuple(rounds), tuple(noise), tuple(laws), tuple(unknown), fitted, margins)
 
@@ -257,43 +256,41 @@ class _Search:
         first = way.rounds[0]
         if first.added is None or not (way.laws or way.unknown or min(way.margins.values(), default=1.0) < 0.0):
             return None
-        believed = believed_columns(first.before.problem, self.free)
-        lawful = believable(first.before, self.free, unknown_dependences(first.before, believed))
+        believed = first.before.design_matrix()
+        lawful = believable(first.before, unknown_dependences(first.before, believed))
         if lawful is None or lawful.nats < first.candidates[0].gain + CHALLENGE_NATS:
             return None
         return self.from_here(lawful.fit, Round(first.before, first.candidates, None, lawful.law))
 
 
-def _explains_more(one: _Way, other: _Way, free_clocks: Sequence[tuple[bool, bool]]) -> bool:
+def _explains_more(one: _Way, other: _Way) -> bool:
     """Tell whether one way explains plainly more than another, whichever stretches are set apart as odd.
 
     Names are the likelier before; not where the other way needed a law besides.
     """
     worth = other.price - one.price
-    same = again(other.fit, free_clocks, other.fit.effects, weights=one.fit.noise.weights)
-    turned = again(one.fit, free_clocks, one.fit.effects, weights=other.fit.noise.weights)
+    same = other.fit.refit(weights=one.fit.noise.weights)
+    turned = one.fit.refit(weights=other.fit.noise.weights)
     return min(
         one.fit.log_likelihood - same.log_likelihood + worth, turned.log_likelihood - other.fit.log_likelihood + worth
     ) > (ALTERNATIVE_NATS if other.laws else CHALLENGE_NATS)  # fmt: skip
 
 
-def _tested(
-    fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], rounds: Sequence[Round], samples: LawSamples
-) -> tuple[Fit, dict[str, Rivalry]]:
+def _tested(fitted: Fit, rounds: Sequence[Round], samples: LawSamples) -> tuple[Fit, dict[str, Rivalry]]:
     """Return a fit, and for each of its effects that was added how laws do in its place."""
     added = {look.added for look in rounds}
-    return fitted, {e.name: rivalry(fitted, e, free_clocks, samples) for e in fitted.effects if e.name in added}
+    return fitted, {e.name: rivalry(fitted, e, samples) for e in fitted.effects if e.name in added}
 
 
-def _reshaped(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], name: str) -> Fit:
+def _reshaped(fitted: Fit, name: str) -> Fit:
     """Look for the shape of an effect anew, now that what it explains is no noise any more."""
     (effect,) = (e for e in fitted.effects if e.name == name)
     if all(p.amplitude for p in parameters(effect)):
         return fitted
-    bare, believed = put_back(fitted, effect, free_clocks)
+    bare, believed = drop_term(fitted, effect)
     still = replace(effect, **{p.name: p.identity for p in amplitudes(effect)})  # type: ignore[type-var]
     look = Members(bare, believed)
     moved = look.topmost(look.best([still, *type(effect).scan(fitted.problem.motions)]))
     others = [e for e in fitted.effects if e is not effect]
-    shaped = again(fitted, free_clocks, [*others, moved])
+    shaped = fitted.refit([*others, moved])
     return shaped if shaped.log_likelihood > fitted.log_likelihood + _WORTH_NATS else fitted

@@ -12,10 +12,10 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import Segment, simulate
+from odomcorrupt.simulation import Segment, simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.variance_components import NAMES
 from odomcorrupt.study.io.recording import Recording, Trajectory
@@ -34,7 +34,7 @@ def control():
 
 def scored(fitted, *names):
     kinds = [registry()[name]() for name in names]
-    return score_tests(fitted, kinds, believed_columns(fitted.problem, [(False, False)]))
+    return score_tests(fitted, kinds, fitted.design_matrix())
 
 
 def test_1_what_drives_is_the_odometry_of_wheels_and_the_truth_of_noise_that_was_made(control):

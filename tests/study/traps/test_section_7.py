@@ -12,11 +12,11 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.score import score_tests
@@ -115,7 +115,7 @@ def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
     assert np.abs(windows.residual[:, 2]).max() < 0.3
     moving = noisy(32, Coefficients(0.05, 0.02, 0.05, 0.0))
     fitted = fit([moving], approach=Approach("truth"))
-    intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, [(False, False)]))
+    intervals = coefficient_intervals(fitted, fitted.design_matrix())
     assert next(i for i in intervals if i.name == "trans_rot").low == 0.0
 
 
