@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 import numpy as np
 
+from odomcorrupt.errors import BagError
+
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
@@ -32,6 +34,7 @@ __all__ = [
     "Message",
     "PartContents",
     "PartFraming",
+    "require_all",
 ]
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
@@ -152,6 +155,10 @@ class BagReader(Protocol):
     channels: Mapping[int, Channel]
 
     @property
+    def count(self) -> int:
+        """Return how many messages the last pass has given."""
+
+    @property
     def losses(self) -> list[str]:
         """Return what could not be read in the last pass, one sentence each, where recovery was asked for."""
 
@@ -170,6 +177,18 @@ class BagReader(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None: ...
+
+
+def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
+    """Refuse an output that has not as many messages as the input gave and were added.
+
+    name : of the output
+    """
+    if written != reader.count + added:
+        raise BagError(
+            f"{name}: {reader.count} messages were read and {added} added, but {written} written; nothing is kept: "
+            "this is a fault of odomcorrupt, please report it"
+        )
 
 
 class BagWriter(Protocol):

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
-from odomcorrupt.bags.output import Output, refuse_target
+from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.placement import refuse_target
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -158,14 +159,15 @@ def open_writer(
         if rosbag2 is not None and not named:
             from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415 - see above
 
-            return Rosbag2Writer(path, rosbag2, compression, level, workers)
-    output = Output(None, stream or sys.stdout.buffer) if path is None or str(path) == "-" else Output(path)
+            return Rosbag2Writer(path, rosbag2, compression, level, overwrite=overwrite, workers=workers)
+    piped = path is None or str(path) == "-"
+    output = Output(None, stream or sys.stdout.buffer) if piped else Output(path, overwrite=overwrite)
     # the reader of a bag's only file, where that is of the same kind: what is written is this file again
     part = rosbag2.parts[0] if rosbag2 and len(rosbag2.parts) == 1 and rosbag2.kind == kind else None
     if kind == "mcap":
         from odomcorrupt.bags.mcap.writer import McapWriter  # noqa: PLC0415 - see above
 
-        return McapWriter(output, part or reader, compression, level, workers)
+        return McapWriter(output, part or reader, compression, level, workers=workers)
     if kind == "ros1":
         from odomcorrupt.bags.ros1.writer import Ros1Writer  # noqa: PLC0415 - see above
 
@@ -175,7 +177,7 @@ def open_writer(
 
     if path is None or not isinstance(part, SqliteReader):
         raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
-    return SqliteWriter(path, part)
+    return SqliteWriter(path, part, overwrite=overwrite)
 
 
 def kind_of(path: Path | None, reader: BagReader) -> Kind:

@@ -135,7 +135,8 @@ def corrupt_bag(
             workers=workers,
         )
         if silent and not adds and container.as_it_was and may_stay(source, target, reader):
-            write_as_it_was(tape or reader.paths[0], target, transform.blocks(reader, reader.name), watch)
+            blocks = transform.blocks(reader, reader.name)
+            write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
             if tape is not None:
                 tape.stop()

@@ -96,7 +96,8 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
         raise BagError(f"{named}: its compression's name of {name_length} bytes reaches beyond it; damaged bag")
     name = source.read(name_length, what).decode(errors="replace")
     (packed,) = struct.unpack("<Q", source.read(8, what))
-    if 40 + name_length + packed != length:
+    behind = length - 40 - name_length - packed
+    if behind < 0:
         raise BagError(f"{named}: {packed} bytes of records in a record of {length} do not fit; damaged bag")
     codec = name or "none"
     if codec not in CODECS or name == "none":
@@ -107,6 +108,7 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
         data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf)
+    source.read(behind, what)  # fields that a later version of the format has appended
     if crc not in (0, crc32(data.data)):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
     return Chunk(data, codec, named)

@@ -58,6 +58,7 @@ class McapReader:
     schemas : by id
     summary : what the summary section had; of a pipe, known when the blocks are read
     losses : what could not be read, one sentence each, where recovery was asked for
+    count : messages that the last pass has given
     """
 
     kind: Kind = "mcap"
@@ -90,7 +91,7 @@ class McapReader:
             next_record(source, len(MAGIC))
         self._data_start = source.position
         self._begun = False
-        self._count = 0
+        self.count = 0
         if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
@@ -116,7 +117,7 @@ class McapReader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._first_losses :]
-        self._count = 0
+        self.count = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
@@ -128,10 +129,10 @@ class McapReader:
             self._begun = True
             yield from self._blocks(self._source)
         stated = self.summary.message_count
-        if stated is not None and self._count < stated and not self.losses:
+        if stated is not None and self.count < stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its statistics tell of {stated} messages, {self._count} are there: the bag is "
+                    f"{self.name}: its statistics tell of {stated} messages, {self.count} are there: the bag is "
                     "damaged; --recover saves those"
                 )
             )
@@ -239,7 +240,7 @@ class McapReader:
         except BagError as error:
             self._lose(error)
             block = self._known.salvaged(part)
-        self._count += len(block.table)
+        self.count += len(block.table)
         yield block
 
     def _lose(self, error: BagError) -> None:
@@ -249,10 +250,12 @@ class McapReader:
         self.losses.append(loss_of(error))
 
     def _learn_summary(self) -> None:
+        """Learn what the summary repeats; channels whose schemas it does not repeat are read where they stand."""
         for schema in self.summary.schemas:
             self._known.learn(SCHEMA, schema)
         for channel in self.summary.channels:
-            self._known.learn(CHANNEL, channel)
+            if self._known.defines(channel):
+                self._known.learn(CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Learn the channels of a file that its summary does not tell."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
+from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
@@ -72,6 +72,7 @@ class McapWriter:
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
     workers : who compress chunks, while more is written; what is written must then stay as it is
+    whole : whether all messages of the reader are to be written, which is then made sure of
     pack : compresses chunks, as `packed` does; a batch packs what its bags share once
     """
 
@@ -83,8 +84,12 @@ class McapWriter:
         reader: BagReader,
         codec: str | None = None,
         level: int | None = None,
+        *,
         workers: Workers | None = None,
+        whole: bool = True,
     ) -> None:
+        self._whole = whole
+        self._added_count = 0
         self._output = output
         self._results = OrderedResults(workers)
         self._reader = reader
@@ -148,6 +153,7 @@ class McapWriter:
         """Frame a block's added messages, behind the channels they need."""
         messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
+        self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
@@ -193,6 +199,8 @@ class McapWriter:
     def _finish(self) -> None:
         self._results.finish()
         output = self._output
+        if self._whole:
+            require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
         output.write(record(DATA_END, struct.pack("<I", output.crc)))
         begin, output.crc = output.position, 0
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []

@@ -58,6 +58,7 @@ class Ros1Reader:
     """A ROS 1 bag, file or pipe.
 
     losses : what could not be read, one sentence each, where recovery was asked for
+    count : messages that the last pass has given
     """
 
     kind: Kind = "ros1"
@@ -75,7 +76,7 @@ class Ros1Reader:
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
-        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self._count = 0
+        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self.count = 0
         try:
             self._read_header(source)
         except BagError:
@@ -127,7 +128,7 @@ class Ros1Reader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._header_losses :]
-        self._count = self._seen = 0
+        self.count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
@@ -140,10 +141,10 @@ class Ros1Reader:
             yield from self._blocks(self._source)
             if not self._recover:
                 self._read_index(self._source)
-        if self._count < self._stated and not self.losses:
+        if self.count < self._stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its index tells of {self._stated} messages, {self._count} are there: the bag is "
+                    f"{self.name}: its index tells of {self._stated} messages, {self.count} are there: the bag is "
                     "damaged; --recover saves those"
                 )
             )
@@ -238,7 +239,7 @@ class Ros1Reader:
         except BagError as error:
             self._lose(error)
             block = self._salvaged(chunk)
-        self._count += len(block.table)
+        self.count += len(block.table)
         yield block
 
     def _salvaged(self, chunk: Chunk) -> Block:
@@ -279,9 +280,10 @@ class Ros1Reader:
     def _learn(self, header: bytes, data: bytes) -> None:
         connection = Connection.parse(header, data, self.name)
         msgtype = connection.type.replace("/", "/msg/", 1)
-        self._channels.setdefault(
-            connection.id, Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
-        )
+        channel = Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
+        if self._channels.setdefault(connection.id, channel) != channel:
+            topics = f"{self._channels[connection.id].topic} and {connection.topic}"
+            raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
     def _read_index(self, source: Source) -> None:
         """Read connections and chunk infos at the bag's end: that they are all there tells that nothing was cut."""

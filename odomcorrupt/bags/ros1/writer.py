@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Message
+from odomcorrupt.bags.block import Block, Channel, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
@@ -61,6 +61,8 @@ class Ros1Writer:
         self._level = level
         self.pack = compress_for_ros1
         self._connections = Connections(reader)
+        self._reader = reader
+        self._written = self._added = 0
         self._infos: list[bytes] = []
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
@@ -73,6 +75,7 @@ class Ros1Writer:
     def write(self, block: Block) -> None:
         """Write a block, its added messages behind its own."""
         added = self._frame(block.added)
+        self._added += len(block.added)
         framing = block.raw
         if isinstance(framing, Ros1Framing):
             framed = Framed(block.data, block.table, framing.starts, block.ends)
@@ -103,6 +106,7 @@ class Ros1Writer:
     def _write_chunk(self, framed: Framed, codec: str) -> None:
         if framed.data.size >= _CHUNK_LIMIT:
             raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
+        self._written += len(framed.table)
         self._results.put(
             partial(self.pack, codec, framed.data, self._level),
             partial(self._write_packed, framed, codec, indexes(framed)),
@@ -147,6 +151,7 @@ class Ros1Writer:
 
     def _finish(self) -> None:
         self._results.finish()
+        require_all(self._output.name, self._reader, self._written, self._added)
         index_at = self._output.position
         connections = self._connections.packed()
         self._output.write(*connections, *self._infos)

@@ -68,6 +68,11 @@ class Rosbag2Reader:
         return [loss for part in self.parts for loss in part.losses]
 
     @property
+    def count(self) -> int:
+        """How many messages the last pass has given."""
+        return sum(part.count for part in self.parts)
+
+    @property
     def part_read(self) -> float | None:
         """Which part of the files, each counted alike, the present pass has read; None where that is not known."""
         now = self.parts[self._reading]
