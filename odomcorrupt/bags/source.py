@@ -76,8 +76,11 @@ class Source:
 
     def sniff(self, size: int) -> bytes:
         """Return the first bytes without stepping over them; fewer where the input is shorter."""
-        while len(self._ahead) < size and (more := self._stream.read(size - len(self._ahead))):
-            self._ahead += more
+        try:
+            while len(self._ahead) < size and (more := self._stream.read(size - len(self._ahead))):
+                self._ahead += more
+        except OSError as error:
+            raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
         return self._ahead[:size]
 
     def seek(self, position: int) -> None:
@@ -114,7 +117,10 @@ class Source:
         """Read exactly so many bytes, meant for small things."""
         if not self._ahead and size <= _TRUSTED_BYTES:
             self.require(size, what)
-            data = self._stream.read(size)
+            try:
+                data = self._stream.read(size)
+            except OSError as error:
+                raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
             if len(data) == size:
                 self.position += size
                 return data

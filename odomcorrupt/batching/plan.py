@@ -60,6 +60,8 @@ def plan(
     stated = frozenset[str]() if model_file is None else stated_spreads(model_file)
     jobs = []
     for source in inputs:
+        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
+            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
         if split and _is_sqlite(source, container):
             raise BatchError(
                 f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "

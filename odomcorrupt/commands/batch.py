@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
+@click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and make nothing.")
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
 @click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
@@ -97,7 +99,7 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.batching.engine import Shard, missing_runs
-    from odomcorrupt.batching.manifest import begin, fingerprint_of, write_manifest
+    from odomcorrupt.batching.manifest import begin, fingerprint_of, locked, write_manifest
 
     jobs = _jobs(inputs, target, given)
     shard = Shard(*(given["shard"] or (1, 1)))
@@ -110,11 +112,14 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     _require_space(jobs, fresh, range(given["runs"]), shard)
     for job in jobs:
         begin(job, fingerprints[job.source])
-    todo = [(job, missing_runs(job, range(given["runs"]), shard)) for job in jobs]
-    failures = _make(todo, given)
-    made = sum(write_manifest(job.directory) for job in jobs)
-    for job in jobs:
-        _collect(job, given["runs"])
+    with ExitStack() as locks:
+        for job in jobs:
+            locks.enter_context(locked(job, shared=shard.count > 1))
+        todo = [(job, missing_runs(job, range(given["runs"]), shard, verify=given["verify"])) for job in jobs]
+        failures = _make(todo, given)
+        made = sum(write_manifest(job.directory) for job in jobs)
+        for job in jobs:
+            _collect(job, given["runs"])
     asked = sum(len(runs) for _, runs in todo)
     lost = _losses(jobs)
     said = f"{asked - len(failures)} runs made now, {made} in {target}, seed {jobs[0].seed}."
@@ -172,8 +177,7 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
 
 def _seed(target: Path, given: dict[str, Any]) -> int:
     """Return the seed asked for, that of the batch which is there, or a fresh one."""
-    import json
-
+    from odomcorrupt.batching.manifest import read_beginning
     from odomcorrupt.rng import draw_seed
 
     if given["seed"] is not None:
@@ -181,7 +185,7 @@ def _seed(target: Path, given: dict[str, Any]) -> int:
     if given["shard"]:
         raise click.UsageError("--shard: all shards need the same --seed; give one")
     there = next(iter(sorted(target.rglob("batch.json"))), None)
-    return draw_seed() if there is None else int(json.loads(there.read_text(encoding="utf8"))["seed"])
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
 
 
 def _require_driver(jobs: Sequence[Job]) -> None:

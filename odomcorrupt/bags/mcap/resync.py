@@ -218,7 +218,7 @@ def _believable(window: bytes, at: int, left: int) -> bool:
     if opcode == CHUNK:
         return _is_chunk(head, length)
     if opcode in _EXACT:
-        return bool(length == _EXACT[opcode])
+        return bool(0 <= length - _EXACT[opcode] < (_ADDED_BYTES if opcode == DATA_END else 1))
     if length > left - RECORD_HEADER_BYTES:
         return False
     if opcode in _FIELDS:
@@ -246,4 +246,4 @@ def _is_chunk(head: bytes, length: int) -> bool:
         return False
     (packed,) = struct.unpack_from("<Q", head, 32 + name_length)
     name = head[32 : 32 + name_length].decode(errors="replace")
-    return bool(length == 40 + name_length + packed) and (name or "none") in CODECS
+    return 0 <= length - 40 - name_length - packed < _ADDED_BYTES and (name or "none") in CODECS

@@ -47,6 +47,7 @@ class SqliteReader:
     damaged : whether sqlite3 finds fault with it; looked at where recovery was asked for
     losses : what could not be read, one sentence each, where recovery was asked for
     lost_rows : row ids of messages that are told of as lost
+    count : messages that the last pass has given
     """
 
     kind: Kind = "sqlite3"
@@ -58,6 +59,7 @@ class SqliteReader:
         self.paths = [path]
         self.losses: list[str] = []
         self.lost_rows: list[int] = []
+        self.count = 0
         self._recover = recover
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
@@ -84,6 +86,7 @@ class SqliteReader:
         """
         self.losses.clear()
         self.lost_rows.clear()
+        self.count = 0
         with (
             reported(self.path, recover=self._recover),
             closing(read_only(self.readable, whole=not self._recover)) as connection,
@@ -109,6 +112,7 @@ class SqliteReader:
                 times_ns.append(log_ns)
                 data.append(blob)
                 size += 0 if unread else len(blob)
+                self.count += 1
                 if size >= _BATCH_BYTES:
                     yield _block(rows, of, times_ns, data)
                     rows, of, times_ns, data, size = [], [], [], [], 0
