@@ -109,7 +109,8 @@ CAUSES: dict[str, Cause] = {
     ),
     # the ground
     "castor_kick": Cause(
-        {"angle": (0.01, 0.05)}, accepted=("castor*", "caster*"), equal=("backlash",), drivers=(*LATE, "speed", "distance")
+        {"angle": (0.01, 0.05)}, accepted=("castor*", "caster*"), equal=("backlash",),
+        drivers=(*LATE, "speed", "distance"),
     ),
     "brake_skid": Cause(
         {"slip": (0.05, 0.25)}, signed=False, accepted=("accel_slip", "brake_skid"), drivers=("*acceleration",)
