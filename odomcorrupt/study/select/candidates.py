@@ -69,7 +69,7 @@ def library(fitted: Fit) -> list[tuple[Effect, ...]]:
         kind
         for name, kind in registry().items()
         if name not in have
-        and kind.kind != "noise"
+        and kind.kind not in ("noise", "event")
         and not kind.clock
         and kind.twin_of is None
         and (sideways or not kind.needs_sideways)
