@@ -70,7 +70,7 @@ def command(
     need_study()
     from odomcorrupt.simulate.bag import write_mcap
     from odomcorrupt.simulate.commands import read_commands
-    from odomcorrupt.simulate.ground_truth import fingerprint, format_answer
+    from odomcorrupt.simulate.record import fingerprint, format_answer
     from odomcorrupt.simulate.run import simulate
 
     piped = str(output) == "-"

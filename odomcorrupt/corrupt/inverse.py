@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.random_covariance import wanders
+from odomcorrupt.corrupt.covariance import wanders
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import accelerations

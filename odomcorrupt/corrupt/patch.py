@@ -10,9 +10,8 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corrupt.correction import Correction
-from odomcorrupt.corrupt.covariance import pose_covariance
+from odomcorrupt.corrupt.covariance import pose_covariance, wanders
 from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.random_covariance import wanders
 from odomcorrupt.corrupt.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
 from odomcorrupt.corrupt.targets import ODOMETRY, plain
 from odomcorrupt.corrupt.twist import TopicTwist, TwistChange

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from odomcorrupt.corrupt.covariance import SUMS, NoiseSteps, sum_terms
+from odomcorrupt.corrupt.covariance import SUMS, WANDER, NoiseSteps, Wander, sum_terms
 from odomcorrupt.corrupt.inverse import Drive, EffectInverse
-from odomcorrupt.corrupt.random_covariance import WANDER, Wander
 from odomcorrupt.corrupt.step_law import StepGrowth, noise_variances
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap

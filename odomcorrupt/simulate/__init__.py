@@ -12,13 +12,11 @@ such a change looks as an error of the odometry. That is what makes it a judge o
 from odomcorrupt.simulate.bag import write_mcap
 from odomcorrupt.simulate.commands import Commands, read_commands
 from odomcorrupt.simulate.encoders import Rig
-from odomcorrupt.simulate.library_faults import CAUSES
+from odomcorrupt.simulate.faults import CAUSES, OUTSIDE
 from odomcorrupt.simulate.record import SimulatedRun
-from odomcorrupt.simulate.route import Segment
-from odomcorrupt.simulate.routes import ROUTES
+from odomcorrupt.simulate.routes import ROUTES, Segment
 from odomcorrupt.simulate.run import simulate, simulate_without
 from odomcorrupt.simulate.tracker import TRACKERS, Tracker
-from odomcorrupt.simulate.unlisted_faults import OUTSIDE
 
 __all__ = [
     "CAUSES",

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulate.fault import Drawn, Parameters
-from odomcorrupt.simulate.library_faults import CAUSES
+from odomcorrupt.simulate.faults import CAUSES, OUTSIDE, Drawn, Parameters
 from odomcorrupt.simulate.robot import Robot
 from odomcorrupt.simulate.streams import stream
-from odomcorrupt.simulate.unlisted_faults import OUTSIDE
 
 EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the table and those of no library."""

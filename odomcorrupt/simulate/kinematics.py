@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.simulate.gear import turn_wheels
-from odomcorrupt.simulate.grip import hold, lose_by_place
+from odomcorrupt.simulate.drivetrain import turn_wheels
 from odomcorrupt.simulate.planar import add_up_steps
 from odomcorrupt.simulate.robot import Robot
 from odomcorrupt.simulate.streams import Streams, wander
-from odomcorrupt.simulate.tyres import creep_sideways, roll, yield_along
+from odomcorrupt.simulate.tyres import creep_sideways, hold, lose_by_place, roll, yield_along
 
 
 @dataclass(frozen=True, slots=True)

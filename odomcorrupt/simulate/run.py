@@ -6,15 +6,14 @@ from typing import Any
 import numpy as np
 
 from odomcorrupt.simulate.commands import Commands, obey
+from odomcorrupt.simulate.drivetrain import wheel_angles
 from odomcorrupt.simulate.encoders import Rig, reckon
 from odomcorrupt.simulate.fault_draws import draw_flaw, is_placed, names_of, source_of_turns, spoil
 from odomcorrupt.simulate.kinematics import drive
-from odomcorrupt.simulate.motor import wheel_angles
 from odomcorrupt.simulate.planar import add_up_steps
 from odomcorrupt.simulate.record import SimulatedRun, record
 from odomcorrupt.simulate.robot import build_robot
-from odomcorrupt.simulate.route import Segment, follow
-from odomcorrupt.simulate.routes import ROUTES
+from odomcorrupt.simulate.routes import ROUTES, Segment, follow
 from odomcorrupt.simulate.streams import Streams, stream
 from odomcorrupt.simulate.tracker import TRACKERS, Tracker, dock, watch
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from odomcorrupt.batch import make as making
+from odomcorrupt.batch import runner as making
 from odomcorrupt.batch.estimate import Need, require_space
 from odomcorrupt.batch.manifest import BatchError
 from odomcorrupt.cli import run

@@ -12,7 +12,7 @@ from odomcorrupt.simulate.encoders import reckon
 from odomcorrupt.simulate.kinematics import Drive
 from odomcorrupt.simulate.record import record
 from odomcorrupt.simulate.robot import Robot
-from odomcorrupt.simulate.route import follow
+from odomcorrupt.simulate.routes import follow
 from odomcorrupt.simulate.streams import Streams, stream
 from odomcorrupt.simulate.tracker import watch
 

@@ -21,8 +21,8 @@ from simulated_manoeuvres import (
 )
 
 from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
+from odomcorrupt.simulate.bag import STORE
 from odomcorrupt.simulate.fault_draws import draw_parameters
-from odomcorrupt.simulate.messages import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {

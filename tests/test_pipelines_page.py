@@ -1,4 +1,4 @@
-"""The commands of the README's pipelines do what is said beside them."""
+"""The commands of docs/pipelines.md do what is said beside them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ import pytest
 from odomcorrupt.cli import run
 
 ROOT = Path(__file__).parent.parent
-SECTION = (ROOT / "README.md").read_text(encoding="utf8").split("## Pipelines\n", 1)[1].split("\n## ", 1)[0]
-COMMANDS = re.findall(r"```sh\n(.*?)\n```", SECTION, re.DOTALL)
+COMMANDS = re.findall(r"```sh\n(.*?)\n```", (ROOT / "docs" / "pipelines.md").read_text(encoding="utf8"), re.DOTALL)
 
 
 @pytest.fixture
@@ -84,5 +83,5 @@ def test_the_line_for_shell_completion_defines_one(shell):
     assert (code, said) == (0, "")
 
 
-def test_every_command_of_the_section_is_tried():
+def test_every_command_of_the_page_is_tried():
     assert len(COMMANDS) == 5

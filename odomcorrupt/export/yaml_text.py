@@ -5,16 +5,15 @@ from __future__ import annotations
 import textwrap
 from typing import TYPE_CHECKING
 
-from odomcorrupt.export.wheels import WHEEL_EFFECTS
+from odomcorrupt.export.ros2_control import WHEEL_EFFECTS
 from odomcorrupt.sampling.text import law_words
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
-    from odomcorrupt.export.amcl import AmclAlphas
-    from odomcorrupt.export.step_variance import Steady
-    from odomcorrupt.export.twists import TwistVariances
-    from odomcorrupt.export.wheels import WheelMultipliers
+    from odomcorrupt.export.nav2 import AmclAlphas
+    from odomcorrupt.export.robot_localization import Steady, TwistVariances
+    from odomcorrupt.export.ros2_control import WheelMultipliers
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["amcl_text", "twists_text", "wheels_text"]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.errors import ModelError
-from odomcorrupt.export.step_variance import Steady, message_noise
+from odomcorrupt.export.robot_localization import Steady, message_noise
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise

@@ -1,4 +1,4 @@
-"""How much noise one odometry message brings on a steady drive."""
+"""Variances of the velocities in one odometry message on a steady drive, as robot_localization reads them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.corrupt.covariance import FLOOR
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.noise_laws import variances
@@ -14,7 +15,7 @@ from odomcorrupt.model.noise_laws import variances
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Noise
 
-__all__ = ["MessageNoise", "Steady", "message_noise"]
+__all__ = ["MessageNoise", "Steady", "TwistVariances", "message_noise", "twist_variances"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,3 +71,23 @@ def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
         along=share * float(v.trans[0]) + (k.white_v * dt_s) ** 2,
         across=share * float(v.across[0]),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class TwistVariances:
+    """Of forward and leftward speed, (m/s)^2, and of the yaw rate, (rad/s)^2."""
+
+    forward: float
+    leftward: float
+    yaw: float
+
+
+def twist_variances(noise: Noise, drive: Steady) -> TwistVariances:
+    """Return the variances that a corrupted message's covariance would hold on this steady drive."""
+    message = message_noise(noise, drive)
+    moved = drive.speed / drive.rate_hz
+    per_s2 = drive.rate_hz**2
+    # turns before and after the translation shift it to one side, seen at mid heading; the first one of an arc does not
+    swing = message.late if noise.law.arc else message.heading
+    sideways = message.across + 0.25 * swing * (moved**2 + message.along)
+    return TwistVariances(message.along * per_s2 + FLOOR, sideways * per_s2 + FLOOR, message.heading * per_s2 + FLOOR)

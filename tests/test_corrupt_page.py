@@ -1,4 +1,4 @@
-"""The README's "Corrupt a bag": its session runs as it stands, and the options that its text names exist."""
+"""README's and docs/corrupt.md's sessions of corruption run as they stand; options that the text names exist."""
 
 from __future__ import annotations
 
@@ -16,9 +16,16 @@ from odomcorrupt.model.motion_model import parse_alpha
 from odomcorrupt.model.presets import PRESETS
 
 ROOT = Path(__file__).parent.parent
-SECTION = (ROOT / "README.md").read_text(encoding="utf8").split("## Corrupt a bag\n", 1)[1].split("\n## ", 1)[0]
-SESSION = [line[2:] for line in re.search(r"```console\n(.*?)```", SECTION, re.DOTALL)[1].splitlines()]
-PROSE = re.sub(r"```.*?```", "", SECTION, flags=re.DOTALL)
+README = (ROOT / "README.md").read_text(encoding="utf8").split("## Corrupt\n", 1)[1].split("\n## ", 1)[0]
+PAGE = (ROOT / "docs" / "corrupt.md").read_text(encoding="utf8").split("## How the correction works", 1)[0]
+
+
+def session_of(text):
+    return [line[2:] for line in re.search(r"```console\n(.*?)```", text, re.DOTALL)[1].splitlines()]
+
+
+SESSION = list(dict.fromkeys(line.split("  ")[0] for line in (*session_of(README), *session_of(PAGE))))
+PROSE = re.sub(r"```.*?```", "", PAGE, flags=re.DOTALL)
 CODE = re.findall(r"`([^`]+)`", PROSE)
 
 
@@ -53,7 +60,8 @@ def test_the_line_runs_and_makes_the_file_it_names(session, line):
 
 def test_the_session_says_what_the_text_beside_it_promises(session):
     done, _ = session
-    info, preview, first, slipping, _, last = [done[line] for line in SESSION]
+    info, preview, first, slipping, batch, _, last = [done[line] for line in SESSION]
+    assert batch.returncode == 0
     assert "still tells the truth" in info.stdout
     assert "The noise does not depend on the message rate." in preview.stdout
     assert "Moved: 3000 messages on /odom, 3000 transforms odom -> base_link" in first.stderr
