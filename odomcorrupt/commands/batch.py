@@ -83,7 +83,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     metavar="NAME=V,V",
     help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
 )
-@click.option("--points", type=click.IntRange(1), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
+@click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")

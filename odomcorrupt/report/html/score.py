@@ -34,7 +34,7 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
         f"<p><strong>{escape(first)}</strong></p>",
         *(f"<p>{escape(sentence)}</p>" for sentence in rest),
         picture(
-            "drift", "Error against the drift", "One mark per run. Line: the drift at which 5 % of runs are lost; band: "
+            "drift", "Error against drift", "One mark per run. Line: the drift at which 5 % of runs are lost, band: "
             "its 95 % interval.", draw_drift(report),
         ),
         picture(
