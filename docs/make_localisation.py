@@ -14,6 +14,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -22,10 +23,12 @@ from odomcorrupt.effects.effect import amplitudes, check_bounds
 from odomcorrupt.export.nav2 import amcl_alphas
 from odomcorrupt.export.robot_localization import Steady
 from odomcorrupt.model.model_file import format_model, read_model
-from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered
 from odomcorrupt.score import ScoreReport, score
+
+if TYPE_CHECKING:
+    from odomcorrupt.model.motion_model import MotionModel
 
 ROOT = Path(__file__).parent.parent
 FACTORS = (0, 1, 2, 4, 8, 16, 32)
@@ -55,7 +58,7 @@ def scaled(model: MotionModel, factor: float) -> MotionModel:
 
 def command(*words: object) -> None:
     """Run a command, and stop where it fails."""
-    subprocess.run([str(word) for word in words], check=True)
+    subprocess.run([str(word) for word in words], check=True)  # noqa: S603 - our own
 
 
 def learned(data: Path, folder: Path) -> MotionModel:

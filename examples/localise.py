@@ -4,8 +4,8 @@
     python examples/localise.py drive.mcap map.yaml runs estimates --alphas 0.2 0.2 0.2 0.2 --truth /ground_truth
     odomcorrupt score runs --outputs estimates --truth /ground_truth --align none
 
-The motion update draws from the library's `quadratic` law, which is amcl's: the variance of one update is alpha times its
-squared motion (Thrun, Burgard & Fox, Probabilistic Robotics, ch. 5.4 and table 8.2; likelihood field: table 6.3;
+The motion update draws from the library's `quadratic` law, which is amcl's: the variance of one update is alpha times
+its squared motion (Thrun, Burgard & Fox, Probabilistic Robotics, ch. 5.4 and table 8.2; likelihood field: table 6.3;
 low-variance resampling: table 4.4).
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -27,8 +28,10 @@ from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
 from odomcorrupt.score.estimates import read_estimate
-from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.trajectories.reader import read_poses
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.io.recording import Trajectory
 
 UPDATE_M, UPDATE_RAD = 0.25, 0.2
 """The filter is updated after so much motion: the defaults of amcl, at which its alphas hold."""
@@ -78,7 +81,9 @@ class Field:
         return TEMPER * np.where(inside, found, np.log(RANDOM)).sum(axis=1)
 
 
-def moved(particles: np.ndarray, before: np.ndarray, after: np.ndarray, noise: Noise, rng: np.random.Generator):
+def moved(
+    particles: np.ndarray, before: np.ndarray, after: np.ndarray, noise: Noise, rng: np.random.Generator
+) -> np.ndarray:
     """Return particles (n, 3) moved as the odometry was from `before` to `after`, with draws from the noise law."""
     move = move_between(before, after)
     ends = move_sampled(move, move_variances(noise, move), len(particles), rng)
@@ -143,9 +148,7 @@ def main() -> None:
         odometry = read_estimate(path, None).trajectory
         start = odometry.xyt[0] if given.truth is None else read_poses(given.bag, given.truth).xyt[0]
         number = int(path.stem.removeprefix("run_"))
-        stamps, xyt = localise(
-            odometry, scans, field, start, noise, count=given.particles, seed=given.seed + number
-        )
+        stamps, xyt = localise(odometry, scans, field, start, noise, count=given.particles, seed=given.seed + number)
         target = given.estimates / path.relative_to(given.runs)
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_bytes(format_tum(stamps, xyt))

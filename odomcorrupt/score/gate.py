@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["LEAST_PAIRS", "Comparison", "Rule", "Verdict", "check", "compare_paired", "parse_rule"]
+__all__ = ["LEAST_PAIRS", "STATISTICS", "Comparison", "Rule", "Verdict", "check", "compare_paired", "parse_rule"]
 
 FALSE_RED = 0.01
 """Largest part of unchanged versions that a rule turns red."""
@@ -44,7 +44,7 @@ _METRICS = {
     "ate": "ate_m", "ate_rad": "ate_rad", "max": "max_m", "rpe": "rpe_m", "rpe_rad": "rpe_rad",
     "error_10s": "error_10s_m", "end": "end_m", "nees": "nees",
 }  # fmt: skip
-_STATISTICS: dict[str, Callable[[Array], Array]] = {
+STATISTICS: dict[str, Callable[[Array], Array]] = {
     "mean": lambda values: np.mean(values, axis=-1),
     "median": lambda values: np.median(values, axis=-1),
     "p90": lambda values: np.quantile(values, 0.9, axis=-1),
@@ -126,7 +126,7 @@ def parse_rule(text: str) -> Rule:
     if name == "lost":
         return Rule(text, "lost", "", kind, amount)
     metric, _, statistic = name.rpartition("_")
-    if statistic not in _STATISTICS or (name in _METRICS and metric not in _METRICS):
+    if statistic not in STATISTICS or (name in _METRICS and metric not in _METRICS):
         metric, statistic = name, "median"
     if metric not in _METRICS:
         names = ", ".join([*_METRICS, "lost"])
@@ -163,7 +163,7 @@ def compare_paired(old: Array, new: Array, *, rise: float = 0.2, statistic: str 
     logs = np.log(np.maximum(both, 1e-12))
     d = logs[1] - logs[0]
     centre, low, high = _hodges_lehmann(d)
-    own = _STATISTICS[statistic]
+    own = STATISTICS[statistic]
     of_statistic = float(np.log(own(np.maximum(both[1], 1e-12))) - np.log(own(np.maximum(both[0], 1e-12))))
     half = log(1.0 + rise) / 2.0
     p_all = _signed_rank(d)
@@ -299,7 +299,7 @@ def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
         known = np.array([v for v in values if v is not None], dtype=float)
         if not len(known):
             raise ScoreError(f"rule {rule.text!r}: no run has {rule.metric}")
-        value = float(_STATISTICS[rule.statistic](known))
+        value = float(STATISTICS[rule.statistic](known))
     failed = value > rule.amount
     return Verdict(rule.text, failed, f"{rule.text}: {'FAILED' if failed else 'passed'}. It is {value:.4g}")
 

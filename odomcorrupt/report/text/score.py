@@ -31,7 +31,7 @@ def metric_text(metric: str, value: float) -> str:
     if value != value:  # noqa: PLR0124 - NaN alone
         return "-"
     if not isfinite(value):
-        return "inf"
+        return "unbounded"
     if metric.endswith("_rad"):
         return f"{degrees(value):.3g} deg"
     if metric.endswith("_m"):
