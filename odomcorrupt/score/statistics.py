@@ -121,9 +121,8 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     if len(x) < 5:
         return Breakdown(None, 0.0, float("inf"), None)
     reach = 3.0 + np.ptp(x)
-    grid = np.linspace(x.min() - reach, x.max() + reach, 601)
-    slopes = np.geomspace(0.3, 60.0, 60)
-    # (slopes, grid, runs) in parts: a thousand runs would be 36 million numbers
+    grid = np.linspace(x.min() - reach, x.max() + reach, 401)
+    slopes = np.geomspace(0.3, 60.0, 40)
     likelihood = np.stack([_log_likelihood(x, y, grid, slope) for slope in slopes])
     profile = likelihood.max(axis=0)
     inside = np.flatnonzero(2.0 * (profile.max() - profile) <= _CHI2_1_95)
