@@ -23,6 +23,7 @@ from odomcorrupt.batch.tum import format_tum
 from odomcorrupt.geometry.se2 import between, compose, rotate
 from odomcorrupt.mapping.grid import OCCUPIED, Grid
 from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.raycast import canvas_for, draw_map
 from odomcorrupt.mapping.scans import read_rays
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
@@ -61,6 +62,15 @@ def read_scans(bag: Path, base_frame: str) -> list[Scan]:
         shown = np.unique(np.linspace(0, len(points) - 1, BEAMS).astype(int))
         scans.append(Scan(int(stamps[0]), points[shown]))
     return scans
+
+
+def map_of(bag: Path, poses: str, base_frame: str = "base_link") -> Grid:
+    """Return the map that a laser draws through the poses of a topic, where there is no map yet."""
+    rays, path = read_rays(bag, None, base_frame, None), read_estimate(bag, poses).trajectory
+    inside = (rays.stamps_ns >= path.stamps_ns[0]) & (rays.stamps_ns <= path.stamps_ns[-1])
+    xyt = path.at((rays.stamps_ns[inside] - path.stamps_ns[0]) * 1e-9, int(path.stamps_ns[0]))
+    ends = xyt[:, :2] + rotate(rays.to_xy[inside], xyt[:, 2])
+    return draw_map(canvas_for(ends, 0.05), xyt[:, :2], ends)
 
 
 class Field:

@@ -1,4 +1,4 @@
-"""Scores of a batch: estimates beside the runs, in them, as TUM and from TF; what is missing is said and never dropped."""
+"""Scores of a batch: estimates beside the runs, in them, as TUM and from TF; what is missing is never dropped."""
 
 from __future__ import annotations
 
