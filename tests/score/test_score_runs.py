@@ -156,3 +156,19 @@ def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, capsys,
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_the_json_page_names_every_key(batch, estimates, capsys):
+    spoil(estimates / "run_000005.tum", shift_m=3.0)
+    assert run(["score", str(batch / "trajectories"), "--outputs", str(estimates), "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    page = (Path(__file__).parents[2] / "docs" / "json.md").read_text()
+    section = page.split("## `score --json`", 1)[1].split("\n## ", 1)[0]
+    missing = {key for key in keys_of(table) if f"`{key}`" not in section and f"`{key}[]`" not in section}
+    assert missing == {"schema"}
+
+
+def keys_of(value):
+    if isinstance(value, dict):
+        return set(value).union(*map(keys_of, value.values()))
+    return set().union(*map(keys_of, value)) if isinstance(value, list) else set()

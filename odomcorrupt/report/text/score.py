@@ -111,6 +111,8 @@ def _breakdown_sentence(report: ScoreReport) -> str:
     if found.drift is None and not failed:
         low = f"; it lies above {found.low:.1%} (95 %)" if found.low > 0.0 else ""
         return f"No break-down point: no run failed ({span}){low}."
+    if found.drift is None and failed < len(report.counted):
+        return f"Too few runs for a break-down point ({span})."
     if found.drift is None:
         high = f"; it lies below {found.high:.1%} (95 %)" if isfinite(found.high) else ""
         return f"No break-down point: all runs failed ({span}){high}."
