@@ -40,6 +40,7 @@ def command(
     from odomcorrupt.model.model_file import format_model, read_model
     from odomcorrupt.report.text.fit import fit_text, laws_table
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+    from odomcorrupt.study.validate.round_trip import proved
 
     paths, models = split_arguments(recordings)
     if models:
@@ -55,7 +56,8 @@ def command(
         result = next(iter(results.values()))
     else:
         result = fit_robot(runs, effects, law_name=law_name, start=begin)
-    click.echo(fit_text(result))
+    proof = proved(result.model, runs)
+    click.echo("\n".join([fit_text(result), *proof.changes]))
     if output is not None:
-        write_text(output, format_model(result.model))
+        write_text(output, format_model(proof.model))
         click.echo(f"wrote {output}", err=True)

@@ -68,6 +68,7 @@ def command(
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.compare import compare
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
+    from odomcorrupt.study.validate.round_trip import proved
 
     paths, models = split_arguments(recordings)
     if models:
@@ -88,11 +89,11 @@ def command(
         clocks=learned.clocks,
         shaped=learned.added,
     )
+    proof = proved(robot.model, runs)
     ladder = {"without effects": base.model}
-    laws = [f"{one.channel} over {one.regressor}" for one in learned.laws]
-    names = [*learned.added, *laws, *(effect.name for effect in random)]
+    names = [*learned.added, *(one.title for one in learned.laws), *(e.name for e in random)]
     if names:
-        ladder["with " + ", ".join(names)] = robot.model
+        ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)
     steps = ladder_comparison(learned, judges) if as_json or report is not None else None
     if as_json and steps is not None:
@@ -100,10 +101,10 @@ def command(
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         told = found_text(learned, advice, judged=comparison.judgements[-1], fit=robot.fit)
-        lines = [told, fit_text(robot, clocks=False), ""]
+        lines = [told, fit_text(robot, clocks=False), *proof.changes, ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
-        write_text(output, format_model(robot.model))
+        write_text(output, format_model(proof.model))
         click.echo(f"wrote {output}", err=True)
     if drive is not None:
         write_drive(drive, advice)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh
 
+from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     FINELY,
@@ -44,8 +45,8 @@ __all__ = [
     "remeasured",
 ]
 
-_SCALES = (1e-6, 0.3)
-"""Smallest and largest standard deviation of a gain that is tried."""
+_LEAST_SCALE = 1e-6
+"""Smallest standard deviation of a gain that is tried; the largest is the effect's bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +136,12 @@ def _evidence(fit: Fit, design: Array, process: Process) -> tuple[float, float]:
     strength, vectors = eigh(white.T @ white)
     strength = np.maximum(strength, 0.0)
     score = (vectors.T @ (white.T @ r)) ** 2
-    scales = np.geomspace(*_SCALES, 121)
+    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
+    scales = np.geomspace(_LEAST_SCALE, most, 121)
     for _ in range(2):
         q = scales[:, None] ** 2
         gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
         best = int(np.argmax(gains))
         nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, 1.1 * scale, 21)
+        scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
     return nats, scale
