@@ -91,8 +91,7 @@ def command(
     )
     proof = proved(robot.model, runs)
     ladder = {"without effects": base.model}
-    laws = [f"{one.channel} over {one.regressor}" for one in learned.laws]
-    names = [*learned.added, *laws, *(effect.name for effect in random)]
+    names = [*learned.added, *(one.title for one in learned.laws), *(e.name for e in random)]
     if names:
         ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)
