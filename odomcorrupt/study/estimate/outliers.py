@@ -11,6 +11,7 @@ from scipy.stats import binomtest, chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,6 +32,8 @@ _ODD = 2e-4
 _HARDLY = 100.0
 """How much wider the noise of what is set apart may be."""
 _LASTS = 0.5
+_EXCURSION_S, _CANCELS = 45.0, 0.4
+"""How long an excursion of the truth may last; and what may be left of it once it is back, in parts of its size."""
 _TURNS, _SEVERAL = 0.7, 0.25
 """Turn times track over what was lost along, 2 for one wheel and 0 for both; part of the slips that say so."""
 _PLAIN = 2.0
@@ -107,10 +110,33 @@ def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
                     residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
                 ),
                 turn_rad=float(step[:, 2].sum()),
-                lasting=bool(apart > _LASTS * most),
+                lasting=bool(apart > _LASTS * most) and not _comes_back(fit, group, flagged, usual),
             )
         )
     return found
+
+
+def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], usual: Array) -> bool:
+    """Tell whether a stretch that stands out is one side of an excursion of the truth: the way out, or the way back.
+
+    A localisation that loses its way, or fixes that are floating, come back to where they were some time later (or
+    have just done so). Odometry that was pushed away stays there.
+    """
+    nodes, run = fit.problem.nodes, fit.problem.run
+    heading = nodes.truth_xyt[:, 2] + nodes.truth_step[:, 2]
+    world = nodes.residual.copy()
+    world[:, :2] = rotate(nodes.residual[:, :2], heading)
+    middle, own = float(nodes.start_s[group].mean()), world[group].sum(axis=0)
+    reach = np.array([max(usual[:2]), max(usual[:2]), usual[2]])
+    size = float(np.linalg.norm(own / reach))
+    others = np.setdiff1d(flagged, group)
+    near = others[(run[others] == run[group[0]]) & (np.abs(nodes.start_s[others] - middle) < _EXCURSION_S)]
+    for some in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+        back = world[some].sum(axis=0)
+        largest = max(size, float(np.linalg.norm(back / reach)))
+        if len(some) and float(np.linalg.norm((own + back) / reach)) < _CANCELS * largest:
+            return True
+    return False
 
 
 def _slip(lost: Array, way: Array, track_m: float | None) -> float:
