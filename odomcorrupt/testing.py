@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.effect import Motion, amplitudes, check_bounds, choices, parameters
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import corrected_increments, motion_of

@@ -14,10 +14,10 @@ from odomcorrupt.commands._progress import say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.batch.engine import Shard
-    from odomcorrupt.batch.estimate import Need
-    from odomcorrupt.batch.job import Job
-    from odomcorrupt.batch.runner import Failure
+    from odomcorrupt.batching.engine import Shard
+    from odomcorrupt.batching.estimate import Need
+    from odomcorrupt.batching.job import Job
+    from odomcorrupt.batching.runner import Failure
 
 __all__ = ["command"]
 
@@ -96,8 +96,8 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.batch.engine import Shard, missing_runs
-    from odomcorrupt.batch.manifest import begin, fingerprint_of, write_manifest
+    from odomcorrupt.batching.engine import Shard, missing_runs
+    from odomcorrupt.batching.manifest import begin, fingerprint_of, write_manifest
 
     jobs = _jobs(inputs, target, given)
     shard = Shard(*(given["shard"] or (1, 1)))
@@ -123,9 +123,9 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
-    from odomcorrupt.batch.plan import plan
-    from odomcorrupt.corrupt.run import Container
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.batching.plan import plan
+    from odomcorrupt.corruption.run import Container
+    from odomcorrupt.corruption.transform import Options
 
     chosen = choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")})
     if given["layout"] == "split" and given["output"] != "full":
@@ -187,7 +187,7 @@ def _seed(target: Path, given: dict[str, Any]) -> int:
 def _require_driver(jobs: Sequence[Job]) -> None:
     """Fail at once where all runs would: no odometry, or a model that is none."""
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corrupt.transform import Transform
+    from odomcorrupt.corruption.transform import Transform
 
     for job in jobs:
         with open_reader(job.source, recover=job.container.recover) as reader:
@@ -195,8 +195,8 @@ def _require_driver(jobs: Sequence[Job]) -> None:
 
 
 def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
-    from odomcorrupt.batch.engine import count_missing
-    from odomcorrupt.batch.estimate import Need, estimate, free_bytes
+    from odomcorrupt.batching.engine import count_missing
+    from odomcorrupt.batching.estimate import Need, estimate, free_bytes
 
     count = size = overlay = 0
     seconds = 0.0
@@ -229,14 +229,14 @@ def _dry(jobs: Sequence[Job], runs: range, shard: Shard, processes: int) -> str:
 
 def _require_space(jobs: Sequence[Job], _fresh: Sequence[Job], runs: range, shard: Shard) -> None:
     """Refuse what the disk cannot hold; what is far from that is not measured."""
-    from odomcorrupt.batch.estimate import bytes_of, free_bytes, require_space
+    from odomcorrupt.batching.estimate import bytes_of, free_bytes, require_space
 
     if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) > free_bytes(jobs[0].directory):
         require_space(_need(jobs, runs, shard), jobs[0].shown_directory)
 
 
 def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> list[Failure]:
-    from odomcorrupt.batch.engine import run_local, run_on_dask, tasks_of
+    from odomcorrupt.batching.engine import run_local, run_on_dask, tasks_of
     from odomcorrupt.commands._eta import Rate
 
     with Rate(sum(len(runs) for _, runs in todo)) as rate:
@@ -250,8 +250,8 @@ def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> l
 
 def _collect(job: Job, runs: int) -> None:
     """Put all paths into one file, when the last of them is there."""
-    from odomcorrupt.batch.manifest import read_records
-    from odomcorrupt.batch.tum import read_tum, write_npz
+    from odomcorrupt.batching.manifest import read_records
+    from odomcorrupt.batching.tum import read_tum, write_npz
 
     if job.output == "trajectories":
         made = read_records(job.directory)
@@ -262,7 +262,7 @@ def _collect(job: Job, runs: int) -> None:
 
 def _losses(jobs: Sequence[Job]) -> list[str]:
     """Return what could not be read of damaged inputs, each once."""
-    from odomcorrupt.batch.manifest import read_records
+    from odomcorrupt.batching.manifest import read_records
 
     records = [record for job in jobs if job.container.recover for record in read_records(job.directory).values()]
     return list(dict.fromkeys(loss for record in records for loss in record.get("losses", ())))

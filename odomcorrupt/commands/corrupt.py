@@ -55,9 +55,9 @@ def command(input_: str, output: str, **given: Any) -> int:
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.corrupt.run import Container, corrupt_bag
-    from odomcorrupt.corrupt.summary import summary
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.run import Container, corrupt_bag
+    from odomcorrupt.corruption.summary import summary
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.memory import keep_freed_memory
     from odomcorrupt.rng import draw_seed
 

@@ -11,7 +11,8 @@ import click
 
 from odomcorrupt.commands._advice import check_drive, write_drive, write_report
 from odomcorrupt.commands._output import refuse_existing, write_text
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,22 +42,21 @@ __all__ = ["command"]
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(
     recordings: tuple[str, ...],
-    odom: str | None,
-    truth: str | None,
-    track: float | None,
+    *,
+    reading: Reading,
     output: Path | None,
     judge: tuple[str, ...],
     plot: Path | None,
     report: Path | None,
     drive: Path | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags so
-    overwrite: bool,  # noqa: FBT001 - as above
+    as_json: bool,
+    overwrite: bool,
 ) -> None:
     """Learn which effects a robot has, write its model, and show the error falling.
 
     Without --judge, the ladder is cross-validated on halves of the recordings themselves.
     """
-    need_study()
+    require("scipy", "the study needs it", "study")
     from odomcorrupt.model.model_file import format_model
     from odomcorrupt.report.json.comparison import comparison_json
     from odomcorrupt.report.json.diagnosis import learned_json
@@ -72,12 +72,12 @@ def command(
 
     paths, models = split_arguments(recordings)
     if models:
-        raise click.UsageError(f"{next(iter(models))} is a model; `fit --start` and `diagnose` take models")
+        raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
     for path in (output, plot, report):
         refuse_existing(path, overwrite=overwrite)
     check_drive(drive, overwrite=overwrite)
-    runs = read_all(paths, odom, truth, track)
-    judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
+    runs, held_out = reading.read_with_held_out(paths, [Path(j) for j in judge])
+    judges = held_out or runs
     learned = learn(runs)
     advice = advise(learned)
     base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
@@ -111,7 +111,7 @@ def command(
     if plot is not None:
         _draw(plot, comparison)
     if report is not None and steps is not None:
-        words = [*map(str, paths), *source_words(odom, truth, track)]
+        words = [*map(str, paths), *reading.words()]
         write_report(report, learned, steps, advice, _following(output, words))
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from drives import office, silent
 
-from odomcorrupt.corrupt.inverse import Drive, EffectInverse
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.inverse import Drive, EffectInverse
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
 from odomcorrupt.effects.user import user_effect

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from manoeuvres import CIRCLE, SPIN, STOP, STRAIGHT, motion
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.motion_model import MotionModel, Noise

@@ -9,7 +9,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import registry
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.candidates import library

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from hidden import as_recording
 
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.noise_likelihood import NoiseTask

@@ -11,7 +11,7 @@ from hidden import as_recording
 from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
-from odomcorrupt.simulate import Segment, simulate, write_mcap
+from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import lay_nodes
 from odomcorrupt.study.estimate.windows import distance_windows

@@ -11,7 +11,7 @@ from hidden import as_recording, ten_second_error
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import error_of, motion_of
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 

@@ -8,7 +8,7 @@ from hidden import as_recording, ten_second_error
 
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.motion import error_of
-from odomcorrupt.simulate import simulate, simulate_without
+from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.basis import laws

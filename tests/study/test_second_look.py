@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.noise_likelihood import NoiseTask

@@ -9,7 +9,7 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import f as fisher_f
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.rng import stream

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.correct.undo import undo_effects
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.correction.undo import undo_effects
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError

@@ -9,7 +9,7 @@ from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.simulate import simulate, simulate_without
+from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost

@@ -12,7 +12,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import Segment, simulate
+from odomcorrupt.simulation import Segment, simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit

@@ -12,7 +12,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
