@@ -35,6 +35,8 @@ WANDER = 0.2
 LAW = 1.5
 """Nats by which a law of one driver is the likelier before: of 90 names of the laboratory's third and fourth runs that
 explained 2 to 6 nats more than the best law would, 81 were right and 9 wrong, 8 of these for causes of no library."""
+HELD_OUT_ERRORS = 2.0
+"""A gain on held-out data may be larger than it was seen by so many of its standard errors."""
 SLOPE, SHIFT = 1.0, 0.0
 """Of the calibration line in log odds; to be fitted to a reliability curve."""
 
@@ -82,8 +84,11 @@ def calibrated(odds: float) -> float:
 
 def evidence_of(look: Round, learned: Learned) -> Evidence:
     """Return the evidence for what a look added, in the light of what is left when the search has ended."""
-    rivals = tuple(c.gain for c in look.candidates[1:] if not c.refused)
+    own, rivals = look.candidates[0].gain, tuple(c.gain for c in look.candidates[1:] if not c.refused)
+    # what data that were not fitted say, gives a gain on fitted ones its limit
+    nats, error = learned.held_out.get(look.added or "", (inf, 0.0))
+    own = min(own, max(nats + HELD_OUT_ERRORS * error, 0.0))
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     margin = learned.margins.get(look.added or "", inf)
-    return Evidence(look.candidates[0].gain, rivals, left, wandering, margin)
+    return Evidence(own, rivals, left, wandering, margin)

@@ -6,7 +6,7 @@ effects that only stood in for it fall idle and are dropped, and the error falls
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects import registry
@@ -94,6 +94,7 @@ class Learned:
     fit : the final fit
     error_m : its position error after 10 s on the fitted data
     disagreements : what the recordings do not agree about
+    held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
     """
 
     clocks: Clocks
@@ -105,6 +106,7 @@ class Learned:
     fit: Fit
     error_m: float
     disagreements: tuple[Disagreement, ...] = ()
+    held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def added(self) -> tuple[str, ...]:
