@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["HIDDEN", "SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
 
@@ -141,7 +141,7 @@ def untried(learned: Learned) -> list[Untestable]:
     return found
 
 
-def limits(look: Round) -> list[Limit]:
+def limits(look: Step) -> list[Limit]:
     """Return the least sizes that would have been seen, of all that could be."""
     found = []
     for candidate in look.candidates:

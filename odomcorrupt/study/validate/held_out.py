@@ -20,8 +20,9 @@ from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import cutting_of
-from odomcorrupt.study.validate.evaluation import judge_stretch
+from odomcorrupt.study.validate.evaluation import evaluate_stretch
 from odomcorrupt.study.validate.log_score import block_differences
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ __all__ = ["HeldOut", "keep_what_holds"]
 
 _PLAIN = 2.0
 """Standard errors beyond which a paired difference is no chance."""
+_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _PLAIN}
+"""When a 10 s error is plainly larger than another one, see `Drift.worse_than`."""
 _FEWEST_BLOCKS = 6
 """Blocks of 15 s that it takes to say of a likelihood that it is plainly worse."""
 
@@ -57,19 +60,23 @@ class HeldOut:
     ten_second_error_m: tuple[float, float]
     harm: str
 
+    @property
+    def remark(self) -> str:
+        """Why the part is not in the model, in a sentence."""
+        return f"{self.name} was found, but is not in the model: on held-out data {self.harm}"
 
-def keep_what_holds(
-    learned: Learned, others: Sequence[Recording] = (), clocks: Sequence[Clock] = ()
-) -> tuple[Learned, tuple[HeldOut, ...]]:
+
+def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
     """Return what was learned without the parts that held-out data speak plainly against, and what they say of each.
 
     Parameters
     ----------
     learned : from the search
-    others : recordings of the same robot that were not searched, if there are any, and their clocks
+    others : recordings of the same robot that were not searched, if there are any
 
     """
     fitted, said = learned.fit, list[HeldOut]()
+    clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
     while True:
         parts = _parts(fitted)
         found = _test(fitted, parts, others, clocks) if parts else []
@@ -84,7 +91,7 @@ def keep_what_holds(
         return learned, tuple(said)
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
-    laws = tuple(one for one in learned.laws if one.law is not None and one.law.effect.name in kept)
+    laws = tuple(one for one in learned.laws if one.name in kept)
     noise = tuple(gain for gain in learned.noise if gain.effect.name not in WANDERING or gain.effect.name in kept)
     return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
 
@@ -135,7 +142,7 @@ class _Fold:
         else:
             own = fitted if part is None else _without(fitted, part)
         model = model_of(own, own.random)
-        return [judge_stretch(r, model, fitted.problem.approach, refitted=bool(self.train)) for r in self.test]
+        return [evaluate_stretch(r, model, fitted.problem.approach, refitted=bool(self.train)) for r in self.test]
 
 
 def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[_Fold]:
@@ -158,12 +165,12 @@ def _verdict(part: Effect, whole: Sequence[Evaluation], without: Sequence[Evalua
     gains = block_differences(whole, without)
     nats = float(gains.sum())
     error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
-    farther = with_it.worse_than(base)
+    farther = with_it.worse_than(base, **_WORSE)
     unlikelier = len(gains) >= _FEWEST_BLOCKS and nats < -_PLAIN * error
-    closer = base.worse_than(with_it)
+    closer = base.worse_than(with_it, **_WORSE)
     harm = ""
     if farther:
-        harm = f"its 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
+        harm = f"the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
     elif unlikelier and not closer:
-        harm = f"it is {-nats:.0f} nats less likely with it"
+        harm = f"the model is {-nats:.0f} nats less likely with it"
     return HeldOut(part.name, nats, error, (base.rmse, with_it.rmse), harm)

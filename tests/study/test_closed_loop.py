@@ -11,14 +11,14 @@ from wandering import recording, wander
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.basis import Law
-from odomcorrupt.study.select.basis_columns import LawColumns
-from odomcorrupt.study.select.channels import Action
 from odomcorrupt.study.select.closed_loop import may_be_steering
 from odomcorrupt.study.select.score import score_columns
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.basis import BasisFunction
+from odomcorrupt.study.terms.channels import Action
+from odomcorrupt.study.terms.term import BasisTerm
 
-GAIN = Law("speed", "k * 1", (lambda m: np.ones(len(m)),))
+GAIN = BasisTerm(BasisFunction("speed", "k * 1", (lambda m: np.ones(len(m)),)), Action("yaw", "omega"))
 
 
 def kept_on_a_line(seed: int, seconds: float = 600.0):
@@ -39,8 +39,8 @@ def kept_on_a_line(seed: int, seconds: float = 600.0):
 
 def gain_of(run):
     fitted = fit([run], approach=replace(choose_approach([run]), spacing_s=2.0))
-    columns = LawColumns(fitted.problem).of(GAIN, Action("yaw", "omega"))
-    (score,) = score_columns(fitted, [columns], fitted.design_matrix())
+    columns = GAIN.columns(fitted.problem)
+    (score,) = score_columns(fitted, [columns])
     return fitted, columns, score
 
 

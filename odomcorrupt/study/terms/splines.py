@@ -1,4 +1,4 @@
-"""What an error may depend on, as curves: hats over a driver, waves of the heading, tiles of a floor."""
+"""What an error may depend on, as curves: hats over a regressor, waves of the heading, tiles of a floor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["curve_drivers"]
+__all__ = ["curve_regressors"]
 
 _HATS = {
     "speed": 6,
@@ -25,11 +25,11 @@ _HATS = {
 }
 _GRID = 4
 _FINEST = 0.05
-"""Part of the range of a driver that hats are apart: noise of the odometry is in the driver and the error alike."""
+"""Part of the range of a regressor that hats are apart: noise of the odometry is in both, it and the error."""
 
 
-def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
-    """Return for each driver a function to its hats (n, m) over a motion, and their centres."""
+def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
+    """Return for each regressor a function to its hats (n, m) over a motion, and their centres."""
     of: dict[str, Callable[[Motion], Array]] = {
         "speed": lambda m: m.v,
         "yaw_rate": lambda m: m.omega,
@@ -39,18 +39,18 @@ def curve_drivers(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tup
         "time": lambda m: m.t_s,
         "distance": lambda m: m.distance,
     }
-    drivers: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
+    regressors: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
     for name, value in of.items():
         moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])
         if len(moving) < 100:
             continue
         knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
         if len(knots) > 2:
-            drivers[name] = _hats(value, knots)
-    drivers["heading"] = _harmonics
+            regressors[name] = _hats(value, knots)
+    regressors["heading"] = _harmonics
     xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
-    drivers["position"] = _tiles(xs, ys)
-    return drivers
+    regressors["position"] = _tiles(xs, ys)
+    return regressors
 
 
 def _apart(knots: Array) -> Array:

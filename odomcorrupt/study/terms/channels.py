@@ -1,8 +1,8 @@
-"""Where a law acts: on a channel of the body, on the rim of one wheel or of both; and what moves it there."""
+"""What a basis function acts on: a channel of the body, on the rim of one wheel or of both; and what moves it there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,7 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
     "omega": lambda m: m.omega,
     "1": lambda m: np.ones(len(m)),
 }
-"""What an error goes with; 1 for one that grows with time."""
+"""What an error is proportional to; 1 for one that grows with time."""
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 _GROUND, _TOWARD = "ground", 6
 """What carries the robot where it is, and the directions, over half a turn, in which it may."""
@@ -32,7 +32,7 @@ _GROUND, _TOWARD = "ground", 6
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """What a law adds to, and what it multiplies.
+    """What a basis function adds to, and what it multiplies.
 
     target : one of the channels, or of the sides, of expressions; or "ground": along and across at once
     move : key of `MOVES`
@@ -52,9 +52,9 @@ class Action:
 
     @property
     def reaches(self) -> frozenset[str]:
-        """What it reaches: the "body", "one" wheel or "both"; the heading as time goes, a "bias"; or the "ground".
+        """What it reaches: the "body", "one" wheel or "both"; the heading over time, a "bias"; or the "ground".
 
-        What turns the body with its way may be its "heading" that is drawn aside.
+        What turns the body as it travels may be an error of its "heading".
         """
         if self.move == "1":
             return frozenset({"bias"})
@@ -76,22 +76,22 @@ class Action:
         """What its error is an error per: "m" driven, "rad" turned, or "s"."""
         return {"omega": "rad", "1": "s"}.get(self.move, "m")
 
-    def neighbours(self, scale: float) -> list[Action]:
-        """Return it towards either side, by this part of the step at which directions are looked at."""
-        turns = (-0.5 * scale, 0.5 * scale) if self.target == _GROUND else ()
-        return [replace(self, toward=self.toward + turn * np.pi / _TOWARD) for turn in turns]
+    @property
+    def turn(self) -> float:
+        """First step of a search over its direction, rad; 0 where it has none."""
+        return 0.5 * np.pi / _TOWARD if self.target == _GROUND else 0.0
 
-    def written(self, law: str) -> str:
-        """Return a law as an expression."""
+    def written(self, function: str) -> str:
+        """Return a function as an expression."""
         if self.move == "1":
-            return f"{self.target} += {law}"
+            return f"{self.target} += {function}"
         if self.target != _GROUND:
-            return f"{self.target} += {self.move} * ({law})"
+            return f"{self.target} += {self.move} * ({function})"
         along, across = (f"{self.move} * {turn}({self.toward:.4g} - theta)" for turn in ("cos", "sin"))
-        return f"along += {along} * ({law}); across += {across} * ({law})"
+        return f"along += {along} * ({function}); across += {across} * ({function})"
 
     def rates(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
-        """Return the views it looks at, and how fast (n, 3) a law of one there moves the odometry."""
+        """Return the views it looks at, and how fast (n, 3) a function of one there moves the odometry."""
         return [(view, MOVES[self.move](seen[view])[:, None] * unit) for view, unit in self._units(seen, track_m)]
 
     def _units(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
@@ -106,14 +106,14 @@ class Action:
 
 
 def every_action() -> list[Action]:
-    """Return all that laws are tried on."""
+    """Return everything that basis functions are tried on."""
     body = [Action(c, m) for c in CHANNELS for m in MOVES if c == "yaw" or m in ("v", "abs(v)")]
     wheels = [Action("wheels", "v"), Action("wheels", "v", "gyro"), Action("left", "v"), Action("right", "v")]
     return [*body, *wheels, *(Action(_GROUND, "abs(v)", toward=np.pi * i / _TOWARD) for i in range(_TOWARD))]
 
 
 def actions_on(motions: Sequence[Motion]) -> list[Action]:
-    """Return what laws can be tried on here: single wheels need a track."""
+    """Return what basis functions can be tried on here: single wheels need a track."""
     known = all(m.track_m is not None for m in motions)
     return [action for action in every_action() if known or not action.by_wheel]
 

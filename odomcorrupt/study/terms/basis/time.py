@@ -1,4 +1,4 @@
-"""Laws of time: what warms up or dies away, what comes and goes in minutes, and what was there for a while."""
+"""Basis functions of time: what warms up or dies away, what comes and goes in minutes, what was there for a while."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.select.basis.basis_function import REFINING, Law
+from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Motion
 
-__all__ = ["laws_of_time"]
+__all__ = ["functions_of_time"]
 
 _SETTLE_S = (30.0, 80.0, 200.0)
 _QUICKEST_S, _SLOWEST_S = 10.0, 1e4
@@ -26,22 +26,22 @@ _SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
 _ANYWHERE = ("body", "one", "both")
 
 
-def laws_of_time(motions: Sequence[Motion]) -> Iterator[Law]:
-    """Yield every law of time that is tried on these motions."""
+def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of time that is tried on these motions."""
     yield from _settlings()
     yield from _swings(motions)
     yield from _spells(motions)
 
 
-def _settlings() -> Iterator[Law]:
+def _settlings() -> Iterator[BasisFunction]:
     """Yield what dies away, and what comes up: tyres, motors and sensors that warm up."""
     for tau_s, rising in product(_SETTLE_S, (False, True)):
         yield _settling((float(np.log(tau_s)),), rising=rising)
 
 
-def _settling(shape: tuple[float, ...], *, rising: bool) -> Law:
+def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
     tau_s = float(np.clip(np.exp(min(shape[0], 50.0)), _QUICKEST_S, _SLOWEST_S))
-    return Law(
+    return BasisFunction(
         "time",
         f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
         (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
@@ -49,11 +49,11 @@ def _settling(shape: tuple[float, ...], *, rising: bool) -> Law:
         reaches=(*_ANYWHERE, "bias"),
         shape=shape,
         steps=(0.5,),
-        remade=lambda moved: _settling(moved, rising=rising),
+        with_shape=lambda moved: _settling(moved, rising=rising),
     )
 
 
-def _swings(motions: Sequence[Motion]) -> Iterator[Law]:
+def _swings(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield what comes and goes in minutes: sun and shade, a load that is shared."""
     longest_s = max(float(np.ptp(m.t_s)) for m in motions)
     count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
@@ -61,9 +61,9 @@ def _swings(motions: Sequence[Motion]) -> Iterator[Law]:
         yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
 
 
-def _swing(shape: tuple[float, ...], count: int) -> Law:
+def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
     pace = 2.0 * np.pi / float(np.exp(shape[0]))
-    return Law(
+    return BasisFunction(
         "time",
         f"k * cos({pace:.6g} * t) + m * sin({pace:.6g} * t)",
         (lambda m: np.cos(pace * m.t_s), lambda m: np.sin(pace * m.t_s)),
@@ -71,20 +71,20 @@ def _swing(shape: tuple[float, ...], count: int) -> Law:
         reaches=("body", "bias"),
         shape=shape,
         steps=(0.5 * _SWING_STEP,),
-        remade=lambda moved: _swing(moved, count),
+        with_shape=lambda moved: _swing(moved, count),
     )
 
 
-def _spells(motions: Sequence[Motion]) -> Iterator[Law]:
+def _spells(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield what was there from one moment to another: a load that was carried, a tyre that was soft for a while."""
     start_s, whole_s = min(float(m.t_s[0]) for m in motions), max(float(np.ptp(m.t_s)) for m in motions)
     for part, i in product(_SPELL_PARTS, range(_SPELLS)):
         yield _spell((start_s + (i + 0.5) / _SPELLS * whole_s, part * whole_s), 0.25 * whole_s / _SPELLS)
 
 
-def _spell(shape: tuple[float, ...], step_s: float) -> Law:
+def _spell(shape: tuple[float, ...], step_s: float) -> BasisFunction:
     middle_s, half_s = shape[0], max(shape[1], 1.0)
-    return Law(
+    return BasisFunction(
         "time",
         f"k * where(abs(t - {middle_s:.6g}) < {half_s:.6g}, 1, 0)",
         (lambda m: (np.abs(m.t_s - middle_s) < half_s).astype(np.float64),),
@@ -92,5 +92,5 @@ def _spell(shape: tuple[float, ...], step_s: float) -> Law:
         reaches=(*_ANYWHERE, "bias"),
         shape=(middle_s, half_s),
         steps=(2.0 * step_s, step_s),
-        remade=lambda moved: _spell(moved, step_s),
+        with_shape=lambda moved: _spell(moved, step_s),
     )

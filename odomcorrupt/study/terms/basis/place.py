@@ -1,4 +1,4 @@
-"""Laws of places and headings: discs, rectangles, strips across what was visited, iron that draws a compass."""
+"""Basis functions of place and heading: discs, rectangles, strips across what was visited, iron near a compass."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.select.basis.basis_function import REFINING, Law
+from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.select.basis.basis_function import Of
+    from odomcorrupt.study.terms.basis.basis_function import Of
 
-__all__ = ["laws_of_headings", "laws_of_places"]
+__all__ = ["functions_of_heading", "functions_of_place"]
 
 _PLACES = 7
 _RADII_M = (0.8, 1.3, 2.0)
 _OUTER = (0.03, 0.97)
-"""Parts of the way between which places are looked for."""
+"""Quantiles of the path between which places are tried."""
 _STRIPS = 12
 _STRIP_APART_M, _MOST_STRIPS = 0.8, 25
 _THIN = 10
@@ -30,14 +30,16 @@ _HALF_WIDTHS_M = (0.4, 0.8)
 _BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
 
 
-def laws_of_headings() -> Iterator[Law]:
+def functions_of_heading() -> Iterator[BasisFunction]:
     """Yield waves of the heading, one and two to a turn."""
     for times, inner in ((1, "theta"), (2, "2 * theta")):
-        yield Law("heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2)
+        yield BasisFunction(
+            "heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2
+        )
 
 
-def laws_of_places(motions: Sequence[Motion]) -> Iterator[Law]:
-    """Yield every law of where the robot is that is tried on these motions."""
+def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of where the robot is that is tried on these motions."""
     xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
     for x, y, radius in product(xs, ys, _RADII_M):
         yield _disc((float(x), float(y), radius))
@@ -45,9 +47,9 @@ def laws_of_places(motions: Sequence[Motion]) -> Iterator[Law]:
     yield from _strips(motions)
 
 
-def _disc(shape: tuple[float, ...]) -> Law:
+def _disc(shape: tuple[float, ...]) -> BasisFunction:
     x, y, radius = shape[0], shape[1], max(shape[2], 0.1)
-    return Law(
+    return BasisFunction(
         "position",
         f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
         (_within(x, y, radius),),
@@ -55,12 +57,12 @@ def _disc(shape: tuple[float, ...]) -> Law:
         reaches=("body", "ground", "bias"),
         shape=shape,
         steps=(0.4, 0.4, 0.3),
-        remade=_disc,
-        kin=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
+        with_shape=_disc,
+        related=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
     )
 
 
-def _iron(shape: tuple[float, ...]) -> Law:
+def _iron(shape: tuple[float, ...]) -> BasisFunction:
     """Return what draws a compass nearby, by an angle that falls off as a bell and so changes as the robot moves."""
     x, y, reach = shape[0], shape[1], max(shape[2], 0.1)
 
@@ -71,7 +73,7 @@ def _iron(shape: tuple[float, ...]) -> Law:
 
     right, up = f"(x {_less(x)})", f"(y {_less(y)})"
     bell = f"exp(-({right}**2 + {up}**2) / {2.0 * reach**2:.4g})"
-    return Law(
+    return BasisFunction(
         "position",
         f"k * -({right} * cos(theta) + {up} * sin(theta)) * {bell}",
         (nearing,),
@@ -79,11 +81,11 @@ def _iron(shape: tuple[float, ...]) -> Law:
         reaches=("heading",),
         shape=(x, y, reach),
         steps=(0.4, 0.4, 0.2),
-        remade=_iron,
+        with_shape=_iron,
     )
 
 
-def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
+def _strips(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield strips across what was visited, each turned about the middle of where the robot was in it."""
     x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
     for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
@@ -98,11 +100,11 @@ def _strips(motions: Sequence[Motion]) -> Iterator[Law]:
                 yield _strip((float(angle), float(c * middle - s * way), float(s * middle + c * way), half))
 
 
-def _strip(shape: tuple[float, ...]) -> Law:
+def _strip(shape: tuple[float, ...]) -> BasisFunction:
     """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
     angle, x, y, half = *shape[:3], max(shape[3], 0.05)
     axis = _axis(angle)
-    return Law(
+    return BasisFunction(
         "position",
         f"k * where(abs({_ahead(axis, x, y)}) < {half:.4g}, 1, 0)",
         (_band(axis, x, y, half),),
@@ -110,17 +112,17 @@ def _strip(shape: tuple[float, ...]) -> Law:
         reaches=("body", "both", "ground"),
         shape=(angle, x, y, half),
         steps=(0.2, 0.4, 0.4, 0.2),
-        remade=_strip,
+        with_shape=_strip,
     )
 
 
-def _box(shape: tuple[float, ...]) -> Law:
+def _box(shape: tuple[float, ...]) -> BasisFunction:
     """Return a rectangle: angle of its first axis, middle, and half of either side."""
     angle, x, y = shape[0], shape[1], shape[2]
     half, side = max(shape[3], 0.1), max(shape[4], 0.1)
     c, s = along = _axis(angle)
     across = (-s, c)
-    return Law(
+    return BasisFunction(
         "position",
         f"k * where(abs({_ahead(along, x, y)}) < {half:.4g}, 1, 0)"
         f" * where(abs({_ahead(across, x, y)}) < {side:.4g}, 1, 0)",
@@ -129,7 +131,7 @@ def _box(shape: tuple[float, ...]) -> Law:
         reaches=("body", "both", "ground", "bias"),
         shape=(angle, x, y, half, side),
         steps=(0.2, 0.4, 0.4, 0.4, 0.4),
-        remade=_box,
+        with_shape=_box,
     )
 
 

@@ -11,10 +11,12 @@ from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.select.basis import laws
-from odomcorrupt.study.select.channels import every_action, views
-from odomcorrupt.study.select.dependence import unknown_dependences
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.dependence import basis_scores, dependences
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.basis import basis_functions
+from odomcorrupt.study.terms.channels import every_action, views
+from odomcorrupt.study.terms.term import BasisTerm
 
 
 def _fitted(seed: int, cause: str | None, **options):
@@ -22,9 +24,13 @@ def _fitted(seed: int, cause: str | None, **options):
     return run, fit([run], approach=choose_approach([run]))
 
 
+def _dependences(fitted):
+    return dependences(fitted, basis_scores(fitted, DECISIONS), DECISIONS)
+
+
 def _looked(seed: int, cause: str | None, **options):
     _, fitted = _fitted(seed, cause, **options)
-    return unknown_dependences(fitted, fitted.design_matrix())
+    return _dependences(fitted)
 
 
 def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted():
@@ -35,25 +41,26 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
     assert len(fitted.standard_errors) == 0
 
 
-def test_every_law_says_in_its_expression_what_it_computes():
+def test_every_basis_function_says_in_its_expression_what_it_computes():
     _, fitted = _fitted(73, None)
     (motion,) = fitted.problem.motions
     seen, checked = views(motion), set()
-    for law in laws([motion])[::6]:
-        values = (0.3, -0.2)[: len(law.parts)]
-        for action in (a for a in every_action() if not a.reaches.isdisjoint(law.reaches)):
+    for function in basis_functions([motion])[::6]:
+        values = (0.3, -0.2)[: len(function.parts)]
+        for action in (a for a in every_action() if not a.reaches.isdisjoint(function.reaches)):
             expected = np.zeros((len(motion), 3))
             for view, rates in action.rates(seen, motion.track_m):
-                size = sum(k * part(seen[view]) for k, part in zip(values, law.parts, strict=True))
+                size = sum(k * part(seen[view]) for k, part in zip(values, function.parts, strict=True))
                 expected -= size[:, None] * rates
-            f = error_of(law.effect(action, values), motion)
+            term = BasisTerm(function, action)
+            f = error_of(term.effect(values), motion)
             # thresholds are written with four digits: a sample may fall between
             differs = np.abs(f - expected).max(axis=1) > 1e-3 * np.abs(expected).max() + 1e-12
-            assert differs.mean() < 0.01, (law.text, action)
+            assert differs.mean() < 0.01, (function.text, action)
             words = {"heading": action.heading} if action.by_wheel else {}
-            written = user_effect("written", law.expression(action, values), {}, words=words)
+            written = user_effect("written", term.expression(values), {}, words=words)
             assert np.allclose(error_of(written, motion), f, atol=1e-9)
-            checked.add((law.text, action))
+            checked.add((function.text, action))
     assert len(checked) > 500
     assert {action for _, action in checked} == set(every_action())
 
@@ -62,18 +69,18 @@ def test_a_strip_is_refined_to_where_it_lies_wheel_by_wheel():
     run = simulate(79, "wet_strip", duration_s=300.0)
     recording = as_recording(run)
     fitted = fit([recording], approach=choose_approach([recording]))
-    found = unknown_dependences(fitted, fitted.design_matrix())[0]
-    assert (found.driver, found.wheels) == ("position", "wheels")
+    found = _dependences(fitted)[0]
+    assert (found.regressor, found.wheels) == ("position", "wheels")
     strip = run.answer["parameters"]
     away = np.exp(-1j * strip["direction"]) * (
         run.truth_xyt[:, 0] - strip["x"] + 1j * (run.truth_xyt[:, 1] - strip["y"])
     )
-    angle, x, y, half = found.law.law.shape
+    angle, x, y, half = found.best.term.function.shape
     found_away = np.cos(angle) * (run.truth_xyt[:, 0] - x) + np.sin(angle) * (run.truth_xyt[:, 1] - y)
     wet = np.abs(away.imag) < 0.5 * strip["width"]
     assert 0.02 < wet.mean() < 0.8
     assert np.mean(wet == (np.abs(found_away) < half)) > 0.97
-    assert found.law.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
+    assert found.best.score.estimate[0] == pytest.approx(-strip["slip"], rel=0.15)
 
 
 @pytest.mark.slow
@@ -92,14 +99,14 @@ def test_nothing_is_found_where_nothing_is_wrong():
 
 def test_a_wheel_off_its_centre_is_found_by_its_wavelength():
     found = _looked(77, "eccentric_wheel")[0]
-    assert (found.channel, found.driver) == ("yaw", "distance")
+    assert (found.channel, found.regressor) == ("yaw", "distance")
     # radii are drawn between 70 and 120 mm
     assert 2.0 * np.pi * 0.07 < found.wavelength_m < 2.0 * np.pi * 0.12
 
 
 def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading():
     found = _looked(78, "magnetic_heading")[0]
-    assert (found.channel, found.driver, found.per) == ("yaw", "heading", "rad")
+    assert (found.channel, found.regressor, found.per) == ("yaw", "heading", "rad")
     assert "omega * (" in found.expression
 
 
@@ -115,7 +122,7 @@ def test_a_compass_that_iron_turns_shows_as_an_error_per_radian_over_the_heading
 def test_the_law_of_a_cause_that_no_library_has_brings_the_error_down(seed, cause, channel, driver):
     options = {"robot_seed": seed, "size": 2.0}
     learned = learn([as_recording(simulate(seed, cause, **options))])
-    assert (learned.unknown[0].channel, learned.unknown[0].driver) == (channel, driver)
+    assert (learned.unknown[0].channel, learned.unknown[0].regressor) == (channel, driver)
     assert learned.laws == learned.unknown[:1]
     judged = as_recording(simulate(seed + 100, cause, duration_s=300.0, **options))
     floor = ten_second_error([as_recording(simulate_without(seed + 100, cause, duration_s=300.0, **options))])
