@@ -82,8 +82,6 @@ class Block:
     raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
     added : messages to append, in order
     ends : where the chunks end that the block was joined from; none of a block that is one chunk
-    read_crcs : CRC-32 of each of its chunks as it was read, none where they were not summed
-    crcs : the same of what is in them now; none where nobody has said so, and whoever writes them sums them up
     """
 
     data: NDArray[np.uint8]
@@ -91,8 +89,6 @@ class Block:
     raw: Any = None
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
-    read_crcs: tuple[int, ...] = ()
-    crcs: tuple[int, ...] = ()
 
     def present(self) -> set[int]:
         """Return the channels that its messages are of."""
@@ -211,7 +207,10 @@ class BagWriter(Protocol):
         """Say how the bag came about, where its format has a place for that; ROS 1 has none."""
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own."""
+        """Write a block, its added messages behind its own; it must stay as it is where threads compress."""
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
 
     def __enter__(self) -> Self: ...
 

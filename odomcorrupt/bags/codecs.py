@@ -36,6 +36,13 @@ class _Zstd(threading.local):
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor()
+        self.compressors: dict[int, zstandard.ZstdCompressor] = {}
+
+    def compressor(self, level: int) -> zstandard.ZstdCompressor:
+        """Return one of a level, whose tables are made once."""
+        if level not in self.compressors:
+            self.compressors[level] = zstandard.ZstdCompressor(level=level)
+        return self.compressors[level]
 
 
 _zstd = _Zstd()
@@ -185,7 +192,7 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
     """
     require_level(codec, level)
     if codec == "zstd":
-        return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
+        return _zstd.compressor(1 if level is None else level).compress(data.data)
     if codec == "lz4":
         packed: bytes = lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
         return packed

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from odomcorrupt.bags.checksum import crc_of_both
+from odomcorrupt.bags.checksum import crc32, crc_of_both
 from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
 
@@ -82,13 +81,13 @@ class Output:
         finally:
             self.summing = summing
         if summing:
-            self.crc = crc_of_both(self.crc, crc, len(piece))
+            self.crc = crc_of_both(self.crc, crc, piece)
 
     def write_shared(self, shared: Shared) -> None:
         """Write bytes that several outputs share; within files the system copies them from the first to the others."""
         try:
             if self._copied(shared):
-                self.crc = crc_of_both(self.crc, shared.crc, len(shared.data)) if self.summing else self.crc
+                self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
                 return
             position = self.position
             self.write_summed(shared.data, shared.crc)
@@ -131,7 +130,7 @@ class Output:
             for piece in pieces:
                 view = memoryview(piece)
                 if self.summing:
-                    self.crc = zlib.crc32(view, self.crc)
+                    self.crc = crc32(view, self.crc)
                 # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
                 # may take a part only.
                 while view:

@@ -6,13 +6,12 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corrupt.summary import SIDEWAYS
-from odomcorrupt.corrupt.targets import GLOBAL_FRAMES, Frames, plain, side_of
-from odomcorrupt.corrupt.unmodified_topics import truth_tellers
+from odomcorrupt.corruption.summary import SIDEWAYS
+from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
+from odomcorrupt.corruption.unmodified_topics import truth_tellers
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import disagreement_m, findings
-from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
 from odomcorrupt.standard_streams import visible
 

@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.bags.placement import beside
-from odomcorrupt.batch import manifest
-from odomcorrupt.batch import runner as making
-from odomcorrupt.batch.estimate import Need, require_space
-from odomcorrupt.batch.manifest import BatchError
+from odomcorrupt.batching import manifest
+from odomcorrupt.batching import runner as making
+from odomcorrupt.batching.estimate import Need, require_space
+from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.cli import run
 from odomcorrupt.commands._eta import left_words
 
@@ -42,9 +42,9 @@ def batch(count, *more, target="runs"):
 
 
 def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.batch.engine.GROUP", 2)
+    monkeypatch.setattr("odomcorrupt.batching.engine.GROUP", 2)
     assert batch(12, target="whole") == 0
-    program = "import odomcorrupt.batch.engine as e; e.GROUP = 2; from odomcorrupt.cli import run; import sys; "
+    program = "import odomcorrupt.batching.engine as e; e.GROUP = 2; from odomcorrupt.cli import run; import sys; "
     program += "sys.exit(run(sys.argv[1:]))"
     words = [sys.executable, "-c", program, "batch", "in.mcap", "runs", "--runs", "12", *TYPED]
     made = 0
@@ -228,7 +228,7 @@ def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
 
 
 def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsys):
-    monkeypatch.setattr("odomcorrupt.batch.estimate.free_bytes", lambda _: 3_000_000)
+    monkeypatch.setattr("odomcorrupt.batching.estimate.free_bytes", lambda _: 3_000_000)
     assert batch(10) == 1
     said = capsys.readouterr().err
     assert "0.003 GB are free" in said

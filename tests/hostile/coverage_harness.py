@@ -26,7 +26,7 @@ from rosbags.rosbag1 import Reader as Ros1LibraryReader
 sys.path.insert(0, str(Path(__file__).parent))
 
 INSTRUMENTED = [
-    "odomcorrupt.bags", "odomcorrupt.batch.manifest", "odomcorrupt.model.model_file", "odomcorrupt.effects.expression",
+    "odomcorrupt.bags", "odomcorrupt.batching.manifest", "odomcorrupt.model.model_file", "odomcorrupt.effects.expression",
     "odomcorrupt.mapping.mapfile", "odomcorrupt.study.io.text", "odomcorrupt.study.io.columns",
     "odomcorrupt.study.io.rows", "odomcorrupt.info",
 ]  # fmt: skip
@@ -44,9 +44,9 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from trials import MODEL, FoundError, guarded, judged
 
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.batch.manifest import read_beginning, read_records
-    from odomcorrupt.corrupt.run import Container, corrupt_bag
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.batching.manifest import read_beginning, read_records
+    from odomcorrupt.corruption.run import Container, corrupt_bag
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.info.scan import survey
     from odomcorrupt.info.summary import portrait, portrait_text
 

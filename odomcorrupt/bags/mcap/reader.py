@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import struct
+from contextlib import closing
 from typing import TYPE_CHECKING, Self
 
+from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunk, read_pieces
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
@@ -24,16 +26,17 @@ from odomcorrupt.bags.mcap.records import (
 from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
 from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
+from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Container, Generator, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
-    from odomcorrupt.bags.block import Block, Channel, Kind
+    from odomcorrupt.bags.block import Channel, Kind
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.mcap.records import SchemaRecord
 
@@ -60,7 +63,7 @@ class McapReader:
 
     kind: Kind = "mcap"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
@@ -70,6 +73,7 @@ class McapReader:
         self.summary = Summary()
         self.losses: list[str] = []
         self._recover = recover
+        self._threads = threads
         self._source = self._reading = source
         self._first_losses = 0
         try:
@@ -134,11 +138,24 @@ class McapReader:
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
+        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        parts: Iterator[Chunk | Loose | Block] = self._parts(source)
+        if self._threads > 1 and self.complete and not self._recover:
+            parts = read_ahead(self._parts(source), lambda part: len(part.data))
+        with closing(parts):  # type: ignore[type-var] # both are generators
+            for part in parts:
+                if isinstance(part, Block):
+                    yield part
+                else:
+                    yield from self._finished(part)
+
+    def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
+        """Yield chunks, collected messages outside chunks, and what stands alone."""
         pending: Chunk | Loose | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
                 done, pending = pending, None
-                yield from self._finished(done)
+                yield done
             begin = source.position - RECORD_HEADER_BYTES
             try:
                 if opcode in _LOOSE and pending is None:
@@ -158,7 +175,7 @@ class McapReader:
                 ):
                     next_record(source, begin)
         if pending:
-            yield from self._finished(pending)
+            yield pending
 
     def _chunk(self, source: Source, length: int, what: str) -> Chunk:
         if not self._recover:

@@ -72,7 +72,6 @@ class Known:
             for other in contents.others:
                 self._learn_within(part.data, other)
             block, what = Block(part.data, contents.table, McapFraming("chunk", part.codec)), part.what
-            block.read_crcs = () if part.crc is None else (part.crc,)
         else:
             for opcode, content in part.others:
                 self.learn(opcode, content)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import TYPE_CHECKING, Self
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
@@ -36,7 +37,7 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Container, Generator, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -45,6 +46,13 @@ if TYPE_CHECKING:
 __all__ = ["Ros1Reader"]
 
 _BATCH_BYTES = 1 << 20
+
+
+class _Connected(NamedTuple):
+    """A connection record between chunks: its header, and its data."""
+
+    header: bytes
+    data: bytes
 
 
 class Ros1Reader:
@@ -56,7 +64,7 @@ class Ros1Reader:
 
     kind: Kind = "ros1"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
@@ -64,6 +72,7 @@ class Ros1Reader:
         self.channels: Mapping[int, Channel] = self._channels
         self.losses: list[str] = []
         self._recover = recover
+        self._threads = threads
         self._source = self._reading = source
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
@@ -143,15 +152,30 @@ class Ros1Reader:
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
+        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        parts: Iterator[Chunk | _Connected] = self._parts(source)
+        if self._threads > 1 and self.complete and not self._recover:
+            parts = read_ahead(self._parts(source), _size_of)
+        with closing(parts):  # type: ignore[type-var] # both are generators
+            for part in parts:
+                if isinstance(part, Chunk):
+                    yield from self._finished(part)
+                else:
+                    self._learn(*part)
+
+    def _parts(self, source: Source) -> Generator[Chunk | _Connected, None, None]:
+        """Yield chunks, and connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):
             if chunk and not (head.op == INDEX or (head.op == MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
                 done, chunk = chunk, None
-                yield from self._finished(done)
+                yield done
             begin, end = source.position - 8 - len(head.header), source.position + head.size
             try:
                 if head.op == CHUNK:
                     chunk = self._chunk(source, head)
+                elif head.op == CONNECTION and not self._recover:
+                    yield _Connected(head.header, source.read(head.size, head.what))
                 else:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
@@ -159,7 +183,7 @@ class Ros1Reader:
                 if not (source.skip_to(end) and stands_behind(source, begin, failed=True)):
                     next_record(source, begin)
         if chunk:
-            yield from self._finished(chunk)
+            yield chunk
 
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
@@ -282,6 +306,10 @@ class Ros1Reader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _size_of(part: Chunk | _Connected) -> int:
+    return len(part.data)
 
 
 def _counted(data: bytes) -> int:

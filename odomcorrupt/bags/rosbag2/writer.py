@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
 __all__ = ["Rosbag2Writer"]
@@ -41,7 +42,9 @@ class Rosbag2Writer:
         level: int | None = None,
         *,
         overwrite: bool = False,
+        workers: Workers | None = None,
     ) -> None:
+        self._workers = workers
         self.keeps_rest = all(isinstance(part, SqliteReader) and not part.damaged for part in reader.parts)
         self._path = Path(os.path.realpath(path))
         self._partial = beside(self._path)
@@ -81,7 +84,12 @@ class Rosbag2Writer:
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
-        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends, crcs=block.crcs))
+        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        for writer in self._writers:
+            writer.settle()
 
     def _described(self, channel: int) -> TopicInfo:
         if channel in self._fresh:
@@ -137,7 +145,7 @@ class Rosbag2Writer:
     def _writer(self, part: McapReader | SqliteReader) -> SqliteWriter | McapWriter:
         target = self._partial / part.paths[0].name
         if isinstance(part, McapReader):
-            return McapWriter(Output(target), part, self._codec, self._level)
+            return McapWriter(Output(target), part, self._codec, self._level, workers=self._workers)
         return SqliteWriter(target, part)
 
     def __exit__(
