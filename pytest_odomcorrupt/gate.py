@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.commands._output import write_text
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.score.gate import STATISTICS, Comparison, compare_paired
+from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

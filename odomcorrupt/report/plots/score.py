@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.score.run import ScoreReport
+    from odomcorrupt.scoring.run import ScoreReport
 
 __all__ = ["draw_along", "draw_drift", "draw_places", "draw_score"]
 

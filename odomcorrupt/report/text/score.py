@@ -6,11 +6,11 @@ from collections import Counter
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.score.errors import RPE_M, WINDOW_S
+from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.run import RunScore, ScoreReport, Status
-    from odomcorrupt.score.statistics import Quantile
+    from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
+    from odomcorrupt.scoring.statistics import Quantile
 
 __all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_text", "sentences"]
 

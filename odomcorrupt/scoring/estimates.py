@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import OdomCorruptError, TopicError
-from odomcorrupt.score.errors import ScoreError
+from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.study.io.address import parse_address, plain
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.text import is_text, read_text

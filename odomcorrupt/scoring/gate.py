@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt.score.errors import ScoreError
+from odomcorrupt.scoring.errors import ScoreError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -284,10 +284,15 @@ def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] 
 
 
 def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, Any]]:
+    needed = {"name", "seed", "metrics", "scored", "counted", "failed"}
     try:
-        return {(run["name"], run["seed"]): run for run in report["runs"]}
-    except (KeyError, TypeError) as error:
-        raise ScoreError("the baseline is no result of score; make one with odomcorrupt score ... --json") from error
+        runs = {(run["name"], run["seed"]): run for run in report["runs"] if needed <= run.keys()}
+        whole = len(runs) == len(report["runs"])
+    except (KeyError, TypeError, AttributeError):
+        whole = False
+    if not whole:
+        raise ScoreError("the baseline is no result of score; make one with odomcorrupt score ... --save")
+    return runs
 
 
 def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:
