@@ -80,9 +80,9 @@ class ErrorGate:
         except OdomCorruptError as error:
             raise AssertionError(f"{self.path}: {error}") from error
         assert not found.rise, (
-            f"the {statistic} of the errors rose by {found.statistic_ratio - 1.0:.1%}, of a typical run by "
-            f"{found.ratio - 1.0:.1%} (95 % interval {found.low - 1.0:.1%} to {found.high - 1.0:.1%}; {found.pairs} "
-            f"runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
+            f"the {statistic} of the errors rose by {100.0 * found.statistic_ratio - 100.0:.1f} %, of a typical run by "
+            f"{100.0 * found.ratio - 100.0:.1f} % (95 % interval {100.0 * found.low - 100.0:.1f} to "
+            f"{100.0 * found.high - 100.0:.1f} %; {found.pairs} runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
         )
         return found
 

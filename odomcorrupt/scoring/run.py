@@ -314,7 +314,7 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
         reason = f"more than {limits.lost_m:g} m off from {failure.t_s:.1f} s ({failure.distance_m:.1f} m) on"
     if errors.coverage < limits.least_coverage:
         lost = f"; before that {reason}" if reason else ""
-        status, reason = "partial", f"covers {errors.coverage:.0%} of the path{lost}"
+        status, reason = "partial", f"covers {100.0 * errors.coverage:.0f} % of the path{lost}"
     kept = np.unique(np.linspace(0, len(errors.t_s) - 1, _KEPT).astype(int))
     return replace(
         blank, status=status, reason=reason, metrics=errors.metrics(), failure=failure, coverage=errors.coverage,
