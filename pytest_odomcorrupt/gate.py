@@ -80,9 +80,9 @@ class ErrorGate:
         except OdomCorruptError as error:
             raise AssertionError(f"{self.path}: {error}") from error
         assert not found.rise, (
-            f"the {statistic} of the errors rose by {100.0 * found.statistic_ratio - 100.0:.1f} %, of a typical run by "
-            f"{100.0 * found.ratio - 100.0:.1f} % (95 % interval {100.0 * found.low - 100.0:.1f} to "
-            f"{100.0 * found.high - 100.0:.1f} %; {found.pairs} runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
+            f"the {statistic} of the errors rose by {_percent(found.statistic_ratio)}, of a typical run by "
+            f"{_percent(found.ratio)} (95 % interval {_percent(found.low)} to {_percent(found.high)}; {found.pairs} runs, "
+            f"p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
         )
         return found
 
@@ -93,3 +93,7 @@ class ErrorGate:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise AssertionError(f"{self.path}: is no baseline; write it again with --odomcorrupt-update") from error
         return errors
+
+
+def _percent(ratio: float) -> str:
+    return f"{100.0 * (ratio - 1.0):.1f} %"

@@ -87,7 +87,10 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         return found[0]
     if needs_topic and own.exists() and not _is_trajectory(own):
         return run_file
-    raise NoEstimateError(f"no file {name}* with an estimate in {directory}")
+    raise NoEstimateError(
+        f"no file {name}* with an estimate in {directory}; name another place with --outputs, or a "
+        "topic of the run with --estimate"
+    )
 
 
 def _is_trajectory(path: Path) -> bool:

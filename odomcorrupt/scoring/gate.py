@@ -279,7 +279,8 @@ def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] 
         f"{100.0 * (found.high - 1.0):+.1f} %), {found.pairs} pairs, p {found.p:.2g}{beside}"
     )
     if not found.rise and found.detectable > rule.amount:
-        sentence += f"; with so few pairs that scatter so much only a rise of {100.0 * found.detectable:.0f} % is found reliably"
+        least = f"{100.0 * found.detectable:.0f} %"
+        sentence += f"; with so few pairs that scatter so much only a rise of {least} is found reliably"
     return Verdict(rule.text, found.rise, sentence, found)
 
 
