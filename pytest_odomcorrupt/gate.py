@@ -81,8 +81,8 @@ class ErrorGate:
             raise AssertionError(f"{self.path}: {error}") from error
         assert not found.rise, (
             f"the {statistic} of the errors rose by {_percent(found.statistic_ratio)}, of a typical run by "
-            f"{_percent(found.ratio)} (95 % interval {_percent(found.low)} to {_percent(found.high)}; {found.pairs} runs, "
-            f"p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
+            f"{_percent(found.ratio)} (95 % interval {_percent(found.low)} to {_percent(found.high)}; "
+            f"{found.pairs} runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
         )
         return found
 
