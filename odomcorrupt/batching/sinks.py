@@ -133,7 +133,8 @@ class OverlaySink(BagSink):
         c = job.container
         foreign: Any = _Foreign(reader)
         codec = None if c.compression == "bz2" else c.compression
-        super().__init__(job, run, McapWriter(Output(job.path_of(run)), foreign, codec, c.level))
+        output = Output(job.path_of(run), overwrite=True)
+        super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
