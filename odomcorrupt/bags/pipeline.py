@@ -12,7 +12,7 @@ import os
 import threading
 from collections import deque
 from functools import partial
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
@@ -109,6 +109,16 @@ class Workers:
         self._tasks.put(task)  # type: ignore[arg-type] # whatever it returns
         return task
 
+    def help(self) -> bool:
+        """Make a call that no thread has begun; tell whether there was one."""
+        try:
+            task = self._tasks.get_nowait()
+        except Empty:
+            return False
+        if task is not None:
+            task.run()
+        return task is not None
+
     def _work(self) -> None:
         while (task := self._tasks.get()) is not None and not self._closed:
             task.run()
@@ -179,8 +189,10 @@ class OrderedResults:
             self._take()
 
     def _take(self) -> None:
-        act, _, size = self._waiting.popleft()
+        act, done, size = self._waiting.popleft()
         self._bytes -= size
+        while not done() and self._workers is not None and self._workers.help():
+            pass
         act()
 
 

@@ -13,11 +13,11 @@ import json
 import os
 import re
 import socket
-import zlib
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import odomcorrupt
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.errors import BagError, OdomCorruptError
@@ -228,10 +228,10 @@ def content_of(path: Path) -> Content:
     """Return size and checksum of a run's file, or of a directory's files with their names."""
     crc = 0
     for file in _files(path):
-        crc = zlib.crc32(file.name.encode(), crc) if file != path else crc
+        crc = crc32(file.name.encode(), crc) if file != path else crc
         with file.open("rb") as stream:
             while piece := stream.read(_PIECE_BYTES):
-                crc = zlib.crc32(piece, crc)
+                crc = crc32(piece, crc)
     return Content(_size(path), crc)
 
 

@@ -86,6 +86,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 )
 @click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
+@click.option("--threads", type=click.IntRange(1), metavar="N", help="In all. [default: one a core, at most 4]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
 @click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
@@ -166,7 +167,9 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
             given["odom_topic"], given["odom_frame"], given["base_frame"], given["twist"] == "keep",
             given["covariance"] == "keep", given["keep_truth"], given["keep_localisation"], given["new_odom_frame"],
         ),
-        container=Container(compression=given["compression"], level=given["level"], recover=given["recover"]),
+        container=Container(
+            compression=given["compression"], level=given["level"], recover=given["recover"], threads=_threads(given)
+        ),
         output=given["output"],
         split=given["layout"] == "split", typed=_words(_MODEL_WORDS, given), option_words=_words(_OPTION_WORDS, given),
     )  # fmt: skip
@@ -187,6 +190,14 @@ def _model(given: dict[str, Any]) -> MotionModel:
     if len(set(given["fleet"])) < len(given["fleet"]):
         raise click.UsageError("--fleet: a file is named twice; a robot counts once")
     return fleet_model({str(path): read_model(path) for path in given["fleet"]})
+
+
+def _threads(given: dict[str, Any]) -> int:
+    """Return how many threads each process has."""
+    from odomcorrupt.bags.pipeline import default_threads
+
+    threads: int = (given["threads"] or default_threads()) // given["jobs"]
+    return max(1, threads)
 
 
 def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:

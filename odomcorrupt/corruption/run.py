@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
@@ -42,7 +42,7 @@ class Container:
     compression: str | None = None
     level: int | None = None
     recover: bool = False
-    threads: int | None = None
+    threads: int | None = field(default=None, compare=False, repr=False)  # no difference to what is written
 
     @property
     def as_it_was(self) -> bool:

@@ -136,6 +136,10 @@ class McapWriter:
             codec = getattr(framing, "codec", "zstd")
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
 
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        self._results.finish()
+
     def _own(self, block: Block, framing: object) -> Framed:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
         native = isinstance(framing, McapFraming)

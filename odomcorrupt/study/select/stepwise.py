@@ -97,6 +97,7 @@ class Learned:
     error_m : its 10 s position error on the fitted data
     disagreements : parameters that recordings do not agree about
     decisions : the decisions it was selected by
+    held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
     """
 
     clocks: Clocks
@@ -109,6 +110,7 @@ class Learned:
     error_m: float
     disagreements: tuple[Disagreement, ...] = ()
     decisions: Decisions = DECISIONS
+    held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def added(self) -> tuple[str, ...]:
