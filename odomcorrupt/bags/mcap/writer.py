@@ -131,7 +131,7 @@ class McapWriter:
                 framed = framed.followed_by(self._added(block))
         if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
-            self._results.put_behind(partial(self._output.write, framed.data.data))
+            self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
             codec = getattr(framing, "codec", "zstd")
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
@@ -175,7 +175,10 @@ class McapWriter:
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
             self._results.put(
-                partial(self.pack, codec, data, self._level), partial(self._write_chunk, span, indexes), data.size
+                partial(self.pack, codec, data, self._level),
+                partial(self._write_chunk, span, indexes),
+                data.size,
+                worth=codec != "none",
             )
 
     def _write_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]], chunk: Packed) -> None:
@@ -193,7 +196,7 @@ class McapWriter:
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record as it stands, or a later piece of one (opcode 0), behind what waits."""
-        self._results.put_behind(partial(self._write_record_now, opcode, data))
+        self._results.put_behind(partial(self._write_record_now, opcode, data), len(data))
 
     def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:
         if opcode:
