@@ -106,7 +106,6 @@ def test_no_more_waits_than_may(monkeypatch):
     assert len(made) == len(taken) == 100
 
 
-@pytest.mark.parametrize("threads", [1, 2])
 def test_what_is_put_behind_does_not_wait_for_ever(monkeypatch):
     monkeypatch.setattr(pipeline, "WAITING_BYTES", 10)
     go, taken = threading.Event(), []
@@ -121,6 +120,7 @@ def test_what_is_put_behind_does_not_wait_for_ever(monkeypatch):
     assert taken == [True, *range(100)]
 
 
+@pytest.mark.parametrize("threads", [1, 2])
 def test_an_error_of_a_call_is_raised_in_its_turn(threads):
     taken = []
 
