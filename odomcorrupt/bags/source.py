@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.errors import BagError
 
@@ -35,6 +36,7 @@ class Source:
     size : of the file in bytes, or None for a pipe
     position : bytes read so far
     shelf : where chunks are put
+    budget : how much may come out of them
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -46,6 +48,7 @@ class Source:
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
         self.shelf = BufferPool()
+        self.budget = Budget()
 
     @classmethod
     def of_file(cls, path: Path) -> Self:

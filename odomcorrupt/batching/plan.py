@@ -30,6 +30,7 @@ def plan(
     *,
     model_file: Path | None,
     sweeps: Sequence[str],
+    points: int = 0,
     posterior: bool,
     seed: int,
     options: Options,
@@ -41,6 +42,7 @@ def plan(
 ) -> list[Job]:
     """Return the jobs.
 
+    points : how many cover ranges of the sweep
     model_file : where the model was read from, whose "a +- b" are drawn for each run; posterior: all standard errors
     typed : how the model was told on the command line, but for --model
     option_words : how frames and containers were told
@@ -67,7 +69,7 @@ def plan(
                 f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
                 "again; leave --layout out"
             )
-        for variant in variants(model, sweeps):
+        for variant in variants(model, sweeps, points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
             shown = str(directory)

@@ -210,6 +210,9 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
     record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
+    if events:
+        record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
     if losses:
         record["losses"] = list(losses)
     record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["command"]
 
@@ -69,7 +70,21 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     default="stated",
     help='Draw for each run what the model states as "a +- b", or everything with a standard error.',
 )
-@click.option("--sweep", "sweeps", multiple=True, metavar="NAME=V,V", help="As alpha-scale=0.5,1,2 (repeatable).")
+@click.option(
+    "--fleet",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="A robot of a fleet (repeat for each): every run draws a robot by their mean and spread.",
+)
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="NAME=V,V",
+    help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
+)
+@click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--threads", type=click.IntRange(1), metavar="N", help="In all. [default: one a core, at most 4]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
@@ -133,7 +148,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
 
-    chosen = choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")})
+    model = _model(given)
     if given["layout"] == "split" and given["output"] != "full":
         raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
     if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
@@ -146,8 +161,8 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     return plan(
-        inputs, target, chosen.model, model_file=given["model"], sweeps=given["sweeps"],
-        posterior=given["robots"] == "posterior", seed=_seed(target, given),
+        inputs, target, model, model_file=given["model"], sweeps=given["sweeps"], points=given["points"],
+        posterior=given["robots"] == "posterior" or bool(given["fleet"]), seed=_seed(target, given),
         options=Options(
             given["odom_topic"], given["odom_frame"], given["base_frame"], given["twist"] == "keep",
             given["covariance"] == "keep", given["keep_truth"], given["keep_localisation"], given["new_odom_frame"],
@@ -158,6 +173,23 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         output=given["output"],
         split=given["layout"] == "split", typed=_words(_MODEL_WORDS, given), option_words=_words(_OPTION_WORDS, given),
     )  # fmt: skip
+
+
+def _model(given: dict[str, Any]) -> MotionModel:
+    """Return the model that was asked for, or that of a fleet."""
+    if not given["fleet"]:
+        return choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")}).model
+    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.model.model_file import read_model
+
+    other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
+    if other:
+        raise click.UsageError(
+            f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
+        )
+    if len(set(given["fleet"])) < len(given["fleet"]):
+        raise click.UsageError("--fleet: a file is named twice; a robot counts once")
+    return fleet_model({str(path): read_model(path) for path in given["fleet"]})
 
 
 def _threads(given: dict[str, Any]) -> int:

@@ -67,6 +67,7 @@ def command(
     from odomcorrupt.study.estimate.calibrate import fit_robot
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.compare import compare
+    from odomcorrupt.study.validate.held_out import keep_what_holds
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
     from odomcorrupt.study.validate.round_trip import proved
 
@@ -78,9 +79,8 @@ def command(
     check_drive(drive, overwrite=overwrite)
     runs, held_out = reading.read_with_held_out(paths, [Path(j) for j in judge])
     judges = held_out or runs
-    learned = learn(runs)
+    learned, said = keep_what_holds(learn(runs), held_out or ())
     advice = advise(learned)
-    base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
     random = [gain.effect for gain in learned.noise]
     robot = fit_robot(
         runs,
@@ -91,7 +91,7 @@ def command(
     )
     proof = proved(robot.model, runs)
     ladder = {"without effects": base.model}
-    names = [*learned.added, *(f"{one.channel} over {one.driver}" for one in learned.laws), *(e.name for e in random)]
+    names = [*learned.added, *(one.title for one in learned.laws), *(e.name for e in random)]
     if names:
         ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)
@@ -101,7 +101,7 @@ def command(
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         told = found_text(learned, advice, judged=comparison.judgements[-1], fit=robot.fit)
-        lines = [told, fit_text(robot, clocks=False), *proof.changes, ""]
+        lines = [told, *(one.remark for one in said if one.harm), fit_text(robot, clocks=False), *proof.changes, ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
         write_text(output, format_model(proof.model))

@@ -107,7 +107,7 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
         if size != packed:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
-        data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf)
+        data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf, source.budget)
     source.read(behind, what)  # fields that a later version of the format has appended
     if crc not in (0, crc32(data.data)):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
@@ -94,6 +95,7 @@ class Ros1Reader:
             for _ in self._blocks(source):
                 pass
             source.seek(self._data_start)
+            source.budget = Budget()
             return
         if not self._index_at:
             raise BagError(f"{self.name}: is not indexed, its recording was never closed; --recover reads it")

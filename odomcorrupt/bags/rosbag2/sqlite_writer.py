@@ -17,7 +17,7 @@ from odomcorrupt.bags.placement import beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.bags.rosbag2.salvage import copy_tables
-from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, kept
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -106,8 +106,9 @@ class SqliteWriter:
         read = np.flatnonzero(block.table["length"])
         spans = zip(block.table["offset"][read].tolist(), block.table["length"][read].tolist(), strict=True)
         for at, row, (offset, length) in zip(read.tolist(), framing.rows[read].tolist(), spans, strict=True):
-            if (now := data[offset : offset + length].tobytes()) != framing.before[at]:
-                changed.append((now, row))
+            now = data[offset : offset + length]
+            if kept(now) != framing.before[at]:
+                changed.append((now.tobytes(), row))
         with reported(self._path, writing=True):
             if self._reader.damaged:
                 self._insert_all(block, framing)

@@ -1,7 +1,7 @@
 """Fit a whole model: effects, clocks, noise coefficients and truth noise, together.
 
-Gauss-Newton on the systematic part, with the noise refitted around it: what is believed is undone exactly, the rest is
-one linear step, until the steps are small against their errors.
+Gauss-Newton on the systematic part, with the noise refitted at every iteration: effects and clocks are taken out of the
+data exactly at their present values, the rest is one linear step, until steps are small against their errors.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import WANDERING, with_random
-from odomcorrupt.study.estimate.stochastic_em import noise_beside
-from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ class Onward(NamedTuple):
 class Fit:
     """A fitted model of some recordings.
 
-    pieces : the law's covariances on the problem's nodes
+    components : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
-    random : wandering gains that are believed
+    random : random coefficients in the model
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
@@ -58,7 +58,7 @@ class Fit:
     """
 
     problem: Problem
-    pieces: LawPieces
+    components: VarianceComponents
     noise: NoiseFit
     random: tuple[Effect, ...]
     standard_errors: Array
@@ -138,11 +138,11 @@ def fit(
 ) -> Fit:
     """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
 
-    random : wandering gains that are believed, with their parameters
+    random : random coefficients in the model, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
     nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
     """
-    # a random effect is believed or passed over, never estimated here
+    # a random effect is included or left out, never estimated here
     random = [*random, *(e for e in effects if e.name in WANDERING)]
     bursts = any(e.name == "slip_burst" for e in effects)
     effects = [e for e in effects if e.kind != "noise"]
@@ -156,17 +156,9 @@ def fit(
         if before is not None and weights is not None:
             weights = _carried(weights, before, problem)
         columns = design_matrix(problem, free)
-        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = noise_beside(
-            problem,
-            pieces,
-            columns,
-            random,
-            start=start,
-            weights=weights,
-            elsewhere=before is None,
-            bursts=bursts,
-        )
+        components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
+        noise = fit_noise_beside(problem, components, columns, random, begin)
         start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
@@ -185,7 +177,7 @@ def fit(
     clock_errors = clock_errors[leaders]
     return Fit(
         problem=problem,
-        pieces=pieces,
+        components=components,
         noise=noise,
         random=tuple(random),
         standard_errors=errors[:own],
@@ -220,7 +212,7 @@ def _carried(weights: Array, before: Problem, now: Problem) -> Array:
 
 
 def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Array:
-    """Return the steps that were really made: a parameter that stands at its bound goes no farther."""
+    """Return the steps that were really made: a parameter at its bound moves no farther."""
     own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
     return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
 
