@@ -25,13 +25,13 @@ __all__ = ["MOST_THREADS", "OrderedResults", "Workers", "default_threads", "read
 MOST_THREADS = 4
 """More are of use to slow codecs only, and each holds memory."""
 
-AHEAD_BYTES = 12 << 20
+AHEAD_BYTES = 8 << 20
 """What is read before it is asked for: more would find no place in a processor's cache."""
 
 _BATCH_BYTES = 1 << 20
 """What is handed over at once: less would have threads wait for each other."""
 
-WAITING_BYTES = 16 << 20
+WAITING_BYTES = 12 << 20
 """What may wait for being compressed and written."""
 
 T = TypeVar("T")
