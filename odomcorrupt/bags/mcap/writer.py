@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
-from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
@@ -62,7 +62,11 @@ def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
     """Compress a chunk's records, and sum them."""
     crc = crc32(data.data)
     require_level(codec, level)
-    return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
+    if codec == "none":
+        return Packed(data.data, crc, crc)
+    compressed = compress(codec, data, level)
+    # by the thread that has it in its cache
+    return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
 
 
 class McapWriter:
