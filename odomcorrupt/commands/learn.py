@@ -90,7 +90,7 @@ def command(
         shaped=learned.added,
     )
     proof = proved(robot.model, runs)
-    ladder = {"without effects": base.model}
+    ladder = {"without effects": fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks).model}
     names = [*learned.added, *(one.title for one in learned.laws), *(e.name for e in random)]
     if names:
         ladder["with " + ", ".join(names)] = proof.model
