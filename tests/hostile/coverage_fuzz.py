@@ -36,13 +36,16 @@ def main() -> int:
         words += ["--report", str(report), "--keep", str(keep), "--seconds", str(given.seconds)]
         words += ["--seed", str(given.seed), *(["--again", str(given.again)] if given.again else [])]
         begun = time.monotonic()
-        done = subprocess.run(words, check=False, capture_output=True, text=True)
+        try:
+            done = subprocess.run(words, check=False, capture_output=True, text=True, timeout=given.seconds + 120)
+            fault = done.stderr[-1500:] if done.returncode else ""
+        except subprocess.TimeoutExpired:
+            fault = "it did not end when it was to"
         if not report.exists():
-            print(done.stderr[-3000:], file=sys.stderr)
+            print(fault, file=sys.stderr)
             return 2
         values = json.loads(report.read_text()) | {"seconds": round(time.monotonic() - begun)}
-        if done.returncode != 0:
-            values["found"].append(f"the fuzzer ended with {done.returncode}: {done.stderr[-1500:]}")
+        values["found"] += [f"the fuzzer: {fault}"] * bool(fault)
     print(json.dumps(values, indent=1))
     return int(bool(values["found"]))
 

@@ -42,7 +42,7 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from mutations import mutated
     from smallbags import make_small_bags
     from texts import TEXTS, TextTrial
-    from trials import MODEL, FoundError, guarded, judged
+    from trials import MODEL, FoundError, guarded, judged, walked_count
 
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.batching.manifest import read_beginning, read_records
@@ -225,10 +225,21 @@ class Harness:
             self.counts[
                 "rewritten, judged" if before is not None else "rewritten, no other reader takes the input"
             ] += 1
-            if before is not None and others(out) != before:
+            if before is not None and not _is_same(before, others(out), path, out):
                 raise FoundError("what another reader gets beside odometry and TF is not what it was")
         else:
             self.counts["described or recovered"] += 1
+
+
+def _is_same(before: Any, after: Any, path: Path, out: Path) -> bool:
+    """Whether readers get the same of both bags.
+
+    A ROS 1 bag's index may leave out messages that lie in its chunks: ours has them all. Then nothing may be missing,
+    and no message may have come from anywhere else than the input's chunks.
+    """
+    if before == after or path.suffix != ".bag" or after is None:
+        return bool(before == after)
+    return not Counter(before) - Counter(after) and walked_count(path) == walked_count(out)
 
 
 def _described(path: Path) -> None:
