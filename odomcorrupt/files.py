@@ -1,4 +1,4 @@
-"""Write a result file whole or not at all."""
+"""Result files, written whole or not at all."""
 
 from __future__ import annotations
 
