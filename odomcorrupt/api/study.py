@@ -11,6 +11,7 @@ from odomcorrupt.api.model import Model, as_model
 from odomcorrupt.api.recordings import Recordings, as_recordings
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -141,6 +142,7 @@ def fit(
 
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
     """Raise EffectError where one of the effects cannot be fitted, before recordings are read."""
+    require("scipy", "the study needs it", "study")
     from odomcorrupt.study.estimate.calibrate import effects_to_fit
 
     effects_to_fit(None if start is None else start.motion_model, effects)

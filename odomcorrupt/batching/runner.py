@@ -109,6 +109,7 @@ def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
                 one.sink.put(portion, data, _edges(one, portion, shared))
+    shared.require_frame()
     for one in runs:
         _put_beside(job, one)
     note(job, [_record(job, one.strand, part.losses) for one in runs])

@@ -132,6 +132,7 @@ def correct_bag(
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
                 watch(block)
+            transform.require_frame()
             writer.provenance("odomcorrupt_correct", _provenance(model))
         losses = tuple(reader.losses)
     strayed = tuple(effect for effect in still if start_xyt is None and effect.reads_places)

@@ -131,6 +131,7 @@ def corrupt_bag(
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
                     watch(block)
+                transform.require_frame()
                 if not silent:
                     writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
         drift = transform.drift.result()

@@ -54,6 +54,8 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: s
     lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name} of {name}"))
     if per_message(model.noise):
         lines += [Line("rate", sentence, "warning") for sentence in _rate(outlook, model)]
+    elif not model.noise.coefficients.silent:
+        lines.append(Line("rate", "the noise does not depend on the message rate"))
     lines += [Line("odd", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
     return Summary(tuple(lines))
 

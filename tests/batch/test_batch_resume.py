@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from odomcorrupt.batching import make as making
+from odomcorrupt.batching import runner as making
 from odomcorrupt.batching.estimate import Need, require_space
 from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.cli import run

@@ -6,6 +6,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.text.comparison import measures_words
 from odomcorrupt.report.text.confidence import (
     clocks_found,
     law_numbers,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Round
     from odomcorrupt.study.validate.compare import Comparison
 
-__all__ = ["comparison_brief", "findings_brief", "fit_brief", "measures_words", "readings"]
+__all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
 _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
@@ -132,23 +133,13 @@ def _rivals(step: Round) -> str:
 
 
 def _open_lines(advice: Advice) -> list[Line]:
-    names = [" or ".join(choice.names) for choice in advice.choices]
-    if not names:
+    # twins are one error with two readings, and nothing is open between them
+    rivals = [c for c in advice.choices if set(c.names[1:]) - set(twins_of(c.names[0]))]
+    if not rivals:
         return []
-    return [Line("open", f"{'; '.join(names)}: --drive NEXT.mcap writes the drive that tells", "warning")]
-
-
-def measures_words(comparison: Comparison) -> str:
-    """Return every measure of the first and the last model, and whether they agree."""
-    agreement = agreement_of(comparison)
-    words = []
-    for one in agreement.measures:
-        if one.name == "log likelihood":
-            words.append(f"{one.name} {one.after - one.before:+.3g} nats/m")
-        else:
-            words.append(f"{one.name} {size('along', one.before)} -> {size('along', one.after)}")
-    ending = {"mixed": ": they disagree", "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
-    return ", ".join(words) + ending
+    names = "; ".join(" or ".join(choice.names) for choice in rivals)
+    told = any(choice.plan is not None for choice in rivals)
+    return [Line("open", f"{names}{': --drive NEXT.mcap writes the drive that tells' if told else ''}", "warning")]
 
 
 def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
