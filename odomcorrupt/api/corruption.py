@@ -257,7 +257,7 @@ def corrupt(
     >>> noise = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
     >>> done = oc.corrupt("fixtures/office.mcap", "noisy.mcap", model=noise, seed=7, overwrite=True)
     >>> done.seed, done.moved["/odom"]
-    (7, 1000)
+    (7, 3000)
 
     """
     from odomcorrupt.bags.provenance import ProvenanceWatcher

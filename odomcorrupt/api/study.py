@@ -449,7 +449,7 @@ def diagnose(
     Examples
     --------
     >>> import odomcorrupt as oc
-    >>> oc.diagnose("fixtures/mystery.mcap").verdict  # doctest: +SKIP
+    >>> oc.diagnose("fixtures/mystery.mcap").verdict
     'missing'
 
     """
@@ -570,8 +570,9 @@ def learn(
     --------
     >>> import odomcorrupt as oc
     >>> rec = oc.read_recordings("fixtures/mystery.mcap", truth="/ground_truth")
-    >>> result = oc.learn(rec, validate="fixtures/mystery_other.mcap")  # doctest: +SKIP
-    >>> result.model.save("robot.toml")  # doctest: +SKIP
+    >>> result = oc.learn(rec, validate="fixtures/mystery_other.mcap")
+    >>> result.missing
+    ('wheelbase',)
 
     """
     runs = as_recordings(recordings)

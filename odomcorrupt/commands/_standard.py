@@ -28,6 +28,8 @@ __all__ = ["CONFIG", "Voice", "chosen_output", "output_option", "overwrite_optio
 CONFIG = "odomcorrupt.toml"
 """Defaults are read from this file where it is in the working directory."""
 _LIMIT_BYTES = 1 << 20
+_DEFAULTS = "odomcorrupt.defaults"
+"""Where a context keeps the name of that file, and of the options that it set."""
 _WIDTH = 80
 
 
@@ -88,7 +90,11 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
     def with_voice(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
         if quiet and verbose:
             raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
-        return command(*args, voice=Voice(verbose, quiet, as_json), **given)
+        voice = Voice(verbose, quiet, as_json)
+        file, names = click.get_current_context().meta.get(_DEFAULTS, ("", ()))
+        if file:
+            voice.note(f"defaults from {file}: {', '.join(names)}")
+        return command(*args, voice=voice, **given)
 
     decorated: Callable[..., Any] = with_voice
     for option in (
@@ -156,7 +162,7 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
         joined = {key: " ".join(map(str, value)) if key == "alpha" and isinstance(value, list) else value
                   for key, value in defaults.items()}  # fmt: skip
         ctx.default_map = {**(ctx.default_map or {}), **joined}
-        ctx.meta["odomcorrupt.config"] = (str(file), tuple(sorted(defaults)))
+        ctx.meta[_DEFAULTS] = (str(file), tuple(sorted(defaults)))
 
 
 def _table(file: Path) -> Mapping[str, Any]:

@@ -61,7 +61,9 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     if true and not silent:
         lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
-    lines += [Line("odd", sentence, "warning") for sentence in (*odd, *_rate(outcome) * (not silent))]
+    lines += [Line("odd", sentence, "warning") for sentence in odd]
+    if not silent and per_message(outcome.model.noise):
+        lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
 
