@@ -180,6 +180,7 @@ def simulate(
     from odomcorrupt.simulation.commands import read_commands
     from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.ground_truth import fingerprint, format_answer
+    from odomcorrupt.simulation.run import Scenario
     from odomcorrupt.simulation.run import simulate as simulate_run
 
     path = None if target is None else Path(fspath(target))
@@ -203,9 +204,7 @@ def simulate(
     seconds = duration_s or (600.0 if commands is None else commands.duration_s)
     if not 1.0 <= seconds <= 1e6:
         raise OdomCorruptError(f"duration: {seconds:g} s; simulate from 1 to 1e6 s")
-    run = simulate_run(
-        seed,
-        hidden.causes,
+    scenario = Scenario(
         duration_s=seconds,
         size=size,
         truth=truth,
@@ -216,6 +215,7 @@ def simulate(
         drive_type=drive_type,
         home=route,
     )
+    run = simulate_run(seed, hidden.causes, scenario)
     settings: dict[str, str | float] = {
         "robot": robot_seed,
         "route": route if drive is None else Path(fspath(drive)).name,

@@ -105,7 +105,7 @@ def _within(blocks: Sequence[tuple[Line, list[str]]]) -> list[tuple[Line, list[s
         kept.append((line, parts))
         room -= len(parts)
     left = len(others) - len(kept)
-    more = Line("", f"and {left} more {'lines' if left > 1 else 'line'}: -v shows all")
+    more = Line("", f"and {left} more: -v shows all")
     return [*kept, (more, [more.text]), *commands]
 
 
