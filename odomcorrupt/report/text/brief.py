@@ -73,6 +73,9 @@ def findings_brief(
         agreement = agreement_of(comparison)
         mixed: Tone = {"better": "good", "mixed": "warning", "worse": "bad"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
         lines.insert(_effects_of(search), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
+    elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
+        change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
+        lines.insert(1, Line("errors", f"10 s error {change} with the clock set right"))
     last = comparison.judgements[-1]
     if last.verdict.rejected and not search.unknown:
         worst = last.verdict.against[0]

@@ -145,13 +145,18 @@ def falls_sentence(comparison: Comparison) -> str:
     return f"the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}"
 
 
+def _signed(value: float) -> str:
+    """Return a number with its sign and three figures, never as a power of ten."""
+    return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.3g}"
+
+
 def measures_words(comparison: Comparison) -> str:
     """Return every measure of the first and the last model, and whether they agree."""
     agreement = agreement_of(comparison)
     words = []
     for one in agreement.measures:
         if one.name == "log likelihood":
-            words.append(f"{one.name} {one.after - one.before:+.3g} nats/m")
+            words.append(f"{one.name} {_signed(one.after - one.before)} nats/m")
         else:
             words.append(f"{one.name} {size('along', one.before)} -> {size('along', one.after)}")
     ending = {"mixed": ": they disagree", "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
