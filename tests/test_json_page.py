@@ -34,10 +34,3 @@ def test_the_page_names_the_keys(command, more, capsys):
     values = json.loads(capsys.readouterr().out)
     assert values["schema"] == 2
     assert keys_of(values) - {"schema"} == named
-
-
-def test_the_formula_of_confidence_is_that_of_the_code():
-    from odomcorrupt.study.select.confidence import ELSE, LAW, LEFT, TEMPER, WANDER
-
-    assert (TEMPER, LEFT) == (1.0, 1.0)
-    assert f"`sum exp(g_i - g) + exp(-g) + exp({LAW:g} - m) + {ELSE:g} + (u + {WANDER:g} w) / g`" in PAGE

@@ -54,6 +54,7 @@ class BagOptions(TypedDict, total=False):
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1); by default those of the input
     recover : read what is whole of a damaged input
+    threads : that read, compute and compress side by side; by default one a core, at most four
     """
 
     odom_topic: str | None
@@ -68,6 +69,7 @@ class BagOptions(TypedDict, total=False):
     compression: str | None
     level: int | None
     recover: bool
+    threads: int | None
 
 
 def split_options(options: BagOptions) -> tuple[Options, Container]:

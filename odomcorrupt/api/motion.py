@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.sampling.density import DensityGrid
-    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Move
     from odomcorrupt.sampling.text import Drawn
 
 __all__ = ["Density", "Samples", "density", "sample"]
@@ -149,7 +149,7 @@ def _motion(
 ) -> tuple[Move, Variances]:
     import numpy as np
 
-    from odomcorrupt.sampling.move import move_between, move_variances
+    from odomcorrupt.sampling.samples import move_between, move_variances
 
     if model.effects:
         raise ModelError("effects act along a drive, one motion has no time: corrupt a path, or leave them out")

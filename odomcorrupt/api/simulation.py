@@ -179,7 +179,7 @@ def simulate(
     from odomcorrupt.simulation.bag import write_mcap
     from odomcorrupt.simulation.commands import read_commands
     from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
-    from odomcorrupt.simulation.ground_truth import fingerprint, format_answer
+    from odomcorrupt.simulation.record import fingerprint, format_answer
     from odomcorrupt.simulation.run import Scenario
     from odomcorrupt.simulation.run import simulate as simulate_run
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot, Watch
     from odomcorrupt.study.select.stepwise import Learned as Search
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
+    from odomcorrupt.study.validate.round_trip import RoundTrip
 
 __all__ = ["Comparison", "Diagnosis", "Fit", "Learned", "compare", "diagnose", "fit", "learn"]
 
@@ -46,19 +47,21 @@ class Fit(Result):
 
     recordings : what it was fitted to
     result : the model with confidence intervals, clocks, and the fit itself
+    proof : the model as it can be used: read back, corrected and corrupted with
     laws : the fits of every law where all were tried, the likeliest first
     following : the command to type next
     """
 
     recordings: Recordings
     result: RobotFit
+    proof: RoundTrip
     laws: Mapping[str, RobotFit] = field(default_factory=dict)
     following: str = ""
 
     @property
     def model(self) -> Model:
-        """The model that was fitted."""
-        return Model.of(self.result.model)
+        """The model that was fitted, as it can be used."""
+        return Model.of(self.proof.model)
 
     def summary(self) -> Summary:
         """Return the error on the fitted data, the noise and the effects."""
@@ -70,7 +73,9 @@ class Fit(Result):
         """Return all coefficients with their intervals, effects, clocks, and stretches that weigh less."""
         from odomcorrupt.report.text.fit import fit_text, laws_table
 
-        return "\n\n".join([*([laws_table(self.laws)] if self.laws else []), fit_text(self.result)])
+        return "\n\n".join(
+            [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
@@ -129,6 +134,7 @@ def fit(
     """
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW
+    from odomcorrupt.study.validate.round_trip import proved
 
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
@@ -136,8 +142,10 @@ def fit(
     runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
-        return Fit(runs, next(iter(laws.values())), laws)
-    return Fit(runs, fit_robot(runs, wanted, law_name=law_name, start=begin))
+        best = next(iter(laws.values()))
+        return Fit(runs, best, proved(best.model, runs), laws)
+    best = fit_robot(runs, wanted, law_name=law_name, start=begin)
+    return Fit(runs, best, proved(best.model, runs))
 
 
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:
@@ -484,8 +492,8 @@ class Learned(_Findings):
 
     @property
     def model(self) -> Model:
-        """The model that was learned."""
-        return Model.of(self.result.robot.model)
+        """The model that was learned, as it can be used."""
+        return Model.of(self.result.proof.model)
 
     @property
     def comparison(self) -> Comparison:
@@ -502,7 +510,7 @@ class Learned(_Findings):
             found.advice,
             found.comparison,
             fit=found.robot.fit,
-            notes=self.recordings.notes,
+            notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
             following=_next(self.following),
         )
 
@@ -515,7 +523,8 @@ class Learned(_Findings):
         found = self.result
         judged = found.comparison.judgements[-1]
         said = found_text(found.search, found.advice, judged=judged, fit=found.robot.fit)
-        return "\n".join([said, fit_text(found.robot, clocks=False), "", comparison_text(found.comparison)])
+        fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
+        return "\n".join([said, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was found, and the comparison, as docs/json.md describes them."""

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import json
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.batching.engine import Shard, missing_runs, run_local, run_on_dask, tasks_of
 from odomcorrupt.batching.job import Job
-from odomcorrupt.batching.manifest import BatchError, begin, fingerprint_of, read_records, write_manifest
+from odomcorrupt.batching.manifest import (
+    BatchError,
+    begin,
+    fingerprint_of,
+    locked,
+    read_beginning,
+    read_records,
+    write_manifest,
+)
 from odomcorrupt.batching.parameter_draws import spreads_of, stated_spreads
 from odomcorrupt.batching.sweep import variants
 from odomcorrupt.batching.tum import read_tum, write_npz
@@ -40,6 +48,7 @@ class BatchSpec:
     model_file : where the model was read from, whose "a +- b" are drawn for each run
     posterior : draw everything that has a standard error
     sweeps : as in "alpha-scale=0.5,1,2"
+    points : how many Sobol points cover the ranges of the sweeps
     options, container : what is moved, and how bags are read and written
     output : whole bags, changed topics alone, or paths
     split : whether changed messages go into chunks of their own
@@ -53,6 +62,7 @@ class BatchSpec:
     model_file: Path | None = None
     posterior: bool = False
     sweeps: tuple[str, ...] = ()
+    points: int = 0
     options: Options = field(default_factory=Options)
     container: Container = field(default_factory=Container)
     output: Output = "full"
@@ -80,12 +90,14 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     stated = frozenset[str]() if spec.model_file is None else stated_spreads(spec.model_file)
     jobs = []
     for source in inputs:
+        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
+            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
         if spec.split and _is_sqlite(source, spec.container):
             raise BatchError(
                 f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
                 "again; leave --layout out"
             )
-        for variant in variants(spec.model, spec.sweeps):
+        for variant in variants(spec.model, spec.sweeps, spec.points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
             by_file = ("--model", f"{directory}/model.toml")
@@ -147,7 +159,7 @@ def _option_words(options: Options, container: Container) -> list[str]:
 def seed_of(directory: Path) -> int:
     """Return the seed of the batch in a directory, or a fresh one."""
     there = next(iter(sorted(directory.rglob("batch.json"))), None)
-    return draw_seed() if there is None else int(json.loads(there.read_text(encoding="utf8"))["seed"])
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
 
 
 def require_odometry(jobs: Sequence[Job]) -> None:
@@ -189,6 +201,7 @@ def run_batch(
     *,
     processes: int = 1,
     shard: Shard | None = None,
+    verify: bool = False,
     dask: str | None = None,
     audience: Audience | None = None,
 ) -> Made:
@@ -199,6 +212,7 @@ def run_batch(
     jobs, runs : jobs and the numbers of their runs
     processes : how many work at once
     shard : which part of the runs to make, where several machines share them
+    verify : whether runs whose bytes are not those noted are made again
     dask : address of a Dask scheduler whose workers make them
     audience : hears how far the runs have got
 
@@ -212,15 +226,19 @@ def run_batch(
     fingerprints = {source: fingerprint_of(source) for source in {job.source for job in jobs}}
     for job in jobs:
         begin(job, fingerprints[job.source])
-    todo = [(job, missing_runs(job, runs, shard or Shard(1, 1))) for job in jobs]
+    part = shard or Shard(1, 1)
     counter = _Counter(audience)
-    if dask is not None:
-        run_on_dask(todo, dask, counter)
-    else:
-        run_local([task for job, own in todo for task in tasks_of(job, own, processes)], processes, counter)
-    for job in jobs:
-        write_manifest(job.directory)
-        _collect(job, runs)
+    with ExitStack() as locks:
+        for job in jobs:
+            locks.enter_context(locked(job, shared=part.count > 1))
+        todo = [(job, missing_runs(job, runs, part, verify=verify)) for job in jobs]
+        if dask is not None:
+            run_on_dask(todo, dask, counter)
+        else:
+            run_local([task for job, own in todo for task in tasks_of(job, own, processes)], processes, counter)
+        for job in jobs:
+            write_manifest(job.directory)
+            _collect(job, runs)
     return Made(sum(len(own) for _, own in todo) - len(counter.failures), tuple(counter.failures))
 
 

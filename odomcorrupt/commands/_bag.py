@@ -25,6 +25,7 @@ __all__ = [
     "moving_options",
     "report_losses",
     "source_of",
+    "threads_option",
 ]
 
 BAG_OPTIONS = (
@@ -38,6 +39,7 @@ BAG_OPTIONS = (
     "compression",
     "level",
     "recover",
+    "threads",
 )
 """Options that are called alike here and in the Python interface."""
 
@@ -126,6 +128,14 @@ def container_options(command: Callable[..., Any]) -> Callable[..., Any]:
             _RECOVER,
         ),
     )
+
+
+def threads_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the option that says how many threads read, compute and compress side by side."""
+    option = click.option(
+        "--threads", type=click.IntRange(1), metavar="N", help="For the same bytes. [default: one a core, at most 4]"
+    )
+    return option(command)
 
 
 def bag_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, moving_options
+from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
     from odomcorrupt.commands._standard import Voice
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["command"]
 
@@ -68,10 +69,26 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     default="stated",
     help='Draw for each run what the model states as "a +- b", or everything with a standard error.',
 )
-@click.option("--sweep", "sweeps", multiple=True, metavar="NAME=V,V", help="As alpha-scale=0.5,1,2 (repeatable).")
+@click.option(
+    "--fleet",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="A robot of a fleet (repeat for each): every run draws a robot by their mean and spread.",
+)
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="NAME=V,V",
+    help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
+)
+@click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
+@threads_option
+@click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and make nothing.")
 @moving_options
 @map_options
@@ -98,7 +115,9 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
     require_odometry(jobs)
     _require_space(jobs, runs, shard)
     with Rate(sum(len(runs) for _ in jobs), quiet=voice.quiet) as rate:
-        made = run_batch(jobs, runs, processes=given["jobs"], shard=shard, dask=given["dask"], audience=rate)
+        made = run_batch(
+            jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
+        )
     done = Batch(target, tuple(jobs), made.runs, made.failures)
     voice.tell(done, err=True)
     return 1 if made.failures else 3 if done.losses else 0
@@ -122,10 +141,11 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     from odomcorrupt.api.corruption import split_options
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
-    chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
+    model = _model(given)
     if given["layout"] == "split" and given["output"] != "full":
         raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
     options, container = split_options(bag_words(given, BAG_OPTIONS))
+    container = replace(container, overwrite=False, threads=_threads(given))
     for flag, asked in (("--keep-truth", given["keep_truth"]), ("--tf correction", given["new_odom_frame"])):
         if asked and given["output"] != "full":
             raise click.UsageError(
@@ -138,20 +158,46 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     if given["map_"] is not None and len(inputs) > 1:
         raise click.UsageError("--map: is that of one drive; make a batch of each input")
     spec = BatchSpec(
-        model=chosen.motion_model,
+        model=model,
         seed=seed_of(target) if given["seed"] is None else given["seed"],
         model_file=given["model"],
         sweeps=given["sweeps"],
-        posterior=given["robots"] == "posterior",
+        points=given["points"],
+        posterior=given["robots"] == "posterior" or bool(given["fleet"]),
         options=options,
         container=container,
         output=given["output"],
         split=given["layout"] == "split",
         condition=choose_condition_of_run(given, inputs[0], options),
-        model_words=tuple(_words(_MODEL_WORDS, given)),
+        model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
         map_words=tuple(_map_words(given)),
     )
     return plan(inputs, target, spec)
+
+
+def _model(given: dict[str, Any]) -> MotionModel:
+    """Return the model that was asked for, or that of a fleet."""
+    if not given["fleet"]:
+        return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
+    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.model.model_file import read_model
+
+    other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
+    if other:
+        raise click.UsageError(
+            f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
+        )
+    if len(set(given["fleet"])) < len(given["fleet"]):
+        raise click.UsageError("--fleet: a file is named twice; a robot counts once")
+    return fleet_model({str(path): read_model(path) for path in given["fleet"]})
+
+
+def _threads(given: dict[str, Any]) -> int:
+    """Return how many threads each process has."""
+    from odomcorrupt.bags.pipeline import default_threads
+
+    threads: int = (given["threads"] or default_threads()) // given["jobs"]
+    return max(1, threads)
 
 
 def _map_words(given: dict[str, Any]) -> list[str]:

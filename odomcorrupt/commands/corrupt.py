@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, moving_options, source_of
+from odomcorrupt.commands._bag import (
+    BAG_OPTIONS,
+    bag_words,
+    container_options,
+    moving_options,
+    source_of,
+    threads_option,
+)
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress
@@ -29,6 +36,7 @@ __all__ = ["command"]
 @moving_options
 @map_options
 @container_options
+@threads_option
 @standard_options
 def command(input_: str, output: str | None, output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Corrupt the odometry of a bag: its poses, twists and covariances, and the TF edges that go with them.

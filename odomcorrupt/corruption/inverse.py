@@ -1,4 +1,7 @@
-"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u'), as its driver reports it."""
+"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u'), as its driver reports it.
+
+The f of systematic effects add up. Random effects follow, one after the other, each on what those before it have made.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.random_covariance import wanders
+from odomcorrupt.corruption.covariance import wanders
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import accelerations
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect, Gain, State
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
@@ -33,6 +40,11 @@ _SAME = 1e-6
 """Two changes that differ by less than this part of them are the same."""
 _JUMP = 0.5
 """A law that sets in all at once may change less than this part of a motion."""
+NEWTON_ROUNDS = 60
+_NUDGE = 1e-6
+"""By how much a speed is changed to see what that does to f, m/s and rad/s."""
+_FARTHEST, _JITTER = 20.0, 1e-3
+"""Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
 
 
 def acts(effect: Effect) -> bool:
@@ -75,8 +87,9 @@ class EffectInverse:
         started.sort(key=lambda pair: pair[0].name)
         motion = [pair for pair in started if pair[0].layer == "motion"]
         motion.sort(key=lambda pair: pair[0].kind == "setup")
-        self._effects = tuple(effect for effect, _ in motion)
-        self._states = [state for _, state in motion]
+        together = [pair for pair in motion if pair[0].kind != "noise"]
+        random = [[pair] for pair in motion if pair[0].kind == "noise"]
+        self._stages = [stage for stage in (together, *random) if stage]
         self._recording = [pair for pair in started if pair[0].layer == "record"]
         self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
@@ -111,7 +124,7 @@ class EffectInverse:
         steps = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1) + added
         recording: list[tuple[Effect, State]] = []
         for effect, state in self._recording:
-            reported, after = effect.recorded(steps, self._track_m, state)
+            reported, after = effect.recorded(steps, drive.t_s, self._track_m, state)
             added = added + (reported - steps)
             steps = reported
             recording.append((effect, after))
@@ -120,63 +133,112 @@ class EffectInverse:
 
     def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
-        if not (self._effects or self.wandering) or n == 0:
+        if not (self._stages or self.wandering) or n == 0:
             return np.zeros((n, 3))
-        dt = drive.dt_s[:, None]
+        dt, track_m = drive.dt_s[:, None], self._track_m
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
         clean = np.divide(clean, dt, out=np.zeros_like(clean), where=dt > 0.0)
         faster = accelerations(clean, drive.dt_s, self._speeds)
         travel = np.hypot(drive.steps.ds_m, drive.steps.dl_m)
         distance = np.cumsum(np.concatenate(([self._distance_m], travel)))
 
-        f = np.zeros((n, 3))
-        open_ = np.ones(n, dtype=bool)
-        states = self._states
-        was, last = f, np.zeros(n)
-        for _ in range(MAX_ROUNDS):
-            motion = _motion(clean - f, drive, faster, distance[1:], self._track_m)
-            f_next = np.zeros((n, 3))
-            states = []
-            for effect, state in zip(self._effects, self._states, strict=True):
-                if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
-                    motion = _motion(clean - f + f_next, drive, faster, distance[1:], self._track_m)
-                # an effect may draw from its state: every round must see the same draws
-                with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
-                    answer = effect.twist_error(motion, copy.deepcopy(state))
-                f_next += answer.f
-                states.append(answer.state)
-            # a row that is solved stays as it is, so that its bits do not depend on its neighbours
-            change = np.abs((f_next - f) * dt).max(axis=1)
-            was, f = f, np.where(open_[:, None], f_next, f)
-            open_ &= ~(change <= TOLERANCE)
-            if not open_.any():
-                break
-            if not change[open_].max() < _RUNAWAY:
-                raise self._too_strong()
-            swinging, last = np.abs(change - last) <= _SAME * change, change
-        else:
-            # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for
-            # such a true one, and of the two that it swings between the one nearer to the truth stands;
-            # what takes all of a motion away in one round and puts it back in the next is no such law
-            swinging &= change < _JUMP * np.abs(clean * dt).max(axis=1)
-            if not swinging[open_].all():
-                raise self._too_strong()
-            nearer = open_ & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
-            f = np.where(nearer[:, None], was, f)
+        # what is systematic acts at once, as it was fitted; each random effect on what those before it have made, so
+        # that a wheel which spins is not also beyond what a law was fitted to
+        gone, stages = np.zeros((n, 3)), []
+        for stage in self._stages:
+            f, states = _solved(
+                stage, clean - gone, lambda twist: _motion(twist, drive, faster, distance[1:], track_m), dt
+            )
+            stages.append(list(zip((effect for effect, _ in stage), states, strict=True)))
+            gone = gone + f
+        self._stages = stages
         if self.wandering:
-            true = _motion(clean, drive, faster, distance[1:], self._track_m)
+            true = _motion(clean, drive, faster, distance[1:], track_m)
             self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
-        self._states = states
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])
-        return -f * dt
+        return -gone * dt
 
-    def _too_strong(self) -> EffectError:
-        names = ", ".join(effect.name for effect in self._effects)
-        return EffectError(
+
+def _solved(
+    stage: Sequence[tuple[Effect, State]], clean: Array, motion_at: Callable[[Array], Motion], dt: Array
+) -> tuple[Array, list[State]]:
+    """Return the f (n, 3) of effects on the motion that is left of the clean one by f, and the states after it.
+
+    Plain rounds settle wherever effects change less than the whole of a motion. Newton's follow for the rest: for
+    errors as large as the motion, as of a robot that turns several times as far as its odometry says.
+    """
+
+    def error_at(f: Array) -> tuple[Array, list[State]]:
+        motion = motion_at(clean - f)
+        total, states = np.zeros_like(clean), []
+        for effect, state in stage:
+            if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
+                motion = motion_at(clean - f + total)
+            # an effect may draw from its state: every round must see the same draws
+            with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+                answer = effect.twist_error(motion, copy.deepcopy(state))
+            total += answer.f
+            states.append(answer.state)
+        return total, states
+
+    f = np.zeros_like(clean)
+    open_ = np.ones(len(clean), dtype=bool)
+    was, last = f, np.zeros(len(clean))
+    for _ in range(MAX_ROUNDS):
+        f_next, states = error_at(f)
+        # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
+        # runs away take them along
+        change = np.abs((f_next - f) * dt).max(axis=1)
+        settling = open_ & (change < _RUNAWAY)
+        was, f = f, np.where(settling[:, None], f_next, f)
+        open_ &= ~(change <= TOLERANCE)
+        if not open_.any():
+            return f, states
+        swinging, last = np.abs(change - last) <= _SAME * change, change
+    # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for such a
+    # true one, and of the two that it swings between the one nearer to the truth stands; what takes all of a motion
+    # away in one round and puts it back in the next is no such law
+    swinging &= open_ & (change < _JUMP * np.abs(clean * dt).max(axis=1))
+    nearer = swinging & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
+    f = np.where(nearer[:, None], was, f)
+    open_ &= ~swinging
+    if open_.any() and not _by_newton(lambda f: error_at(f)[0], f, open_, clean, dt):
+        names = ", ".join(effect.name for effect, _ in stage)
+        raise EffectError(
             f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle; make "
             "them weaker, or delete them from the model"
         )
+    return f, error_at(f)[1]
+
+
+def _by_newton(error_at: Callable[[Array], Array], f: Array, open_: NDArray[np.bool_], clean: Array, dt: Array) -> bool:
+    """Solve the open rows of f (n, 3) in place by Newton's method, each from where the effects do nothing.
+
+    Returns whether all have a solution in which the robot still moves the more, the more its odometry does.
+    """
+    rows = np.flatnonzero(open_)
+    f[rows] = 0.0
+    for _ in range(NEWTON_ROUNDS):
+        miss = (error_at(f) - f)[rows]
+        settled = np.abs(miss * dt[rows]).max(axis=1) <= TOLERANCE
+        slope = np.empty((len(rows), 3, 3))
+        for i in range(3):
+            nudge = np.zeros(3)
+            nudge[i] = _NUDGE
+            slope[:, :, i] = (error_at(f - nudge) - error_at(f + nudge))[rows] / (2.0 * _NUDGE)
+        slope += np.eye(3)  # of the true motion by the odometry's
+        if not np.isfinite(slope).all() or (np.linalg.eigvals(slope[settled]).real <= 0.0).any():
+            return False
+        rows, miss, slope = rows[~settled], miss[~settled], slope[~settled]
+        if not len(rows):
+            far = np.abs(f[open_]).max(axis=1) > _FARTHEST * np.abs(clean[open_]).max(axis=1)
+            return not bool((far & (np.abs(f[open_] * dt[open_]).max(axis=1) > _JITTER)).any())
+        try:
+            f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:
+            return False
+    return False
 
 
 def _motion(twist: Array, drive: Drive, faster: Accelerations, distance_m: Array, track_m: float | None) -> Motion:

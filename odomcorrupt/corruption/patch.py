@@ -10,9 +10,8 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corruption.correction import Correction
-from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.covariance import pose_covariance, wanders
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.random_covariance import wanders
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
 from odomcorrupt.corruption.targets import ODOMETRY, plain
 from odomcorrupt.corruption.twist import TopicTwist, TwistChange

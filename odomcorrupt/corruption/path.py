@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
+from odomcorrupt.corruption.covariance import SUMS, WANDER, NoiseSteps, Wander, sum_terms
 from odomcorrupt.corruption.inverse import Drive, EffectInverse
-from odomcorrupt.corruption.random_covariance import WANDER, Wander
 from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.geometry.se2 import rotate, wrap

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.checksum import IncrementalCrc
 from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
@@ -279,18 +278,15 @@ class Transform:
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
         if not targets or self._first_ns is None:
-            held.block.crcs = held.block.read_crcs
             return held.block
         self._curve.forget(int(min(target.time_ns[0] for target in targets)))
         driving = [target for target in targets if self.driver.is_odometry(target.channel)]
         if self.truth is not None:
             self.truth.add(held.block, driving)
-        sums = IncrementalCrc(held.block, [target.layout for target in targets])
         if self.options.new_odom_frame is None:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
         elif self.edge is not None and self.driver.frames is not None:
             self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
-        sums.finish()
         return held.block
 
 

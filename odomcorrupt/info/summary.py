@@ -11,10 +11,10 @@ from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import disagreement_m, findings
-from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
 from odomcorrupt.report.text.summary import Line, Summary, command_line
+from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -195,8 +195,18 @@ def _remarks(
     return said
 
 
+def _visible(value: Any) -> Any:
+    """Return values with the control characters of all names in them escaped."""
+    if isinstance(value, dict):
+        return {key: _visible(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_visible(one) for one in value]
+    return visible(value) if isinstance(value, str) else value
+
+
 def portrait_text(values: dict[str, Any]) -> str:
     """Return a portrait for people: tables of topics and edges, then sentences."""
+    values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}
     rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]
     for t in values["topics"]:

@@ -12,13 +12,11 @@ such a change looks as an error of the odometry. That is what makes it a judge o
 from odomcorrupt.simulation.bag import write_mcap
 from odomcorrupt.simulation.commands import Commands, read_commands
 from odomcorrupt.simulation.encoders import Rig
-from odomcorrupt.simulation.library_faults import CAUSES
+from odomcorrupt.simulation.faults import CAUSES, OUTSIDE
 from odomcorrupt.simulation.record import SimulatedRun
-from odomcorrupt.simulation.route import Segment
-from odomcorrupt.simulation.routes import ROUTES
+from odomcorrupt.simulation.routes import ROUTES, Segment
 from odomcorrupt.simulation.run import simulate, simulate_without
 from odomcorrupt.simulation.tracker import TRACKERS, Tracker
-from odomcorrupt.simulation.unlisted_faults import OUTSIDE
 
 __all__ = [
     "CAUSES",

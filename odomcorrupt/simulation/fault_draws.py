@@ -6,11 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulation.fault import Drawn, Parameters
-from odomcorrupt.simulation.library_faults import CAUSES
+from odomcorrupt.simulation.faults import CAUSES, OUTSIDE, Drawn, Parameters
 from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.streams import stream
-from odomcorrupt.simulation.unlisted_faults import OUTSIDE
 
 EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the table and those of no library."""

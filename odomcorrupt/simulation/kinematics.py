@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odomcorrupt.simulation.gear import turn_wheels
-from odomcorrupt.simulation.grip import hold, lose_by_place
+from odomcorrupt.simulation.drivetrain import turn_wheels
 from odomcorrupt.simulation.planar import add_up_steps
 from odomcorrupt.simulation.robot import Robot
 from odomcorrupt.simulation.streams import Streams, wander
-from odomcorrupt.simulation.tyres import creep_sideways, roll, yield_along
+from odomcorrupt.simulation.tyres import creep_sideways, hold, lose_by_place, roll, yield_along
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,17 @@
-"""What a simulated drive leaves behind: a recording, and its secret."""
+"""The outcome of a simulated drive: a recording, and its hidden fault in a file whose hash is in the bag."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
 
 from odomcorrupt.simulation.encoders import Odometry
-from odomcorrupt.simulation.fault import Parameters
+from odomcorrupt.simulation.fault_draws import EVERY
+from odomcorrupt.simulation.faults import CAUSES, Parameters
 from odomcorrupt.simulation.planar import wrap
+from odomcorrupt.simulation.streams import stream
 from odomcorrupt.simulation.tracker import Track
 
 EPOCH_NS = 1_750_000_000_000_000_000
@@ -73,3 +76,37 @@ def _to_ns(times_s: np.ndarray) -> np.ndarray:
 
 def _wrapped(xyt: np.ndarray) -> np.ndarray:
     return np.column_stack((xyt[:, :2], wrap(xyt[:, 2])))
+
+
+def format_answer(run: SimulatedRun, seed: int, made: Mapping[str, str | float]) -> str:
+    """Return the answer as TOML.
+
+    A salt makes sure that nobody finds the answer by hashing guesses.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the run, which tells all.
+    made : mapping
+        How else the run was made.
+    """
+    lines = ["schema = 1", f"seed = {seed}", f'salt = "{stream(seed, "salt").bytes(16).hex()}"']
+    lines += [f"{name} = {_toml(value)}" for name, value in made.items()]
+    lines += [f"track_m = {run.track_m!r}"]
+    if not run.answer["causes"]:
+        lines += ["causes = []"]
+    for name, parameters in run.answer["causes"].items():
+        lines += ["", "[[causes]]", f'name = "{name}"', f"in_library = {str(name in CAUSES).lower()}"]
+        if name not in CAUSES:
+            lines += [f'depends_on = "{EVERY[name].depends_on}"']
+        lines += ["[causes.parameters]", *(f"{key} = {_toml(value)}" for key, value in parameters.items())]
+    return "\n".join(lines) + "\n"
+
+
+def fingerprint(answer: str) -> str:
+    """Return the SHA-256 of an answer file's text, in hexadecimal."""
+    return sha256(answer.encode()).hexdigest()
+
+
+def _toml(value: str | float) -> str:
+    return f'"{value}"' if isinstance(value, str) else repr(value)

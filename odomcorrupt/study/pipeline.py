@@ -14,7 +14,9 @@ from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
+from odomcorrupt.study.validate.held_out import keep_what_holds
 from odomcorrupt.study.validate.model_sequence import ladder_comparison
+from odomcorrupt.study.validate.round_trip import RoundTrip, proved
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,6 +46,8 @@ class LearnedRobot:
     search : effects, noise and dependences that were found, and those that were tested
     advice : what these data leave open, and which drive would settle it
     base, robot : the fits without effects and with all that was found
+    proof : the model as it can be used: read back, corrected and corrupted with
+    dropped : sentences of what was found, but is not in the model because held-out data speak against it
     comparison : both, judged on the held-out recordings or by cross-validation
     """
 
@@ -53,6 +57,8 @@ class LearnedRobot:
     advice: Advice
     base: RobotFit
     robot: RobotFit
+    proof: RoundTrip
+    dropped: tuple[str, ...]
     comparison: Comparison
 
     @property
@@ -73,7 +79,7 @@ def learn_robot(
     watch : called before each stage
     """
     watch("search for missing effects", 0.0)
-    search = learn(recordings)
+    search, parts = keep_what_holds(learn(recordings), held_out)
     watch("what the data leave open", 0.6)
     advice = advise(search)
     watch("fit", 0.8)
@@ -81,11 +87,11 @@ def learn_robot(
     random = [gain.effect for gain in search.noise]
     found = (*search.fit.effects, *random)
     robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
+    proof = proved(robot.model, recordings)
     models = {"without effects": base.model}
-    dependences = [f"{one.channel} over {one.driver}" for one in search.laws]
-    names = [*search.added, *dependences, *(effect.name for effect in random)]
+    names = [*search.added, *(one.title for one in search.laws), *(effect.name for effect in random)]
     if names:
-        models["with " + ", ".join(names)] = robot.model
+        models["with " + ", ".join(names)] = proof.model
     watch("comparison on held-out data", 0.9)
     judged_on = held_out or recordings
     return LearnedRobot(
@@ -95,6 +101,8 @@ def learn_robot(
         advice=advice,
         base=base,
         robot=robot,
+        proof=proof,
+        dropped=tuple(part.remark for part in parts if part.harm),
         comparison=compare(judged_on, models),
     )
 

@@ -12,7 +12,7 @@ from odomcorrupt.simulation.encoders import reckon
 from odomcorrupt.simulation.kinematics import Drive
 from odomcorrupt.simulation.record import record
 from odomcorrupt.simulation.robot import Robot
-from odomcorrupt.simulation.route import follow
+from odomcorrupt.simulation.routes import follow
 from odomcorrupt.simulation.streams import Streams, stream
 from odomcorrupt.simulation.tracker import watch
 

@@ -9,11 +9,12 @@ from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.rng import stream
 from odomcorrupt.sampling.examples import EXAMPLES
-from odomcorrupt.sampling.move import move_between, move_variances
 from odomcorrupt.sampling.samples import (
     ellipse,
     linearised_moments,
+    move_between,
     move_sampled,
+    move_variances,
     sample_moments,
     with_noise,
 )

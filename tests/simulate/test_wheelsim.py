@@ -21,8 +21,8 @@ from simulated_manoeuvres import (
 )
 
 from odomcorrupt.simulation import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
+from odomcorrupt.simulation.bag import STORE
 from odomcorrupt.simulation.fault_draws import draw_parameters
-from odomcorrupt.simulation.messages import STORE
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {

@@ -12,6 +12,7 @@ from odomcorrupt.report.text.confidence import clocks_found, law_numbers, noise_
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
 from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.clock_gain import clock_gain
 
 if TYPE_CHECKING:
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.dependence import Unknown
-    from odomcorrupt.study.select.random_effects import RandomGain
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
 
@@ -67,6 +68,19 @@ def learned_json(
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
+            ],
+            "events": [
+                {
+                    "recording": one.recording,
+                    "start_s": one.start_s,
+                    "end_s": one.end_s,
+                    "x_m": one.place_xy[0],
+                    "y_m": one.place_xy[1],
+                    "along_m": one.along_m,
+                    "across_m": one.across_m,
+                    "yaw_rad": one.yaw_rad,
+                }
+                for one in single_events(learned.fit)
             ],
             "disagreements": [
                 {
@@ -134,7 +148,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
 
 
-def _noise(gain: RandomGain, learned: Learned) -> dict[str, Any]:
+def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
     entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain, learned))
     for p in parameters(gain.effect):
@@ -151,10 +165,10 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     }
 
 
-def _unknown(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
+def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
     return {
         "channel": unknown.channel,
-        "depends_on": unknown.driver,
+        "depends_on": unknown.regressor,
         "detail": {
             "centres": unknown.centres,
             "curve": unknown.curve,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
@@ -81,7 +81,7 @@ def findings_brief(
         worst = last.verdict.against[0]
         lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
     if notes:
-        lines.append(Line("notes", f"{len(notes)} about the recordings: -v shows them", "warning"))
+        lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, *([following] if following else [])))
 
 
@@ -129,7 +129,7 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
     return lines
 
 
-def _rivals(step: Round) -> str:
+def _rivals(step: Step) -> str:
     twins = twins_of(step.added or "")
     rivals = [name for name in step.alternatives if name not in twins]
     return f", or {', '.join(rivals)}" if rivals else ""

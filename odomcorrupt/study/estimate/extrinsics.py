@@ -31,7 +31,7 @@ def find_setup(
     """Return lever arm and mounting yaw of all recordings together, those that are really there.
 
     They are estimated with the usual systematic effects free beside them, which are then forgotten. One that is not
-    significant, that makes the drift larger, or that cannot be told from an effect that is asked for, is left out.
+    significant, that makes the drift larger, or that is aliased with an effect that is asked for, is left out.
     """
     kinds = registry()
     asked = {name for effect in effects for name in (effect.name, effect.twin_of)}

@@ -11,6 +11,7 @@ from scipy.stats import binomtest, chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,32 +22,41 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["Event", "events", "set_apart", "slip_bursts"]
+__all__ = ["Event", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
 
 _FEWEST = 6
 _LEVEL = 0.02
-"""Chance that so many ordinary steps that are large by chance would all lose way: six of six is less."""
+"""Chance that so many ordinary steps that are large by chance would all lose distance: six of six is less."""
 _ODD = 2e-4
 """Chance of an ordinary step that stands out."""
 _HARDLY = 100.0
 """How much wider the noise of what is set apart may be."""
+_PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
+"""How far a single event stands out at least, see `Event.plain`, and how many there may be in a study."""
+_SAME_EVENT = 4
+"""Intervals that stand out belong to one event where they are no farther apart than so many."""
 _LASTS = 0.5
+_EXCURSION_S, _CANCELS = 45.0, 0.4
+"""How long an excursion of the truth may last; and what may be left of it once it is back, in parts of its size."""
 _TURNS, _SEVERAL = 0.7, 0.25
 """Turn times track over what was lost along, 2 for one wheel and 0 for both; part of the slips that say so."""
 _PLAIN = 2.0
 """How much more one wheel has lost than the other where it is plain which one slipped."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """A stretch in which odometry and truth part at once.
 
     start_s, end_s : since the recording's origin
     along_m, yaw_rad : by how much odometry goes farther (forwards) and turns more to the left than the truth
-    slip : the part of the way that was lost, positive where the truth falls behind; of the wheel that lost more, where
-        the track is known; 0 where it cannot be told
+    slip : the part of the distance that was lost, positive where the truth falls behind; of the wheel that lost more,
+        where the track is known; 0 where it is not known
     turn_rad : how far the odometry turned meanwhile, to the left
     lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
+    across_m : by how much odometry goes more to the left than the truth
+    place_xy : where the truth is when it begins, m
+    plain : how far odometry and truth part, in usual residuals of one interval
     """
 
     recording: str
@@ -57,11 +67,28 @@ class Event:
     slip: float
     turn_rad: float
     lasting: bool
+    across_m: float
+    place_xy: tuple[float, float]
+    plain: float
 
 
 def events(fit: Fit) -> list[Event]:
     """Return the stretches that a robust fit flagged in order of time, neighbours taken together."""
-    return _told(fit, np.flatnonzero(fit.noise.weights > 1.0))
+    return _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
+
+
+def single_events(fit: Fit) -> list[Event]:
+    """Return what happened once and is no noise: a push, a lift, a bump; nothing where there are many of the kind.
+
+    They are left out of the fit, which weighs them less the farther they stand out.
+    """
+    flagged, run = _standing_out(fit), fit.problem.run
+    parted = (np.diff(flagged) > _SAME_EVENT) | (np.diff(run[flagged]) != 0)
+    groups = np.split(flagged, np.flatnonzero(parted) + 1) if len(flagged) else []
+    # between two moments of a push are others that stand out less
+    whole = [np.arange(group[0], group[-1] + 1) for group in groups]
+    found = [event for event in _described(fit, whole) if event.lasting and event.plain > _PLAINLY_ODD]
+    return found if len(found) <= _MOST_SINGLE else []
 
 
 def odd_steps(fit: Fit) -> list[Event]:
@@ -69,7 +96,7 @@ def odd_steps(fit: Fit) -> list[Event]:
 
     The fit is plain then and its noise is as wide as they are, so most of the others say what is usual.
     """
-    return _told(fit, _standing_out(fit))
+    return _events_of(fit, _standing_out(fit))
 
 
 def set_apart(fit: Fit) -> Array:
@@ -87,9 +114,13 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
     return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
-def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
+def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
+    return _described(fit, np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else [])
+
+
+def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
-    groups = np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else []
+    flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
     usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
     found = []
     for group in groups:
@@ -107,17 +138,43 @@ def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
                     residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
                 ),
                 turn_rad=float(step[:, 2].sum()),
-                lasting=bool(apart > _LASTS * most),
+                across_m=float(residual[:, 1].sum()),
+                place_xy=(float(nodes.truth_xyt[group[0], 0]), float(nodes.truth_xyt[group[0], 1])),
+                plain=float(apart),
+                lasting=bool(apart > _LASTS * most) and not _comes_back(fit, group, flagged, usual),
             )
         )
     return found
 
 
-def _slip(lost: Array, way: Array, track_m: float | None) -> float:
-    """Return the part of its way that a wheel lost, from what the odometry went and turned too far, and in all."""
+def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], usual: Array) -> bool:
+    """Tell whether a stretch that stands out is one side of an excursion of the truth: the way out, or the way back.
+
+    A localisation that loses its way, or fixes that are floating, come back to where they were some time later (or
+    have just done so). Odometry that was pushed away stays there.
+    """
+    nodes, run = fit.problem.nodes, fit.problem.run
+    heading = nodes.truth_xyt[:, 2] + nodes.truth_step[:, 2]
+    world = nodes.residual.copy()
+    world[:, :2] = rotate(nodes.residual[:, :2], heading)
+    middle, own = float(nodes.start_s[group].mean()), world[group].sum(axis=0)
+    reach = np.array([max(usual[:2]), max(usual[:2]), usual[2]])
+    size = float(np.linalg.norm(own / reach))
+    others = np.setdiff1d(flagged, group)
+    near = others[(run[others] == run[group[0]]) & (np.abs(nodes.start_s[others] - middle) < _EXCURSION_S)]
+    for some in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+        back = world[some].sum(axis=0)
+        largest = max(size, float(np.linalg.norm(back / reach)))
+        if len(some) and float(np.linalg.norm((own + back) / reach)) < _CANCELS * largest:
+            return True
+    return False
+
+
+def _slip(lost: Array, path: Array, track_m: float | None) -> float:
+    """Return the part of its distance that a wheel lost, from what odometry moved and turned too far, and in all."""
     if track_m is None:
-        return _part(float(lost[0]), float(way[0]))
-    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(way[0], way[2], track_m)
+        return _part(float(lost[0]), float(path[0]))
+    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)
     more, less = sorted((0, 1), key=lambda wheel: -abs(lost_by[wheel]))
     against_each_other = gone.right * gone.left < 0.0
     if against_each_other and abs(lost_by[more]) < _PLAIN * abs(lost_by[less]):
@@ -125,14 +182,14 @@ def _slip(lost: Array, way: Array, track_m: float | None) -> float:
     return _part(float(lost_by[more]), float(gone[more]))
 
 
-def _part(lost: float, way: float) -> float:
-    return lost / way if abs(way) > 1e-3 else 0.0
+def _part(lost: float, path: float) -> float:
+    return lost / path if abs(path) > 1e-3 else 0.0
 
 
 def slip_bursts(fit: Fit) -> Effect | None:
     """Return bursts of slip where the events are slips: the truth falls behind in nearly all of them.
 
-    Outliers of the truth and tails of the noise go either way.
+    Outliers of the truth and tails of the noise are on both sides.
     """
     lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
     slips = np.array([event.slip for event in lasting])
