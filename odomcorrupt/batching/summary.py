@@ -30,7 +30,7 @@ def brief(
 ) -> Summary:
     """Return how many runs there are and how far they drift, what failed, and what to type next."""
     tone: Tone = "bad" if failures else "good"
-    lines = [Line("FAILED" if failures else "MADE", f"{made_now} runs now, {len(records)} in {directory}", tone)]
+    lines = [Line("FAILED" if failures else "MADE", f"{made_now} runs made now, {len(records)} in {directory}", tone)]
     lines.append(Line("seed", str(seed)))
     drifts = [record["drift"] for record in records if "end_drawn_m" in record.get("drift", {})]
     if drifts:
