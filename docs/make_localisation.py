@@ -25,7 +25,7 @@ from odomcorrupt.export.robot_localization import Steady
 from odomcorrupt.model.model_file import format_model, read_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered
-from odomcorrupt.score import ScoreReport, score
+from odomcorrupt.scoring import ScoreReport, score
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
@@ -107,7 +107,7 @@ def results(data: Path, folder: Path, runs: Path, chosen: dict[str, tuple[float,
 
 
 def _score(runs: Path, estimates: Path) -> ScoreReport:
-    from odomcorrupt.score import Limits  # noqa: PLC0415 - for this function alone
+    from odomcorrupt.scoring import Limits  # noqa: PLC0415 - for this function alone
 
     return score(runs, truth="/ground_truth", outputs=estimates, align="none", limits=Limits(lost_m=LOST_M))
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.api.study import Comparison, Diagnosis, Fit, Learned, compare, diagnose, fit, learn
     from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.scoring.run import score
 
 __version__ = "0.1.0"
 
@@ -31,6 +32,7 @@ _HOMES = {
     "api.simulation": ("Simulation", "simulate"),
     "api.study": ("Comparison", "Diagnosis", "Fit", "Learned", "compare", "diagnose", "fit", "learn"),
     "errors": ("OdomCorruptError",),
+    "scoring.run": ("score",),
 }
 """Modules of the public names."""
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -61,6 +63,7 @@ __all__ = [
     "learn",
     "read_recordings",
     "sample",
+    "score",
     "simulate",
 ]
 

@@ -18,11 +18,11 @@ from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import read_model
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import PRESETS, preset_named
-from odomcorrupt.score.errors import PathErrors, path_errors
-from odomcorrupt.score.estimates import read_estimate
+from odomcorrupt.scoring.errors import PathErrors, path_errors
+from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.errors import Alignment
+    from odomcorrupt.scoring.errors import Alignment
     from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
@@ -68,7 +68,7 @@ class CorruptedBag:
         truth
             Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
         align
-            As `odomcorrupt.score.path_errors` has it.
+            As `odomcorrupt.scoring.path_errors` has it.
 
         """
         covariance = None

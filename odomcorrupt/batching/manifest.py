@@ -13,6 +13,7 @@ import json
 import os
 import re
 import socket
+import stat
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -122,11 +123,10 @@ def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
 
 
 def _read(path: Path) -> bytes:
-    """Return the bytes of a file that a batch wrote; ValueError where they are more than it ever writes."""
-    with path.open("rb") as stream:
-        data = stream.read(_LARGEST_BYTES + 1)
-    _require(len(data) <= _LARGEST_BYTES)
-    return data
+    """Return the bytes of a file that a batch wrote; ValueError where it is none, or larger than it ever is."""
+    found = path.stat()
+    _require(stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES)
+    return path.read_bytes()
 
 
 def _parsed(text: bytes) -> Any:

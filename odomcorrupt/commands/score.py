@@ -14,8 +14,8 @@ from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
-    from odomcorrupt.score.gate import Verdict
-    from odomcorrupt.score.run import ScoreReport
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
 
 __all__ = ["command"]
 
@@ -64,9 +64,9 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
-    from odomcorrupt.score.errors import Limits
-    from odomcorrupt.score.gate import check, parse_rule
-    from odomcorrupt.score.run import score
+    from odomcorrupt.scoring.errors import Limits
+    from odomcorrupt.scoring.gate import check, parse_rule
+    from odomcorrupt.scoring.run import score
 
     _refuse(given)
     for rule in given["rules"]:
@@ -102,7 +102,7 @@ def _refuse(given: dict[str, Any]) -> None:
 def _baseline(path: Path) -> dict[str, Any]:
     import json
 
-    from odomcorrupt.score.errors import ScoreError
+    from odomcorrupt.scoring.errors import ScoreError
 
     try:
         table = json.loads(path.read_text(encoding="utf8"))

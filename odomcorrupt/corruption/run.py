@@ -10,6 +10,7 @@ from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
+from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
 
@@ -65,6 +66,7 @@ class Outcome:
     zero_stamps : odometry stamps that are zero, for which log times stood in
     placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved, "parent -> child"
+    faults : poses of the odometry that mean nothing
     """
 
     model: MotionModel
@@ -85,6 +87,7 @@ class Outcome:
     zero_stamps: int
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
+    faults: PoseFaults = field(default_factory=PoseFaults)
 
 
 def corrupt_bag(
@@ -172,6 +175,7 @@ def corrupt_bag(
         zero_stamps=transform.driver.zero_stamps,
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
+        faults=transform.driver.faults,
     )
 
 

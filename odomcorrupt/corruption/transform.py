@@ -20,6 +20,7 @@ from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.odometry_source import Driver, stamps_or_log_ns
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.pose_faults import FAR_M
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.targets import (
     ENCODINGS,
@@ -54,9 +55,6 @@ WAIT_NS = PATIENCE_NS + WINDOW_NS
 
 _NAMED = 6
 """Edges named in an error."""
-
-FAR_M = 1e9
-"""Where no robot is: a pose so far away is no number of use."""
 
 
 @dataclass(frozen=True, slots=True)

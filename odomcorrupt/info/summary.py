@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
@@ -184,6 +185,8 @@ def _remarks(
         said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
     elif frames is None and asked_frame is None:
         said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
+    odom, base = (None, None) if frames is None else (frames.odom, frames.base)
+    said += frame_faults([(e.parent, e.child) for e in survey.edges], odom, base)
     if frames is not None:
         said += [
             f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"

@@ -42,6 +42,19 @@ def test_no_more_is_read_ahead_than_may_be(monkeypatch):
     assert len(made) < 100
 
 
+def test_what_is_not_worth_it_is_not_read_ahead():
+    before = threading.active_count()
+    ahead = read_ahead(iter_closable(range(10)), lambda _: 1, lambda one: one == 7)
+    for taken in range(8):
+        assert next(ahead) == taken
+        assert threading.active_count() == before
+    assert list(ahead) == [8, 9]
+
+
+def iter_closable(items):
+    yield from items
+
+
 def test_who_stops_asking_ends_the_thread_and_closes_what_it_ran():
     closed = threading.Event()
 
@@ -54,7 +67,7 @@ def test_who_stops_asking_ends_the_thread_and_closes_what_it_ran():
 
     before = threading.active_count()
     ahead = read_ahead(items(), lambda size: size)
-    next(ahead)
+    assert next(ahead) == next(ahead)
     assert threading.active_count() == before + 1
     ahead.close()
     assert closed.is_set()
@@ -91,6 +104,20 @@ def test_no_more_waits_than_may(monkeypatch):
             assert number + 1 - len(taken) <= 10
         results.finish()
     assert len(made) == len(taken) == 100
+
+
+def test_what_is_put_behind_does_not_wait_for_ever(monkeypatch):
+    monkeypatch.setattr(pipeline, "WAITING_BYTES", 10)
+    go, taken = threading.Event(), []
+    with Workers(2) as workers:
+        results = OrderedResults(workers)
+        results.put(go.wait, taken.append, 1)
+        threading.Timer(0.05, go.set).start()
+        for number in range(100):
+            results.put(lambda number=number: number, taken.append, 1, worth=False)
+            assert number + 2 - len(taken) <= 10
+        results.finish()
+    assert taken == [True, *range(100)]
 
 
 @pytest.mark.parametrize("threads", [1, 2])

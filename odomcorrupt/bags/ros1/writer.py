@@ -115,6 +115,7 @@ class Ros1Writer:
             partial(self.pack, codec, framed.data, self._level),
             partial(self._write_packed, framed, codec, indexes(framed)),
             framed.data.size,
+            worth=codec != "none",
         )
 
     def _write_packed(
