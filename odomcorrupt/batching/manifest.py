@@ -86,6 +86,7 @@ def fingerprint_of(source: Path) -> str:
 
 
 def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
+    map_words = [] if job.condition is None else [*job.condition.provenance().values()]
     return {
         "version": odomcorrupt.__version__,
         "input": {"path": job.shown_source, "hash": fingerprint},
@@ -93,7 +94,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
         "seed": job.seed,
         "output": [job.output, "split" if job.split else "as it was"],
-        "options": [repr(job.options), repr(job.container)],
+        "options": [repr(job.options), repr(job.container), *map_words],
     }
 
 

@@ -139,6 +139,7 @@ def _make(
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
                 one.sink.put(portion, data, _edges(one, portion, shared))
+    shared.require_frame()
     for one in runs:
         _put_beside(job, home, one)
     return [_record(job, one.strand, part.losses) for one in runs]
@@ -163,10 +164,11 @@ class _Run:
 
 def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
     model = job.model_of(run)
+    within = None if job.condition is None else job.condition.path(model, job.seed, run)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
-        return _Run(RunState(model, job.seed, run, job.options, [path]), path, patches=False)
-    strand = RunState(model, job.seed, run, job.options)
+        return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
+    strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
         return _Run(strand, OverlaySink(job, run, reader), patches=True)
     if _is_copy(job, model):

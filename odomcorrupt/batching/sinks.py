@@ -50,7 +50,8 @@ class Sink(Protocol):
 def provenance(job: Job, run: int) -> dict[str, str]:
     """Return what a run's bag says of how it came about."""
     model = format_model(job.model_of(run))
-    return {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
+    own = {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
+    return own if job.condition is None else own | job.condition.provenance()
 
 
 class BagSink:

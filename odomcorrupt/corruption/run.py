@@ -51,7 +51,7 @@ class Container:
         return self.compression is None and self.level is None and not self.recover
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """What one run did.
 
@@ -147,6 +147,7 @@ def corrupt_bag(
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
                     watch(block)
+                transform.require_frame()
                 if not silent:
                     writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
         drift = transform.drift.result()
@@ -156,11 +157,26 @@ def corrupt_bag(
         losses = tuple(reader.losses)
         channels = tuple(reader.channels[number] for number in sorted(transform.seen))
     return Outcome(
-        model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
-        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
-        _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
-        frozenset(transform.stayed), transform.driver.faults,
-    )  # fmt: skip
+        model=model,
+        seed=seed,
+        run=run,
+        driver=transform.driver.name,
+        frames=frames,
+        changes=transform.changes,
+        drift=drift,
+        channels=channels,
+        restarts=transform.order.restarts,
+        late=transform.order.late,
+        leaps=transform.order.leaps,
+        unusable=transform.unusable,
+        added=_added(transform),
+        losses=losses,
+        swapped=transform.order.swapped,
+        zero_stamps=transform.driver.zero_stamps,
+        placed=transform.placed,
+        stayed=frozenset(transform.stayed),
+        faults=transform.driver.faults,
+    )
 
 
 def _added(transform: Transform) -> Mapping[str, int]:

@@ -1,4 +1,4 @@
-"""Results of the study as JSON: schema 1, described in docs/json.md. No NaN ever: what is not known is null."""
+"""Results of the study as JSON: schema 2, described in docs/json.md. No NaN ever: what is not known is null."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["learned_json"]
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def learned_json(
