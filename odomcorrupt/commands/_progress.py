@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
 
-__all__ = ["Progress", "say"]
+__all__ = ["Progress", "part_done", "say"]
 
 PAUSE_S = 0.2
 """Time between two lines: often enough to look alive."""
@@ -48,6 +48,12 @@ class Progress:
     ) -> None:
         if self._shown:
             click.echo("\r\x1b[K", nl=False, err=True)
+
+
+def part_done(what: str, share: float) -> None:
+    """Say on stderr what is being done and how far it has got, where that is a terminal."""
+    if sys.stderr.isatty():
+        click.echo(f"\r\x1b[K{what}: {share:.0%}\r", nl=False, err=True)
 
 
 def say(paragraph: str) -> None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._param_types import TRACK, Number
+from odomcorrupt.commands._param_types import TRACK, Number, Share
+from odomcorrupt.commands._progress import part_done
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
 
 __all__ = ["describe", "need_study", "read_all", "recording_options", "source_words", "split_arguments"]
 
-_TRUTH_BAGS, _TRUTH_SHIFT, _USED = (f"odomcorrupt.{name}" for name in ("truth_bags", "truth_shift", "truth_bags_used"))
+_TRUTH_BAGS, _TRUTH_SHIFT, _USED, _SCAN, _RULER = (
+    f"odomcorrupt.{name}" for name in ("truth_bags", "truth_shift", "truth_bags_used", "scan", "laser_scale_accuracy")
+)
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -53,6 +56,22 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
+        ),
+        click.option(
+            "--scan",
+            metavar="TOPIC",
+            expose_value=False,
+            callback=_remember(_SCAN),
+            help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
+        ),
+        click.option(
+            "--laser-scale-accuracy",
+            type=Share("a share as in 0.3% or 0.003", 0.0, 20.0),
+            metavar="SHARE",
+            default="0.3%",
+            expose_value=False,
+            callback=_remember(_RULER),
+            help="How far the laser's own scale may be off (one standard deviation): no scale is known better. [default: 0.3%]",
         ),
         click.option(
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
@@ -103,10 +122,12 @@ def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: 
             truth=truth,
             truth_path=truth_path,
             truth_shift_s=meta.get(_TRUTH_SHIFT, 0.0),
+            scan=meta.get(_SCAN),
+            truth_scale_error=meta.get(_RULER, 0.003),
             track_m=track,
             name="stdin" if str(path) == "-" else "",
         )
-        for recording in read_runs(source):
+        for recording in read_runs(source, part_done):
             click.echo(describe(recording), err=True)
             for note in recording.notes:
                 click.echo(f"  {note}", err=True)
@@ -118,6 +139,7 @@ def source_words(odom: str | None, truth: str | None, track: float | None) -> li
     """Return the words of a command line that read the same recordings again."""
     meta = click.get_current_context().meta
     words = [w for flag, value in (("--odom", odom), ("--truth", truth)) if value for w in (flag, value)]
+    words += ["--scan", meta[_SCAN]] if meta.get(_SCAN) else []
     words += [w for path in meta.get(_TRUTH_BAGS, ()) for w in ("--truth-bag", str(path))]
     if shift := meta.get(_TRUTH_SHIFT, 0.0):
         words += ["--truth-shift", repr(shift)]

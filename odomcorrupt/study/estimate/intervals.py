@@ -62,6 +62,8 @@ class Intervals:
     source, share : (n,) which increment of the odometry a step is of, and which part of it
     axis : (n, 2) forward axis of the step's middle, seen from the interval's end
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
+    start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
+        position's part is near the identity, the heading's near one
     """
 
     start_s: Array
@@ -78,6 +80,8 @@ class Intervals:
     lever: Array
     lever0: Array
     lever1: Array
+    start_shape: Array
+    end_shape: Array
 
     def __len__(self) -> int:
         return len(self.start_s)
@@ -203,6 +207,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     lever0, lever1 = lever(start), lever(end)
     middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
+    shape = _noise_shape(truth.covariance, len(truth))[picked]
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     return Intervals(
         start_s=node_s[kept],
@@ -219,6 +224,8 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever=(lever0 + lever1) / 2.0,
         lever0=lever0,
         lever1=lever1,
+        start_shape=shape[kept],
+        end_shape=shape[kept + 1],
     )
 
 
@@ -233,6 +240,18 @@ def join(parts: Sequence[Intervals], steps: Sequence[int]) -> Intervals:
     joined["source"] = np.concatenate([p.source + n for p, n in zip(parts, n0, strict=False)])
     joined["first"] = np.concatenate([p.first + n for p, n in zip(parts, n1, strict=False)])
     return Intervals(**joined)
+
+
+def _noise_shape(covariance: Array | None, count: int) -> Array:
+    """Return covariances (n, 3, 3) of poses over those of a usual pose, position and heading apart."""
+    shape = np.broadcast_to(np.eye(3), (count, 3, 3))
+    if covariance is None:
+        return shape
+    best = np.linalg.eigvalsh(covariance[:, :2, :2])[:, 0]
+    shape = np.zeros((count, 3, 3))
+    shape[:, :2, :2] = covariance[:, :2, :2] / max(float(np.median(best)), 1e-12)
+    shape[:, 2, 2] = covariance[:, 2, 2] / max(float(np.median(covariance[:, 2, 2])), 1e-12)
+    return shape
 
 
 def _quarter(xy: Array) -> Array:

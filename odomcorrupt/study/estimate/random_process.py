@@ -10,6 +10,7 @@ from scipy.linalg import cholesky, eigh
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
+from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ __all__ = [
     "processes_like",
     "root_of",
     "rooted",
+    "scale_error_root",
     "unit_column",
     "widened",
     "with_random",
@@ -73,8 +75,11 @@ class Process:
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with wandering gains in its covariance, everything linear estimated anew."""
-    if not random:
+    """Return a fit of noise with wandering gains and the truth's scale error in its covariance, all else estimated.
+
+    Without either it is the same fit.
+    """
+    if not random and not _has_scale_error(problem):
         return noise
     wider = widened(noise.whitener, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
@@ -86,14 +91,18 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
     if white.shrink is None:
         return noise
     plain = replace(white, directions=None, shrink=None, log_det=white.log_det + float(np.log(white.shrink).sum()))
+    plain = widened(plain, problem, ())
     return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return a whitener of the problem's residuals that knows of wandering gains, too."""
-    if not random:
+    """Return a whitener of the problem's residuals that knows of wandering gains and the truth's scale error, too."""
+    roots = [root_of(effect, problem) for effect in random]
+    if _has_scale_error(problem):
+        roots.append(scale_error_root(problem))
+    if not roots:
         return white
-    designs = np.concatenate([white.whiten(root_of(effect, problem)) for effect in random], axis=1)
+    designs = np.concatenate([white.whiten(root) for root in roots], axis=1)
     # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
     square, turned = eigh(designs.T @ designs)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)
@@ -112,6 +121,22 @@ def root_of(effect: Effect, problem: Problem) -> Array:
     (process,) = processes_like(effect)
     root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
     return root
+
+
+def scale_error_root(problem: Problem) -> Array:
+    """Return a column (K, 3, 1) whose standard normal factor is the truth's scale error: what it does to residuals.
+
+    One factor for all recordings: they were measured with the same instrument.
+    """
+    error = np.array([recording.truth_scale_error for recording in problem.recordings])[problem.run]
+    step = problem.nodes.truth_step
+    column = np.zeros((len(step), 3, 1))
+    column[:, :2, 0] = -error[:, None] * rotate(step[:, :2], -step[:, 2])
+    return column
+
+
+def _has_scale_error(problem: Problem) -> bool:
+    return any(recording.truth_scale_error > 0.0 for recording in problem.recordings)
 
 
 def processes() -> list[Process]:

@@ -108,9 +108,10 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     """
     a = _adjoint_of_inverse(nodes.truth_step)
     pieces = []
-    for unit in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])):
-        ar = a @ unit
-        pieces.append((unit + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]))
+    for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])):
+        start, end = kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept
+        ar = a @ start
+        pieces.append((end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]))
     wander = np.zeros_like(a)
     wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
     pieces.append((wander, np.zeros_like(a[1:])))

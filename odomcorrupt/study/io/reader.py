@@ -12,6 +12,7 @@ from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
@@ -21,6 +22,7 @@ from odomcorrupt.study.io.topic_selection import FLAGS
 from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from odomcorrupt.study.io.address import Address
@@ -41,6 +43,8 @@ class Source:
     truth_shift_s : what is added to the stamps of the truth, seconds
     track_m : nominal distance between the wheels, where it is known
     name : what to call the run, where not by its path
+    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
+    truth_scale_error : standard deviation of the laser's own scale error
     """
 
     path: Path
@@ -50,10 +54,14 @@ class Source:
     truth_shift_s: float = 0.0
     track_m: float | None = None
     name: str = ""
+    scan: str | None = None
+    truth_scale_error: float = SCALE_ACCURACY
 
 
-def read_runs(source: Source) -> list[Recording]:
+def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
+
+    told : called with what takes long, and which part of it is done
 
     Raises
     ------
@@ -63,7 +71,40 @@ def read_runs(source: Source) -> list[Recording]:
         Where what is there cannot be odometry and truth of one run; the message says why.
 
     """
-    odometry, truth = _read(source)
+    scan = source.scan or automatic_scan(source)
+    if scan is None:
+        odometry, truth = _read(source)
+        return _recordings(source, odometry, truth)
+    if source.truth is not None or source.truth_path is not None:
+        raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+    odom = parse_address(source.odom) if source.odom is not None else None
+    run = laser_run(source.path, _place(source), odom, scan, told)
+    found: list[Recording] = []
+    parts = truth_of(run)
+    for part in parts:
+        try:
+            found += _recordings(source, run.odometry, part)
+        except RecordingError:
+            if len(parts) == 1:
+                raise
+    if not found:
+        raise RecordingError(f"{_place(source)}: no part of the laser's map carries a study; drive slower or longer")
+    chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
+    error = source.truth_scale_error
+    said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    return [
+        replace(
+            r,
+            name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
+            truth_scale_error=error,
+            notes=(*([chosen] if chosen and i == 0 else []), *r.notes, *([said] if i == 0 else [])),
+        )
+        for i, r in enumerate(found)
+    ]
+
+
+def _recordings(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
+    """Return the recordings of odometry and truth, checked and cleaned."""
     odometry, truth = in_order(odometry), in_order(truth)
     if source.truth_shift_s:
         shift = round(source.truth_shift_s * 1e9)
@@ -83,8 +124,19 @@ def read_runs(source: Source) -> list[Recording]:
     return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
 
 
+def automatic_scan(source: Source) -> str | None:
+    """Return the laser to learn from where neither it nor a truth is named, None where there is no need of one."""
+    if source.truth is not None or source.truth_path is not None or is_text(source.path):
+        return None
+    return only_scan(source.path)
+
+
+def _place(source: Source) -> str:
+    return source.name or str(source.path)
+
+
 def _read(source: Source) -> tuple[Samples, Samples]:
-    place = source.name or str(source.path)
+    place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
     truth = parse_address(source.truth) if source.truth is not None else None
     if source.truth_path is None:

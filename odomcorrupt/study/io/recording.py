@@ -24,10 +24,13 @@ class Trajectory:
 
     stamps_ns : (n,) int64, nanoseconds since 1970
     xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
+    covariance : (n, 3, 3) of each pose in its own axes, where its source says it: only their shapes count, the level
+        is estimated; None where all poses are equally good
     """
 
     stamps_ns: NDArray[np.int64]
     xyt: Array
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         if len(self.stamps_ns) < 2:
@@ -69,6 +72,7 @@ class Recording:
     notes : what reading it left out or noticed, in words
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
+    truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
     """
 
     name: str
@@ -79,6 +83,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     heading_error_rad: float | None = None
     clock: str = ""
+    truth_scale_error: float = 0.0
 
     @property
     def headed(self) -> bool:
