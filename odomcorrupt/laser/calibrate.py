@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
 from odomcorrupt.laser.icp import best_guess, match, surface_of
-from odomcorrupt.laser.surface import normals
+from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -169,10 +169,10 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
     first, second, found, deviation = [], [], [], []
     for a, b in chosen:
         one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored) for k in (a, b))
-        facing, known = normals(one)
-        if known.sum() < 20 or len(other) < 20:
+        lines = lines_of(one)
+        if len(lines.feet) < 20 or len(other) < 20:
             continue
-        surface = surface_of(one[known], facing[known])
+        surface = surface_of(*lines)
         guess = between(poses[a], poses[b])
         if free:
             reach = float(np.hypot(guess[0], guess[1]))

@@ -26,10 +26,12 @@ WEAK = 0.15
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
 _MOST_STEPS = 15
 _STEP_M, _STEP_RAD = 2e-4, 2e-5
-_FINEST_M = 0.01
+_FINEST_M = 0.004
 _TUNING = 2.0
 _OVERLAP_M = 0.12
 _FLAT = 1e-3
+_HELD = 0.05
+"""The same ratio, below which the guess is kept along that axis."""
 
 
 class Surface(NamedTuple):
@@ -49,7 +51,7 @@ class Match:
     deviation_m : robust deviation of the returns from the surfaces, m
     overlap : share of the returns that lie within 12 cm of a surface point
     pairs : how many returns were used
-    ratio : smaller over larger eigenvalue of the scatter of the matched normals
+    ratio : smaller over larger eigenvalue of the position's information, the heading unknown
     weak_axis : (2,) unit vector along which least is known, in the surface's axes
     """
 
@@ -94,10 +96,13 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         weighted = jacobian * weight[:, None]
         information = jacobian.T @ weighted
         move = _step(information, weighted.T @ miss)
+        values, vectors = _axes(information)
+        if values[0] < _HELD * values[1]:
+            move[:2] = vectors[:, 1] * (vectors[:, 1] @ move[:2])
         pose += move
         if step >= len(gates_m) - 1 and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
             break
-    values, vectors = np.linalg.eigh(information[:2, :2])
+    values, vectors = _axes(information)
     return Match(
         pose=pose,
         information=information / deviation**2,
@@ -107,6 +112,20 @@ def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[floa
         ratio=float(values[0] / max(values[1], 1e-12)),
         weak_axis=vectors[:, 0],
     )
+
+
+def _axes(information: Array) -> tuple[Array, Array]:
+    """Return eigenvalues (2,), the smaller first, and eigenvectors (2, 2) of the position's information.
+
+    Whatever the heading: one wall far aside fixes either, not both.
+    """
+    a, b, c = information[0, 0], information[0, 1], information[1, 1]
+    x, y, z = information[0, 2], information[1, 2], max(information[2, 2], 1e-12)
+    a, b, c = a - x * x / z, b - x * y / z, c - y * y / z
+    half, middle = float(np.hypot(0.5 * (a - c), b)), 0.5 * (a + c)
+    angle = 0.5 * np.arctan2(2.0 * b, a - c)
+    large = np.array([np.cos(angle), np.sin(angle)])
+    return np.array([max(middle - half, 0.0), middle + half]), np.stack((np.array([-large[1], large[0]]), large), 1)
 
 
 def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float = 0.25) -> Array:

@@ -9,11 +9,12 @@ import numpy as np
 from odomcorrupt.geometry.se2 import between, compose, rotate
 from odomcorrupt.laser.icp import WEAK, Surface, best_guess, match, surface_of
 from odomcorrupt.laser.pose_graph import Edges, optimise
-from odomcorrupt.laser.surface import normals
+from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.icp import Match
+    from odomcorrupt.laser.surface import Lines
 
 __all__ = ["Edge", "KeyframeMap"]
 
@@ -50,7 +51,7 @@ class KeyframeMap:
         self.scans: list[Array] = []
         self.edges: list[Edge] = []
         self.weights: Array = np.zeros(0)
-        self._own: list[tuple[Array, Array]] = []
+        self._own: list[Lines] = []
         self._single: dict[int, Surface] = {}
         self._local: dict[int, Surface] = {}
         self._beside: list[set[int]] = []
@@ -60,8 +61,7 @@ class KeyframeMap:
 
     def add(self, scan: Array, pose: Array) -> int:
         """Add a keyframe with returns (m, 2) in its own frame at a pose (3,), and return its number."""
-        facing, known = normals(scan)
-        self._own.append((scan[known], facing[known]))
+        self._own.append(lines_of(scan))
         self.scans.append(scan)
         self.poses = np.concatenate((self.poses, pose[None]))
         self._beside.append(set())

@@ -28,7 +28,7 @@ _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)
 _FLOOR_M, _FLOOR_RAD = 1e-3, 2e-4
-_UNKNOWN_M = 1.0
+_UNKNOWN_M = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +42,7 @@ class LaserPath:
     covariance : (k, 3, 3) of each pose in the robot's axes, as the match says; a metre along an axis that is not seen
     part : (k,) which connected part of the map it lies in
     weak : (k,) whether the match says nothing along one axis
+    ratio : (k,) smaller over larger eigenvalue of the information of each position
     deviation_m : usual deviation of returns from the map's surfaces
     """
 
@@ -52,6 +53,7 @@ class LaserPath:
     covariance: Array
     part: NDArray[np.int64]
     weak: NDArray[np.bool_]
+    ratio: Array
     deviation_m: float
 
     def __len__(self) -> int:
@@ -64,7 +66,7 @@ def relocalised(
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
     part_of = world.parts()
-    rows, poses, covariances, parts, weak, deviations = [], [], [], [], [], []
+    rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
     tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
     for done, n in enumerate(tracked_rows):
         if told is not None and done % 50 == 0:
@@ -87,6 +89,7 @@ def relocalised(
         covariances.append(turn @ covariance @ turn.T)
         parts.append(part_of[k])
         weak.append(unseen)
+        ratios.append(found.ratio)
         deviations.append(found.deviation_m)
     laser = np.array(poses).reshape(-1, 3)
     xyt = compose(laser, inverse(motion.mount))
@@ -99,5 +102,6 @@ def relocalised(
         covariance=np.array(covariances).reshape(-1, 3, 3),
         part=np.array(parts, dtype=np.int64),
         weak=np.array(weak, dtype=bool),
+        ratio=np.array(ratios),
         deviation_m=float(np.median(deviations)) if deviations else 0.0,
     )

@@ -36,9 +36,15 @@ LEAST_NODES = 20
 """Fewer intervals than this cannot carry a fit of anything."""
 
 
-def pick_nodes(truth_s: Array, first_s: float, last_s: float, spacing_s: float) -> NDArray[np.int64]:
-    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before."""
-    inside = np.flatnonzero((truth_s >= first_s) & (truth_s <= last_s))
+def pick_nodes(
+    truth_s: Array, first_s: float, last_s: float, spacing_s: float, among: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before.
+
+    among : (n,) which samples may be picked, all by default
+    """
+    usable = (truth_s >= first_s) & (truth_s <= last_s)
+    inside = np.flatnonzero(usable if among is None else usable & among)
     if len(inside) < 2:
         raise RecordingError(
             f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"

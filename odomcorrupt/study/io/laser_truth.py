@@ -12,6 +12,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise
 from odomcorrupt.laser.trajectory import relocalised
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
@@ -30,14 +31,15 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.address import Address
 
-__all__ = ["SCALE_ACCURACY", "LaserRun", "laser_run", "only_scan", "truth_of"]
+__all__ = ["SCALE_ACCURACY", "LaserRun", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
 """Standard deviation of a laser's own scale error where nobody says better: 0.3 %."""
 _LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
-_TICK = 0.02
+_FEWEST = 20
+_JITTER_SAID_S = 3e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class LaserRun:
 
     odometry : in the order of its stamps
     sweeps, calibration, tracked, path : what the laser saw, how it sits, the map, and the trajectory in it
+    noise : how noisy that trajectory is beyond what its matches say
     """
 
     odometry: Samples
@@ -53,6 +56,7 @@ class LaserRun:
     calibration: Calibration
     tracked: Tracked
     path: LaserPath
+    noise: WhiteNoise
 
 
 def only_scan(path: Path) -> str | None:
@@ -78,23 +82,28 @@ def laser_run(
 
     """
     odometry = in_order(read_bag(path, place, {"odometry": odom})["odometry"])
+    return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), told)
+
+
+def match_run(odometry: Samples, sweeps: Sweeps, told: Callable[[str, float], None] | None = None) -> LaserRun:
+    """Return the laser's trajectory of a run from its odometry and its sweeps; see `laser_run`."""
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     calm = without_outliers(odometry)
     check_itself(calm)
     guide = calm.trajectory()
-    sweeps = read_sweeps(path, place, scan, odometry.child or "base_link")
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)
     calibration = calibrate(sweeps, guide, origin_ns)
     tracked = make_map(sweeps, calibration, _part(told, "matching scans"))
     found = relocalised(sweeps, calibration, tracked, _part(told, "placing scans in the map"))
-    if len(found) < _LEAST_PART_S:
+    if len(found) < _FEWEST:
         raise RecordingError(
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
         )
-    return LaserRun(odometry, sweeps, calibration, tracked, found)
+    noise = white_noise(found, calibration.motion)
+    return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
 
 
 def truth_of(run: LaserRun) -> list[Samples]:
@@ -154,6 +163,11 @@ def _said(run: LaserRun) -> list[str]:
         said.append(
             f"in {weak:.0%} of the sweeps walls on one axis alone are seen: motion along them is not known there; "
             "drive past corners"
+        )
+    if run.noise.stamps_s > _JITTER_SAID_S:
+        said.append(
+            f"stamps of the sweeps are off by about {1e3 * run.noise.stamps_s:.0f} ms each (stamped on arrival?): what "
+            "that does in turns counts as noise of the laser"
         )
     if run.sweeps.period_s > 0.5:
         said.append(f"one sweep in {run.sweeps.period_s:.1f} s: what changes faster is not seen")

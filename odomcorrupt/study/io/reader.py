@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.topic_selection import Role
 
-__all__ = ["Source", "read_runs"]
+__all__ = ["Source", "read_runs", "recordings_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     scan = source.scan or automatic_scan(source)
     if scan is None:
         odometry, truth = _read(source)
-        return _recordings(source, odometry, truth)
+        return recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
@@ -83,7 +83,8 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     parts = truth_of(run)
     for part in parts:
         try:
-            found += _recordings(source, run.odometry, part)
+            name = source.name or source.path.name
+            found += recordings_of(name, run.odometry, part, source.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
                 raise
@@ -103,12 +104,21 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     ]
 
 
-def _recordings(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
-    """Return the recordings of odometry and truth, checked and cleaned."""
+def recordings_of(
+    name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
+) -> list[Recording]:
+    """Return the recordings of odometry and truth, checked and cleaned: several where resets cut them.
+
+    Raises
+    ------
+    RecordingError
+        Where they cannot be of one run; the message says why.
+
+    """
     odometry, truth = in_order(odometry), in_order(truth)
-    if source.truth_shift_s:
-        shift = round(source.truth_shift_s * 1e9)
-        truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {source.truth_shift_s:g} s")
+    if truth_shift_s:
+        shift = round(truth_shift_s * 1e9)
+        truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     truth = without_constant_heading(odometry, truth)
@@ -120,7 +130,7 @@ def _recordings(source: Source, odometry: Samples, truth: Samples) -> list[Recor
     said += filter_signs(calm, real) + jitter_signs(calm) + jitter_signs(real)
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
-    recordings = independent_parts(source.name or source.path.name, odometry, truth, source.track_m)
+    recordings = independent_parts(name, odometry, truth, track_m)
     return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
 
 

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Recording", "Trajectory"]
 
+_UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
+"""Variance of a pose of which nothing is known along an axis; and the share of poses that must be known."""
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -40,6 +43,16 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which poses (n,) are known on all axes: all, where their source says nothing, or nearly none of them is."""
+        everywhere = np.ones(len(self), dtype=bool)
+        if self.covariance is None:
+            return everywhere
+        worst = np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, 1]
+        known: NDArray[np.bool_] = worst < _UNKNOWN_M2
+        return known if known.mean() > _FEW_KNOWN else everywhere
 
     def seconds_since(self, origin_ns: int) -> Array:
         """Return the stamps as seconds (n,) since an integer origin: float64 stamps since 1970 lose 256 ns."""
