@@ -46,6 +46,7 @@ def command(
     from odomcorrupt.report.text.diagnosis import found_text, shares_text
     from odomcorrupt.report.text.tables import candidates_table
     from odomcorrupt.study.design.advise import advise
+    from odomcorrupt.study.estimate.extrinsics import mounting_of
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
@@ -60,7 +61,8 @@ def command(
     known = {effect.name for effect in model.setup.effects} if model is not None else set()
     law = model.noise.law_name if model is not None else "diffusion"
     runs = read_all(paths, odom, truth, track if track is not None else (model.track_m if model else None))
-    learned = learn(runs, effects, law_name=law)
+    mounting = [effect for effect in mounting_of(runs) if effect.name not in {e.name for e in effects}]
+    learned = learn(runs, (*effects, *mounting), law_name=law)
     advice = advise(learned)
     if drive is not None:
         write_drive(drive, advice)

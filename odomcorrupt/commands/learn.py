@@ -65,6 +65,7 @@ def command(
     from odomcorrupt.report.text.fit import fit_text
     from odomcorrupt.study.design.advise import advise
     from odomcorrupt.study.estimate.calibrate import fit_robot
+    from odomcorrupt.study.estimate.extrinsics import mounting_of
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.compare import compare
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
@@ -77,9 +78,10 @@ def command(
     check_drive(drive, overwrite=overwrite)
     runs = read_all(paths, odom, truth, track)
     judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
-    learned = learn(runs)
+    mounting = mounting_of(runs)
+    learned = learn(runs, mounting)
     advice = advise(learned)
-    base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
+    base = fit_robot(runs, mounting, law_name="diffusion", clocks=learned.clocks)
     random = [gain.effect for gain in learned.noise]
     robot = fit_robot(
         runs,

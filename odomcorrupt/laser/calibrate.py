@@ -31,9 +31,9 @@ _OVERLAP = 0.6
 _LEAST_PAIRS = 8
 _TURNS_RAD = 0.5
 _DIFFERS_RAD = np.radians(15.0)
-_DIFFERS_M = 0.3
 _FEWER = 0.8
-_LIKELIER = 0.8
+_BETTER = 0.93
+"""Times within a sweep are taken where they make the deviation of matched pairs at most this share of itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,31 +65,39 @@ class Calibration:
 
     motion : the odometry seen by the laser
     mirrored : whether bearings run the other way round
+    turn_s : time that a whole turn of the laser takes, where the sweeps do not say; negative where it turns clockwise,
+        0 where each is taken at once
     said : what was found, in words
     """
 
     motion: Motion
     mirrored: bool
     said: tuple[str, ...]
+    turn_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """Matched pairs of sweeps: their times (n,), and the second seen from the first (n, 3)."""
+    """Matched pairs of sweeps: times (n,), the second seen from the first (n, 3), deviation of the returns (n,), m."""
 
     first_s: Array
     second_s: Array
     pose: Array
-    deviation_m: float
-    tried: int
+    deviation_m: Array
 
 
-def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool) -> Array:
-    """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep."""
+def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
+    """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep.
+
+    turn_s : see `Calibration`; such a sweep's stamp is taken to be its middle's
+    """
     xy = sweep.xy.astype(np.float64)
+    after = sweep.after_s.astype(np.float64)
+    if turn_s != 0.0 and len(after) and after[0] == after[-1]:
+        bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
+        after = (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
     if mirrored:
         xy[:, 1] = -xy[:, 1]
-    after = sweep.after_s
     if not len(after) or after[0] == after[-1]:
         return xy
     stamp_s = float(sweep.stamp_ns - motion.origin_ns) * 1e-9
@@ -126,6 +134,12 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         if found is not None and (told is None or abs(wrap(np.asarray(found[2] - mount[2]))) > _DIFFERS_RAD):
             motion = Motion(odometry, origin_ns, motion.lag_s, found)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
+    turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
+    if turn_s:
+        said.append(
+            f"{sweeps.topic}: no times within a sweep; its sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
+        )
     if found is not None and told is not None:
         yaw = float(np.degrees(wrap(np.asarray(found[2] - mount[2]))))
         if abs(yaw) > np.degrees(_DIFFERS_RAD):
@@ -133,7 +147,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     if told is None:
         where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
         said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
-    return Calibration(motion, mirrored, tuple(said))
+    return Calibration(motion, mirrored, tuple(said), turn_s)
 
 
 def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
@@ -158,7 +172,27 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
     return best[1], best[2]
 
 
-def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False) -> _Pairs:
+def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, *, mirrored: bool) -> float:
+    """Return the time of a whole turn at which sweeps without times fit each other best; 0 where none helps."""
+    if any(len(s) and s.after_s[0] != s.after_s[-1] for s in sweeps.sweeps[:50]) or not len(plain.pose):
+        return 0.0
+    period = min(sweeps.period_s, 0.2)
+    best, turn_s = _BETTER * _misfit(plain), 0.0
+    for candidate in (period, -period):
+        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
+        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
+            best, turn_s = _misfit(pairs), candidate
+    return turn_s
+
+
+def _misfit(pairs: _Pairs) -> float:
+    """Return the mean deviation of returns from surfaces, over pairs."""
+    return float(np.mean(pairs.deviation_m))
+
+
+def _matched(
+    sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0
+) -> _Pairs:
     """Match pairs of sweeps a little way apart, spread over the drive.
 
     free : where the mounting is unknown, displacements in all directions are tried
@@ -168,7 +202,7 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
     chosen = _spread(t_s, poses)
     first, second, found, deviation = [], [], [], []
     for a, b in chosen:
-        one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored) for k in (a, b))
+        one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored, turn_s=turn_s) for k in (a, b))
         lines = lines_of(one)
         if len(lines.feet) < 20 or len(other) < 20:
             continue
@@ -185,8 +219,7 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
             second.append(t_s[b])
             found.append(fit.pose)
             deviation.append(fit.deviation_m)
-    middle = float(np.median(deviation)) if deviation else np.inf
-    return _Pairs(np.array(first), np.array(second), np.array(found).reshape(-1, 3), middle, len(chosen))
+    return _Pairs(np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation))
 
 
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:

@@ -25,6 +25,7 @@ _LOCAL = 6
 _PAIR_OVERLAP, _LOOP_OVERLAP = 0.35, 0.55
 _QUERY, _COARSE = 240, 60
 _REACH_M, _REACH_RAD = 0.5, 0.1
+_STEPS = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 _HELD = 0.3
 _EDGE_M, _EDGE_RAD = 0.004, 0.001
 _WEAK_AGAIN = 0.01
@@ -137,6 +138,10 @@ class KeyframeMap:
                 count += 1
         return count
 
+    def around(self, k: int, scan: Array, guess: Array) -> Array:
+        """Return the pose (3,) of a scan near a guess in a keyframe's frame that lays most of it on the surfaces."""
+        return best_guess(thinned(scan, _COARSE), self.local(k), guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
+
     def pair(self, i: int, k: int, *, wide: bool) -> Match | None:
         """Return the pose of keyframe k in keyframe i's frame; None where they do not fit.
 
@@ -146,11 +151,9 @@ class KeyframeMap:
         scan = self.scans[k]
         guess = between(self.poses[i], self.poses[k])
         if wide:
-            steps = np.stack(np.meshgrid(*(np.array([-1.0, 0.0, 1.0]),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-            guesses = guess + steps * np.array([_REACH_M, _REACH_M, _REACH_RAD])
             if len(surface.points) < _COARSE:
                 return None
-            guess = best_guess(thinned(scan, _COARSE), surface, guesses)
+            guess = best_guess(thinned(scan, _COARSE), surface, guess + _STEPS * (_REACH_M, _REACH_M, _REACH_RAD))
         found = match(thinned(scan, _QUERY), surface, guess)
         if found is None or found.overlap < (_LOOP_OVERLAP if wide else _PAIR_OVERLAP):
             return None
@@ -171,7 +174,7 @@ class KeyframeMap:
         for k in {*i[moved].tolist(), *j[moved].tolist()}:
             self._local.pop(k, None)
         for edge, weight in zip(self.edges, self.weights, strict=True):
-            if edge.matched and weight < _HELD:
+            if edge.loop and weight < _HELD:
                 for one, other in ((edge.first, edge.second), (edge.second, edge.first)):
                     if other in self._beside[one]:
                         self._beside[one].discard(other)
@@ -239,7 +242,8 @@ def edge_information(found: Match) -> Array:
 
     Along a weak axis little is kept of it.
     """
-    covariance = np.linalg.inv(found.information + 1e-6 * np.eye(3)) + np.diag([_EDGE_M, _EDGE_M, _EDGE_RAD]) ** 2
+    xy = max(_EDGE_M, 0.5 * found.deviation_m)
+    covariance = np.linalg.inv(found.information + 1e-6 * np.eye(3)) + np.diag([xy, xy, max(_EDGE_RAD, xy / 4.0)]) ** 2
     information: Array = np.linalg.inv(covariance)
     if found.ratio < WEAK:
         axis = np.array([*found.weak_axis, 0.0])

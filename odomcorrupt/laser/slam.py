@@ -19,15 +19,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.calibrate import Calibration
+    from odomcorrupt.laser.icp import Match
     from odomcorrupt.laser.sweep import Sweeps
 
 __all__ = ["Tracked", "make_map"]
 
 _TRACK_QUERY = 180
 _OVERLAP = 0.35
+_SURE_OVERLAP = 0.6
 _AWAY_M, _AWAY_RAD = 0.25, 0.2
 _AWAY_SHARE = 0.2
-_NEW_M, _NEW_RAD = 0.5, 0.5
+_NEW_M, _LEAST_M, _NEW_OVERLAP = 0.5, 0.1, 0.6
 _LOST = 3
 _FAST_MPS, _FAST_RADPS = 5.0, 6.0
 _CLOSE_ROUNDS = 3
@@ -67,7 +69,7 @@ def make_map(
     for n in range(count):
         if told is not None and n % 50 == 0:
             told(n / count)
-        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored)
+        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
         if current < 0:
             if len(scan) >= 2 * 20:
                 current, last = world.add(scan, dead[n]), n
@@ -80,12 +82,11 @@ def make_map(
             step = before
         guess = compose(inside, step)
         found = match(thinned(scan, _TRACK_QUERY), world.local(current), guess, _GATES_M) if len(scan) else None
-        if found is not None:
-            away = found.pose - guess
-            reach = _AWAY_M + _AWAY_SHARE * float(np.hypot(step[0], step[1]))
-            turned = _AWAY_RAD + _AWAY_SHARE * abs(float(step[2]))
-            if found.overlap < _OVERLAP or np.hypot(*away[:2]) > reach or abs(float(wrap(away[2]))) > turned:
-                found = None
+        if not _fits(found, guess, step, _OVERLAP, 1.0) and len(scan) and lost >= 1:
+            found = match(thinned(scan, _TRACK_QUERY), world.local(current), world.around(current, scan, guess))
+            found = found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
+        elif not _fits(found, guess, step, _OVERLAP, 1.0):
+            found = None
         if found is None:
             lost += 1
             if lost <= _LOST or len(scan) < 2 * 20:
@@ -108,7 +109,8 @@ def make_map(
         best = near[0]
         if best != current:
             inside = between(world.poses[best], pose)
-        if world.distances(pose, np.array([best]))[0] > _NEW_M:
+        away_m = float(world.distances(pose, np.array([best]))[0])
+        if away_m > _NEW_M or (found.overlap < _NEW_OVERLAP and away_m > _LEAST_M):
             new = world.add(scan, pose)
             world.connect(Edge(current, new, found.pose, edge_information(found), matched=True, loop=False))
             world.connect(world.dead_reckoned(current, new, guess))
@@ -125,3 +127,13 @@ def make_map(
             break
     world.settle()
     return Tracked(world, keyframe, relative, t_s)
+
+
+def _fits(found: Match | None, guess: Array, step: Array, overlap: float, times: float) -> bool:
+    """Whether a match overlaps enough, and is not much farther from the odometry's guess than the step allows."""
+    if found is None or found.overlap < overlap:
+        return False
+    away = found.pose - guess
+    reach = _AWAY_M + _AWAY_SHARE * float(np.hypot(step[0], step[1]))
+    turned = _AWAY_RAD + _AWAY_SHARE * abs(float(step[2]))
+    return bool(np.hypot(away[0], away[1]) <= times * reach and abs(float(wrap(away[2]))) <= times * turned)

@@ -72,7 +72,7 @@ def relocalised(
         if told is not None and done % 50 == 0:
             told(done / len(tracked_rows))
         k = int(tracked.keyframe[n])
-        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored)
+        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
         found = match(thinned(scan, _QUERY), world.local(k), tracked.relative[n], _GATES_M)
         if found is None or found.overlap < _OVERLAP:
             continue

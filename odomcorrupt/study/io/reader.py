@@ -80,10 +80,10 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     odom = parse_address(source.odom) if source.odom is not None else None
     run = laser_run(source.path, _place(source), odom, scan, told)
     found: list[Recording] = []
+    name = source.name or source.path.name
     parts = truth_of(run)
     for part in parts:
         try:
-            name = source.name or source.path.name
             found += recordings_of(name, run.odometry, part, source.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
@@ -98,6 +98,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
             r,
             name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
             truth_scale_error=error,
+            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
             notes=(*([chosen] if chosen and i == 0 else []), *r.notes, *([said] if i == 0 else [])),
         )
         for i, r in enumerate(found)
@@ -127,7 +128,8 @@ def recordings_of(
         check_itself(path)
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_signs(calm, real)
-    said += filter_signs(calm, real) + jitter_signs(calm) + jitter_signs(real)
+    # a laser's reader has looked at its stamps already
+    said += filter_signs(calm, real) + jitter_signs(calm) + (jitter_signs(real) if truth.covariance is None else [])
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)

@@ -45,7 +45,9 @@ def odd_steps_named(fitted: Fit, *, calm: bool) -> list[RandomGain]:
     bursts = slip_bursts(fitted)
     if bursts is not None:
         return [RandomGain(bursts, PLAIN_NATS)]
-    tails = heavy_tails(fitted) if calm else None
+    # matches of a laser have heavy tails of their own
+    matched = any(recording.truth.covariance is not None for recording in fitted.problem.recordings)
+    tails = heavy_tails(fitted) if calm and not matched else None
     return [RandomGain(*tails)] if tails is not None else []
 
 
