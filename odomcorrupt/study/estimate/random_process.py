@@ -10,8 +10,8 @@ from scipy.linalg import cholesky, eigh
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
-from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
+from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +31,6 @@ __all__ = [
     "processes_like",
     "root_of",
     "rooted",
-    "scale_error_root",
     "unit_column",
     "widened",
     "with_random",
@@ -75,11 +74,11 @@ class Process:
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with wandering gains and the truth's scale error in its covariance, all else estimated.
+    """Return a fit of noise with wandering gains and the truth's own bias in its covariance, all else estimated.
 
     Without either it is the same fit.
     """
-    if not random and not _has_scale_error(problem):
+    if not random and not has_bias(problem):
         return noise
     wider = widened(noise.whitener, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
@@ -96,10 +95,10 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return a whitener of the problem's residuals that knows of wandering gains and the truth's scale error, too."""
+    """Return a whitener of the problem's residuals that knows of wandering gains and the truth's own bias, too."""
     roots = [root_of(effect, problem) for effect in random]
-    if _has_scale_error(problem):
-        roots.append(scale_error_root(problem))
+    if has_bias(problem):
+        roots.append(bias_roots(problem))
     if not roots:
         return white
     designs = np.concatenate([white.whiten(root) for root in roots], axis=1)
@@ -121,22 +120,6 @@ def root_of(effect: Effect, problem: Problem) -> Array:
     (process,) = processes_like(effect)
     root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
     return root
-
-
-def scale_error_root(problem: Problem) -> Array:
-    """Return a column (K, 3, 1) whose standard normal factor is the truth's scale error: what it does to residuals.
-
-    One factor for all recordings: they were measured with the same instrument.
-    """
-    error = np.array([recording.truth_scale_error for recording in problem.recordings])[problem.run]
-    step = problem.nodes.truth_step
-    column = np.zeros((len(step), 3, 1))
-    column[:, :2, 0] = -error[:, None] * rotate(step[:, :2], -step[:, 2])
-    return column
-
-
-def _has_scale_error(problem: Problem) -> bool:
-    return any(recording.truth_scale_error > 0.0 for recording in problem.recordings)
 
 
 def processes() -> list[Process]:
