@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_every_law, fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.stepwise import learn

@@ -7,7 +7,7 @@ pytest.importorskip("mujoco", reason="mujoco is not installed; pip install mujoc
 
 from mujocosim import CAUSES, simulate_body
 from mujocosim.body import RADIUS_M, TRACK_M
-from odomcorrupt.simulate import Rig, Segment, SimulatedRun, Tracker
+from odomcorrupt.simulation import Rig, Segment, SimulatedRun, Tracker
 
 RIG = Rig(sampling_jitter_s=0.0, stamp_jitter_s=0.0, ticks_per_turn=None, motor_ripple=0.0, creep=0.0)
 TRACKER = Tracker(sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)

@@ -121,7 +121,7 @@ def test_a_library_that_is_missing_is_named_with_what_to_install(library, words,
     monkeypatch.setattr(builtins, "__import__", without)
     line = refused(words, capsys)
     assert f"{library} is not installed; {said}" in line
-    assert 'pip install "odomcorrupt[study]"' in line
+    assert 'in a copy of the repository, pip install ".[study]"' in line
 
 
 def test_a_directory_that_is_not_there_is_told(here, capsys):

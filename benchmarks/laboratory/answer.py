@@ -13,7 +13,7 @@ from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 
 if TYPE_CHECKING:
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["errors_of", "told"]
 
@@ -38,8 +38,8 @@ def told(learned: Learned) -> dict[str, Any]:
         "added": list(learned.added),
         "looks": looks,
         "noise": [[gain.effect.name, gain.nats] for gain in learned.noise],
-        "unknown": [[u.driver, u.channel, u.nats, u.expression] for u in learned.unknown],
-        "laws": [[u.driver, u.channel] for u in learned.laws],
+        "unknown": [[u.regressor, u.channel, u.nats, u.expression] for u in learned.unknown],
+        "laws": [[u.regressor, u.channel] for u in learned.laws],
         "found": values,
         "nodes": len(learned.fit.problem.nodes),
     }
@@ -66,7 +66,7 @@ def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[
     return {"relative": relative, "covered": covered}
 
 
-def _look(look: Round, learned: Learned) -> dict[str, Any]:
+def _look(look: Step, learned: Learned) -> dict[str, Any]:
     row: dict[str, Any] = {
         "added": look.added,
         "alternatives": list(look.alternatives),

@@ -17,7 +17,7 @@ from laboratory.planted import planted
 from laboratory.sham import sham
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulate import OUTSIDE
+from odomcorrupt.simulation import OUTSIDE
 from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.simulate import CAUSES, OUTSIDE, ROUTES
-from odomcorrupt.simulate.fault_draws import EVERY, SIZES
+from odomcorrupt.simulation import CAUSES, OUTSIDE, ROUTES
+from odomcorrupt.simulation.fault_draws import EVERY, SIZES
 
 __all__ = ["ARMS", "CLOCKS", "LENGTHS", "PILOT", "RANDOM", "SYSTEMATIC", "Case", "cases", "same_class"]
 

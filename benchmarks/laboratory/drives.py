@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from hidden import as_recording
 
-from odomcorrupt.simulate import TRACKERS, Rig, SimulatedRun, simulate, simulate_without
-from odomcorrupt.simulate.fault_draws import SIZES
+from odomcorrupt.simulation import TRACKERS, Rig, SimulatedRun, simulate, simulate_without
+from odomcorrupt.simulation.fault_draws import SIZES
 
 if TYPE_CHECKING:
     from laboratory.cases import Case

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from laboratory.cases import Case
-    from odomcorrupt.simulate import SimulatedRun
+    from odomcorrupt.simulation import SimulatedRun
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["variants"]

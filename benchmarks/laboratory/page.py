@@ -34,7 +34,7 @@ HEAD = """\
 # The hidden-effect laboratory
 
 What `learn` finds where the answer is known, written by `python benchmarks/hidden_effects.py summary`. The protocol,
-frozen before the run, is [benchmarks/laboratory/protocol.md](../benchmarks/laboratory/protocol.md): arms, sizes, what
+frozen before the run, is `benchmarks/laboratory/protocol.md`: arms, sizes, what
 "excited" and "right" mean, and how goals are judged. Goals stand beside the figures; every miss is listed.
 """
 

@@ -13,10 +13,9 @@ from laboratory.information import expected_information
 from laser.cases import world_of
 from laser.drives import EXACT, drive, laser_recordings, mocap_recording
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.simulate import simulate
-from odomcorrupt.simulate.fault_draws import SIZES
+from odomcorrupt.simulation import simulate
+from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.design.identifiability import is_untestable
-from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ def ask(case: Case) -> dict[str, Any]:
     recordings, run = laser_recordings(seen)
     matching_s = time.process_time() - begun
     mocap = learn([mocap_recording(seen)])
-    laser = learn(recordings, mounting_of(recordings))
+    laser = learn(recordings)
     answer = told(laser)
     row: dict[str, Any] = {
         "world": world_of(case),

@@ -11,8 +11,8 @@ from laser.caster import LASERS, Laser, ranges_of, walkers
 from laser.world import world_around
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.laser.sweep import Sweep, Sweeps
-from odomcorrupt.simulate import simulate
-from odomcorrupt.simulate.tracker import Tracker
+from odomcorrupt.simulation import simulate
+from odomcorrupt.simulation.tracker import Tracker
 from odomcorrupt.study.io.laser_truth import LaserRun, match_run, truth_of
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.reader import recordings_of
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.simulate.record import SimulatedRun
+    from odomcorrupt.simulation.record import SimulatedRun
 
     Array = NDArray[np.float64]
 

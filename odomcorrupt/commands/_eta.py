@@ -11,8 +11,8 @@ import click
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from odomcorrupt.batch.job import Task
-    from odomcorrupt.batch.runner import Failure
+    from odomcorrupt.batching.job import Task
+    from odomcorrupt.batching.runner import Failure
 
 __all__ = ["Rate", "left_words"]
 

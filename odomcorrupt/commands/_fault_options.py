@@ -12,7 +12,7 @@ from odomcorrupt.errors import EffectError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.simulate.fault_draws import Hidden
+    from odomcorrupt.simulation.fault_draws import Hidden
 
 __all__ = ["HEADINGS", "size_of", "what_is_wrong"]
 
@@ -34,7 +34,7 @@ def what_is_wrong(
     heading : {"wheels", "gyro"} or None
         Source of heading asked for.
     """
-    from odomcorrupt.simulate.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
+    from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
 
     source = HEADINGS[heading] if heading else None
     if not effects or "hidden" in effects:
@@ -77,7 +77,7 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
 
 def size_of(text: str) -> float:
     """Return by how much a size in words or figures multiplies a drawn flaw."""
-    from odomcorrupt.simulate.fault_draws import SIZES
+    from odomcorrupt.simulation.fault_draws import SIZES
 
     try:
         size = SIZES[text] if text in SIZES else float(text)

@@ -15,7 +15,7 @@ from odomcorrupt.commands._poses import POSE
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.constrained_path import FreePath
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["ARTICLE_CODE", "MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
 
@@ -95,7 +95,7 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     from odomcorrupt.errors import ModelError
     from odomcorrupt.geometry.se2 import between, compose
     from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
-    from odomcorrupt.sampling.move import move_between, move_variances
+    from odomcorrupt.sampling.samples import move_between, move_variances
 
     try:
         example = example_named(given["example"] or DEFAULT_EXAMPLE)

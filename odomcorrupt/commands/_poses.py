@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,12 +45,7 @@ POSE = _Pose()
 
 def need_pictures() -> None:
     """Explain what to install where the drawing library is missing."""
-    try:
-        import matplotlib as mpl  # noqa: F401
-    except ImportError as error:
-        raise OdomCorruptError(
-            'matplotlib is not installed; pictures need it: pip install "odomcorrupt[study]"'
-        ) from error
+    require("matplotlib", "pictures need it", "study")
 
 
 def picture_kind(path: Path) -> str | None:

@@ -1,10 +1,12 @@
-"""What the commands of the study share: telling recordings from models, and reading them."""
+"""What the commands of the study share: which recordings, how they are read, and which arguments are models."""
 
 from __future__ import annotations
 
+import functools
 import shutil
 import sys
 import tempfile
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,46 +14,103 @@ import click
 
 from odomcorrupt.commands._param_types import TRACK, Number, Share
 from odomcorrupt.commands._progress import part_done
-from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.api.recordings import Recordings
 
-__all__ = ["describe", "need_study", "read_all", "recording_options", "source_words", "split_arguments"]
+__all__ = ["Reading", "recording_options", "split_arguments"]
 
-_TRUTH_BAGS, _TRUTH_SHIFT, _USED, _SCAN, _RULER = (
-    f"odomcorrupt.{name}" for name in ("truth_bags", "truth_shift", "truth_bags_used", "scan", "laser_scale_accuracy")
-)
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reading:
+    """How recordings are read, as a command line says it; a field for each of `recording_options`."""
+
+    odom: str | None = None
+    truth: str | None = None
+    truth_bags: tuple[Path, ...] = ()
+    truth_shift_s: float = 0.0
+    track: float | None = None
+    scan: str | None = None
+    laser_scale_accuracy: float = 0.003
+
+    def read(self, paths: Sequence[Path], *, track: float | None = None) -> Recordings:
+        """Return the recordings; `track` is that of a model, where the command line names none."""
+        return self.read_with_held_out(paths, (), track=track)[0]
+
+    def read_with_held_out(
+        self, paths: Sequence[Path], held_out: Sequence[Path], *, track: float | None = None
+    ) -> tuple[Recordings, Recordings | None]:
+        """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
+        count = len(paths) + len(held_out)
+        if len(self.truth_bags) > 1 and len(self.truth_bags) != count:
+            raise click.UsageError(
+                f"{len(self.truth_bags)} --truth-bag for {count} recordings; name one for all, or one for each"
+            )
+        first, others = self.truth_bags, self.truth_bags
+        if len(self.truth_bags) > 1:
+            first, others = first[: len(paths)], others[len(paths) :]
+        runs = self._read(paths, first, track)
+        return runs, self._read(held_out, others, track) if held_out else None
+
+    def _read(self, paths: Sequence[Path], truth_bags: Sequence[Path], track: float | None) -> Recordings:
+        from odomcorrupt.api.recordings import describe, read_recordings
+
+        runs = read_recordings(
+            [_spooled(path) if str(path) == "-" else path for path in paths],
+            odom=self.odom,
+            truth=self.truth,
+            truth_bag=truth_bags,
+            truth_shift_s=self.truth_shift_s,
+            track_m=self.track if self.track is not None else track,
+            names=["stdin" if str(path) == "-" else "" for path in paths],
+            scan=self.scan,
+            laser_scale_accuracy=self.laser_scale_accuracy,
+            progress=part_done,
+        )
+        for recording in runs:
+            click.echo(describe(recording), err=True)
+            for note in recording.notes:
+                click.echo(f"  {note}", err=True)
+        return runs
+
+    def words(self) -> list[str]:
+        """Return the words of a command line that read the same recordings again."""
+        words = [w for flag, value in (("--odom", self.odom), ("--truth", self.truth)) if value for w in (flag, value)]
+        words += ["--scan", self.scan] if self.scan else []
+        words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
+        if self.truth_shift_s:
+            words += ["--truth-shift", repr(self.truth_shift_s)]
+        return words + (["--track", f"{self.track:g}"] if self.track is not None else [])
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options that say where odometry and truth are.
+    """Add the options that say where odometry and truth are; the command gets them as one `reading`."""
 
-    --truth-bag and --truth-shift concern reading alone: they are kept for `read_all` and not passed to the command.
-    """
-    for option in (
+    @functools.wraps(command)
+    def with_reading(*args: Any, **given: Any) -> Any:
+        reading = Reading(**{field.name: given.pop(field.name) for field in fields(Reading)})
+        return command(*args, reading=reading, **given)
+
+    options = (
         click.option(
             "--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."
         ),
         click.option(
             "--truth-shift",
+            "truth_shift_s",
             type=Number("seconds", -1e10, 1e10),
             default=0.0,
             metavar="SECONDS",
-            expose_value=False,
-            callback=_remember(_TRUTH_SHIFT),
             help="Added to the truth's stamps, where its clock is far off (seconds are enough; the rest is fitted).",
         ),
         click.option(
             "--truth-bag",
             "--truth-file",
+            "truth_bags",
             type=click.Path(path_type=Path),
             multiple=True,
-            expose_value=False,
-            callback=_remember(_TRUTH_BAGS),
             help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
         ),
         click.option(
@@ -60,8 +119,6 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option(
             "--scan",
             metavar="TOPIC",
-            expose_value=False,
-            callback=_remember(_SCAN),
             help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
         ),
         click.option(
@@ -69,108 +126,26 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=Share("a share as in 0.3% or 0.003", 0.0, 20.0),
             metavar="SHARE",
             default="0.3%",
-            expose_value=False,
-            callback=_remember(_RULER),
-            help="How far the laser's own scale may be off (one standard deviation): no scale is known better. [default: 0.3%]",
+            help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
+            "[default: 0.3%]",
         ),
         click.option(
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
         ),
-    ):
-        command = option(command)
-    return command
+    )
+    decorated: Callable[..., Any] = with_reading
+    for option in options:
+        decorated = option(decorated)
+    return decorated
 
 
-def _remember(key: str) -> Callable[[click.Context, click.Parameter, Any], None]:
-    def callback(ctx: click.Context, _: click.Parameter, value: Any) -> None:
-        ctx.meta[key] = value
-
-    return callback
-
-
-def need_study() -> None:
-    """Explain what to install where the study's libraries are missing."""
-    try:
-        import scipy  # noqa: F401
-    except ImportError as error:
-        raise OdomCorruptError(
-            'scipy is not installed; the study needs it: pip install "odomcorrupt[study]"'
-        ) from error
-
-
-def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], dict[str, MotionModel]]:
+def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:
     """Return recordings and models: arguments that end in .toml are models."""
-    from odomcorrupt.model.model_file import read_model
-
-    models = {a: read_model(Path(a)) for a in arguments if a.endswith(".toml")}
+    models = [a for a in arguments if a.endswith(".toml")]
     recordings = [Path(a) for a in arguments if not a.endswith(".toml")]
     if not recordings:
         raise click.UsageError("no recording given; name a bag with odometry and truth")
     return recordings, models
-
-
-def read_all(paths: Sequence[Path], odom: str | None, truth: str | None, track: float | None) -> list[Recording]:
-    """Return the recordings, several for a path with resets, and say on stderr what reading them left out."""
-    from odomcorrupt.study.io import Source, read_runs
-
-    meta = click.get_current_context().meta
-    recordings = []
-    for path, truth_path in zip(paths, _truth_bags(len(paths)), strict=True):
-        source = Source(
-            path=_spooled(path) if str(path) == "-" else path,
-            odom=odom,
-            truth=truth,
-            truth_path=truth_path,
-            truth_shift_s=meta.get(_TRUTH_SHIFT, 0.0),
-            scan=meta.get(_SCAN),
-            truth_scale_error=meta.get(_RULER, 0.003),
-            track_m=track,
-            name="stdin" if str(path) == "-" else "",
-        )
-        for recording in read_runs(source, part_done):
-            click.echo(describe(recording), err=True)
-            for note in recording.notes:
-                click.echo(f"  {note}", err=True)
-            recordings.append(recording)
-    return recordings
-
-
-def source_words(odom: str | None, truth: str | None, track: float | None) -> list[str]:
-    """Return the words of a command line that read the same recordings again."""
-    meta = click.get_current_context().meta
-    words = [w for flag, value in (("--odom", odom), ("--truth", truth)) if value for w in (flag, value)]
-    words += ["--scan", meta[_SCAN]] if meta.get(_SCAN) else []
-    words += [w for path in meta.get(_TRUTH_BAGS, ()) for w in ("--truth-bag", str(path))]
-    if shift := meta.get(_TRUTH_SHIFT, 0.0):
-        words += ["--truth-shift", repr(shift)]
-    return words + (["--track", f"{track:g}"] if track is not None else [])
-
-
-def describe(recording: Recording) -> str:
-    """Return one line about a recording."""
-    import numpy as np
-
-    odometry, truth = recording.odometry, recording.truth
-    spans = [(t.stamps_ns[-1] - t.stamps_ns[0]) * 1e-9 for t in (odometry, truth)]
-    travelled = np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1).sum()
-    return (
-        f"{recording.name}: odometry {len(odometry)} poses in {spans[0]:.1f} s ({travelled:.1f} m), "
-        f"truth {len(truth)} poses in {spans[1]:.1f} s"
-    )
-
-
-def _truth_bags(count: int) -> list[Path | None]:
-    """Return the truth's file of each of the next recordings: a command may read twice (learn and its judges)."""
-    ctx = click.get_current_context()
-    given: tuple[Path, ...] = ctx.meta.get(_TRUTH_BAGS, ())
-    if len(given) < 2:
-        return [given[0] if given else None] * count
-    used = ctx.meta.get(_USED, 0)
-    total = count + len(ctx.params.get("judge") or ()) if not used else len(given)
-    if total != len(given):
-        raise click.UsageError(f"{len(given)} --truth-bag for {total} recordings; name one for all, or one for each")
-    ctx.meta[_USED] = used + count
-    return list(given[used : used + count])
 
 
 def _spooled(path: Path) -> Path:

@@ -24,9 +24,9 @@ __all__ = ["command"]
 @click.option("--recover", is_flag=True, help="Read what is whole of a damaged original, as the batch did.")
 def command(run: Path, output: Path, original: Path | None, **given: Any) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
-    from odomcorrupt.batch.assemble import assemble
-    from odomcorrupt.batch.manifest import BatchError, fingerprint_of, read_beginning
-    from odomcorrupt.corrupt.run import Container
+    from odomcorrupt.batching.assemble import assemble
+    from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
+    from odomcorrupt.corruption.run import Container
 
     if original is None:
         told = read_beginning(run.parent)["input"]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, split_arguments
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -43,34 +44,35 @@ _KINDS = ("png", "svg", "pdf")
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(
     arguments: tuple[str, ...],
-    odom: str | None,
-    truth: str | None,
-    track: float | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags so
+    *,
+    reading: Reading,
+    as_json: bool,
     report: Path | None,
     plot: tuple[str, ...],
-    fail_if_rejected: bool,  # noqa: FBT001 - as above
-    overwrite: bool,  # noqa: FBT001 - as above
+    fail_if_rejected: bool,
+    overwrite: bool,
 ) -> int:
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
     Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
     """
-    need_study()
+    require("scipy", "the study needs it", "study")
     from odomcorrupt import __version__
+    from odomcorrupt.model.model_file import read_model
     from odomcorrupt.report.json.comparison import comparison_json
     from odomcorrupt.report.text.comparison import comparison_text
     from odomcorrupt.report.text.tables import clock_lines
     from odomcorrupt.study.validate.compare import compare
 
-    paths, models = split_arguments(arguments)
+    paths, names = split_arguments(arguments)
+    models = {name: read_model(Path(name)) for name in names}
     if not models:
         raise click.UsageError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
     plots = _plots(plot)
     for output in (report, *plots):
         refuse_existing(output, overwrite=overwrite)
     tracks = [m.track_m for m in models.values() if m.track_m is not None]
-    runs = read_all(paths, odom, truth, track if track is not None else (tracks[0] if tracks else None))
+    runs = reading.read(paths, track=tracks[0] if tracks else None)
     result = compare(runs, _short_names(models))
     if as_json:
         click.echo(json.dumps(comparison_json(result), indent=2, allow_nan=False))

@@ -62,10 +62,10 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
     """
     import numpy as np
 
-    from odomcorrupt.correct.run import correct_bag
-    from odomcorrupt.correct.summary import correction_summary
-    from odomcorrupt.corrupt.run import Container
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.correction.run import correct_bag
+    from odomcorrupt.correction.summary import correction_summary
+    from odomcorrupt.corruption.run import Container
+    from odomcorrupt.corruption.transform import Options
 
     if input_ == "-":
         raise click.UsageError(
@@ -96,7 +96,7 @@ def command(input_: str, output: str, model: Path | None, effects: tuple[str, ..
 
 def _model(model: Path | None, effects: tuple[str, ...], track: float | None) -> MotionModel:
     """Return the model that the options describe; with none, one that has nothing in it."""
-    from odomcorrupt.correct.run import SILENT
+    from odomcorrupt.correction.run import SILENT
 
     if model is None and not effects:
         return SILENT

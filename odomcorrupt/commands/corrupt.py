@@ -46,6 +46,7 @@ __all__ = ["command"]
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
+@click.option("--threads", type=click.IntRange(1), metavar="N", help="[default: one a core, at most 4]")
 @click.option(
     "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
 )
@@ -55,9 +56,9 @@ def command(input_: str, output: str, **given: Any) -> int:
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.corrupt.run import Container, corrupt_bag
-    from odomcorrupt.corrupt.summary import summary
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.run import Container, corrupt_bag
+    from odomcorrupt.corruption.summary import summary
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.memory import keep_freed_memory
     from odomcorrupt.rng import draw_seed
 
@@ -91,7 +92,9 @@ def command(input_: str, output: str, **given: Any) -> int:
             seed=seed,
             run=given["run"],
             options=options,
-            container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
+            container=Container(
+                given["overwrite"], given["compression"], given["level"], given["recover"], given["threads"]
+            ),
             watch=progress,
             path=path,
             told={} if condition is None else condition.told(),

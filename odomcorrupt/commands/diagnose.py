@@ -10,7 +10,8 @@ import click
 
 from odomcorrupt.commands._advice import check_drive, write_drive, write_report
 from odomcorrupt.commands._output import refuse_existing
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.extras import require
 
 __all__ = ["command"]
 
@@ -32,25 +33,25 @@ __all__ = ["command"]
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def command(
     arguments: tuple[str, ...],
-    odom: str | None,
-    truth: str | None,
-    track: float | None,
+    *,
+    reading: Reading,
     drive: Path | None,
     report: Path | None,
-    overwrite: bool,  # noqa: FBT001 - click passes flags so
-    as_json: bool,  # noqa: FBT001 - as above
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
-    need_study()
+    require("scipy", "the study needs it", "study")
+    from odomcorrupt.model.model_file import read_model
     from odomcorrupt.report.json.diagnosis import learned_json
     from odomcorrupt.report.text.diagnosis import found_text, shares_text
     from odomcorrupt.report.text.tables import candidates_table
     from odomcorrupt.study.design.advise import advise
-    from odomcorrupt.study.estimate.extrinsics import mounting_of
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
-    paths, models = split_arguments(arguments)
+    paths, names = split_arguments(arguments)
+    models = {name: read_model(Path(name)) for name in names}
     if len(models) > 1:
         raise click.UsageError(f"{len(models)} models given; diagnose one at a time")
     refuse_existing(report, overwrite=overwrite)
@@ -60,20 +61,19 @@ def command(
     effects = model.effects if model is not None else ()
     known = {effect.name for effect in model.setup.effects} if model is not None else set()
     law = model.noise.law_name if model is not None else "diffusion"
-    runs = read_all(paths, odom, truth, track if track is not None else (model.track_m if model else None))
-    mounting = [effect for effect in mounting_of(runs) if effect.name not in {e.name for e in effects}]
-    learned = learn(runs, (*effects, *mounting), law_name=law)
+    runs = reading.read(paths, track=model.track_m if model else None)
+    learned = learn(runs, effects, law_name=law)
     advice = advise(learned)
     if drive is not None:
         write_drive(drive, advice)
-    words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
+    words = [*(str(p) for p in paths), *reading.words()]
     words += ["--start", name] if name else []
     added = [effect for effect in learned.added if effect not in known]
     words += [w for effect in added for w in ("--add", effect)]
     following = f"odomcorrupt fit {shlex.join(words)} -o robot.toml" if added else ""
     if learned.laws:
         # what is added holds beside a law only, and `learn` alone writes laws
-        words = [*(str(p) for p in paths), *source_words(odom, truth, track)]
+        words = [*(str(p) for p in paths), *reading.words()]
         following = f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     begin = Path(name).name if name else "without effects"
     ladder = ladder_comparison(learned, runs, begin)

@@ -10,7 +10,7 @@ import click
 from odomcorrupt.commands._param_types import TRACK, Number
 
 if TYPE_CHECKING:
-    from odomcorrupt.export.amcl import Turn
+    from odomcorrupt.export.nav2 import Turn
 
 __all__ = ["command"]
 
@@ -87,11 +87,10 @@ def command(
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.export.amcl import amcl_alphas
-    from odomcorrupt.export.step_variance import Steady
-    from odomcorrupt.export.text import amcl_text, twists_text, wheels_text
-    from odomcorrupt.export.twists import twist_variances
-    from odomcorrupt.export.wheels import wheel_multipliers
+    from odomcorrupt.export.nav2 import amcl_alphas
+    from odomcorrupt.export.robot_localization import Steady, twist_variances
+    from odomcorrupt.export.ros2_control import wheel_multipliers
+    from odomcorrupt.export.yaml_text import amcl_text, twists_text, wheels_text
     from odomcorrupt.model.model_file import read_model
 
     robot = read_model(model)

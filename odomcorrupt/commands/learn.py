@@ -11,7 +11,8 @@ import click
 
 from odomcorrupt.commands._advice import check_drive, write_drive, write_report
 from odomcorrupt.commands._output import refuse_existing, write_text
-from odomcorrupt.commands._recordings import need_study, read_all, recording_options, source_words, split_arguments
+from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -41,22 +42,21 @@ __all__ = ["command"]
 @click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
 def command(
     recordings: tuple[str, ...],
-    odom: str | None,
-    truth: str | None,
-    track: float | None,
+    *,
+    reading: Reading,
     output: Path | None,
     judge: tuple[str, ...],
     plot: Path | None,
     report: Path | None,
     drive: Path | None,
-    as_json: bool,  # noqa: FBT001 - click passes flags so
-    overwrite: bool,  # noqa: FBT001 - as above
+    as_json: bool,
+    overwrite: bool,
 ) -> None:
     """Learn which effects a robot has, write its model, and show the error falling.
 
     Without --judge, the ladder is cross-validated on halves of the recordings themselves.
     """
-    need_study()
+    require("scipy", "the study needs it", "study")
     from odomcorrupt.model.model_file import format_model
     from odomcorrupt.report.json.comparison import comparison_json
     from odomcorrupt.report.json.diagnosis import learned_json
@@ -65,23 +65,22 @@ def command(
     from odomcorrupt.report.text.fit import fit_text
     from odomcorrupt.study.design.advise import advise
     from odomcorrupt.study.estimate.calibrate import fit_robot
-    from odomcorrupt.study.estimate.extrinsics import mounting_of
     from odomcorrupt.study.select.stepwise import learn
     from odomcorrupt.study.validate.compare import compare
     from odomcorrupt.study.validate.model_sequence import ladder_comparison
+    from odomcorrupt.study.validate.round_trip import proved
 
     paths, models = split_arguments(recordings)
     if models:
-        raise click.UsageError(f"{next(iter(models))} is a model; `fit --start` and `diagnose` take models")
+        raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
     for path in (output, plot, report):
         refuse_existing(path, overwrite=overwrite)
     check_drive(drive, overwrite=overwrite)
-    runs = read_all(paths, odom, truth, track)
-    judges = read_all([Path(j) for j in judge], odom, truth, track) or runs
-    mounting = mounting_of(runs)
-    learned = learn(runs, mounting)
+    runs, held_out = reading.read_with_held_out(paths, [Path(j) for j in judge])
+    judges = held_out or runs
+    learned = learn(runs)
     advice = advise(learned)
-    base = fit_robot(runs, mounting, law_name="diffusion", clocks=learned.clocks)
+    base = fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks)
     random = [gain.effect for gain in learned.noise]
     robot = fit_robot(
         runs,
@@ -90,11 +89,12 @@ def command(
         clocks=learned.clocks,
         shaped=learned.added,
     )
+    proof = proved(robot.model, runs)
     ladder = {"without effects": base.model}
-    laws = [f"{one.channel} over {one.driver}" for one in learned.laws]
+    laws = [f"{one.channel} over {one.regressor}" for one in learned.laws]
     names = [*learned.added, *laws, *(effect.name for effect in random)]
     if names:
-        ladder["with " + ", ".join(names)] = robot.model
+        ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)
     steps = ladder_comparison(learned, judges) if as_json or report is not None else None
     if as_json and steps is not None:
@@ -102,17 +102,17 @@ def command(
         click.echo(json.dumps(found | {"comparison": comparison_json(comparison)}, indent=2, allow_nan=False))
     else:
         told = found_text(learned, advice, judged=comparison.judgements[-1], fit=robot.fit)
-        lines = [told, fit_text(robot, clocks=False), ""]
+        lines = [told, fit_text(robot, clocks=False), *proof.changes, ""]
         click.echo("\n".join([*lines, comparison_text(comparison)]))
     if output is not None:
-        write_text(output, format_model(robot.model))
+        write_text(output, format_model(proof.model))
         click.echo(f"wrote {output}", err=True)
     if drive is not None:
         write_drive(drive, advice)
     if plot is not None:
         _draw(plot, comparison)
     if report is not None and steps is not None:
-        words = [*map(str, paths), *source_words(odom, truth, track)]
+        words = [*map(str, paths), *reading.words()]
         write_report(report, learned, steps, advice, _following(output, words))
 
 

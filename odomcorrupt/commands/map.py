@@ -100,7 +100,7 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
 def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:
     import numpy as np
 
-    from odomcorrupt.corrupt.path import NoisyPath
+    from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.mapping.frames import mount_at
     from odomcorrupt.mapping.raycast import canvas_for
     from odomcorrupt.mapping.scan_map import place, slow_rays, survey

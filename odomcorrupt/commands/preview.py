@@ -44,9 +44,9 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
     import json
 
     from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corrupt.path import NoisyPath
-    from odomcorrupt.corrupt.summary import per_message
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.path import NoisyPath
+    from odomcorrupt.corruption.summary import per_message
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.preview.forecast import forecast, read_clean_drive
     from odomcorrupt.preview.text import forecast_json, forecast_text
 

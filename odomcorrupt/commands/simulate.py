@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._fault_options import HEADINGS, size_of, what_is_wrong
 from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._recordings import need_study
+from odomcorrupt.extras import require
 
 __all__ = ["command"]
 
@@ -67,11 +67,11 @@ def command(
 
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
-    need_study()
-    from odomcorrupt.simulate.bag import write_mcap
-    from odomcorrupt.simulate.commands import read_commands
-    from odomcorrupt.simulate.ground_truth import fingerprint, format_answer
-    from odomcorrupt.simulate.run import simulate
+    require("scipy", "the study needs it", "study")
+    from odomcorrupt.simulation.bag import write_mcap
+    from odomcorrupt.simulation.commands import read_commands
+    from odomcorrupt.simulation.record import fingerprint, format_answer
+    from odomcorrupt.simulation.run import simulate
 
     piped = str(output) == "-"
     if piped and answer is None:

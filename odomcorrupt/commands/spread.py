@@ -13,7 +13,7 @@ from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, s
 from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
-    from odomcorrupt.batch.dispersion import SpreadReport
+    from odomcorrupt.batching.dispersion import SpreadReport
 
 __all__ = ["command"]
 
@@ -30,7 +30,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: b
     import json
     from dataclasses import asdict
 
-    from odomcorrupt.batch.dispersion import measure
+    from odomcorrupt.batching.dispersion import measure
 
     if output is not None:
         if picture_kind(output) is None:

@@ -41,7 +41,9 @@ __all__ = [
     "stacked",
 ]
 
-Kind = Literal["effect", "setup", "noise"]
+Kind = Literal["effect", "setup", "noise", "event"]
+"""An event happens once, at a time that its model states: it is put into bags, and no diagnosis tests it."""
+
 Layer = Literal["motion", "record", "draws"]
 State = Any
 
@@ -169,8 +171,19 @@ class Effect:
         """Return f over the intervals of `motion`, and the state after them; a state given is never changed."""
         raise NotImplementedError
 
-    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - layer "record"
-        """Return the increments (n, 3) that are reported where `steps` should be."""
+    @property
+    def window_s(self) -> tuple[float, float] | None:
+        """When an event acts, from and to, seconds after the first odometry stamp; None: no event, it acts always."""
+        return None
+
+    def recorded(
+        self,
+        steps: Array,
+        t_s: Array,  # noqa: ARG002 - for effects of layer "record"
+        track_m: float | None,  # noqa: ARG002 - as above
+        state: State,
+    ) -> Recorded:
+        """Return the increments (n, 3) that are reported where `steps` should be; they end at t_s (n,) seconds."""
         return Recorded(steps, state)
 
     def restored(self, motion: Motion) -> Motion:

@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 
+_MOST = 0.9
+"""A gain beyond this is held there: a robot that stands or goes back as its wheels roll on is no gain of them."""
+
+
 class _Gain(NamedTuple):
     rng: Generator
     normal: float
@@ -37,7 +41,7 @@ class _Gain(NamedTuple):
 class GaussMarkov(Effect):
     """f = g (v, 0, 0) or g (0, 0, omega), g' = -g / tau + white noise, stationary with deviation sigma.
 
-    It vanishes at rest, which a wandering bias does not.
+    It vanishes at rest, which a wandering bias does not. Its gain is held within 0.9: any motion has an odometry then.
     """
 
     name: ClassVar[str] = "gauss_markov"
@@ -51,7 +55,7 @@ class GaussMarkov(Effect):
         drive="drive for long and come back to the same places: what depends on the place comes back, this does not",
     )
 
-    sigma: float = parameter("", "standard deviation of the gain", low=0.0, high=0.3, typical=0.02)
+    sigma: float = parameter("", "standard deviation of the gain", low=0.0, high=0.5, typical=0.02)
     tau: float = parameter("s", "correlation time", low=0.05, high=1e4, typical=5.0, identity=5.0, amplitude=False)
     channel: str = choice("what the gain acts on", "along", "yaw")
 
@@ -66,7 +70,8 @@ class GaussMarkov(Effect):
         keep = np.exp(-motion.dt_s / self.tau)
         normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
         last = float(normal[-1]) if len(normal) else state.normal
-        return TwistError(self._on_channel(self.sigma * normal * self._speed(motion)), _Gain(rng, last))
+        gain = np.clip(self.sigma * normal, -_MOST, _MOST)
+        return TwistError(self._on_channel(gain * self._speed(motion)), _Gain(rng, last))
 
     def moments(self, motion: Motion) -> Moments:
         """Return the stationary variance of the gain times the speed squared."""

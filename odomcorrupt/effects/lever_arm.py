@@ -26,8 +26,8 @@ class LeverArm(Effect):
         drive="turn on the spot both ways, and drive straights; a second place of the marker tells it from icr_shift",
     )
 
-    x: float = parameter("m", "tracked point ahead of the base frame", low=-2.0, high=2.0, typical=0.03)
-    y: float = parameter("m", "tracked point to the left of the base frame", low=-2.0, high=2.0, typical=0.03)
+    x: float = parameter("m", "tracked point ahead of the base frame", low=-5.0, high=5.0, typical=0.03)
+    y: float = parameter("m", "tracked point to the left of the base frame", low=-5.0, high=5.0, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: what a point off the axis does in turns."""

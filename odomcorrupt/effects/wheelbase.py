@@ -26,7 +26,7 @@ class Wheelbase(Effect):
         drive="turn on the spot both ways; which of the twins it is only the source of the heading tells",
     )
 
-    e: float = parameter("", "true over nominal track, minus one", low=-0.5, high=2.0, typical=0.015)
+    e: float = parameter("", "true over nominal track, minus one", low=-0.9, high=2.0, typical=0.015)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: every turn is misjudged by the same factor."""

@@ -1,4 +1,4 @@
-"""What an odometry topic is like: how its robot moved, and what is odd about its numbers."""
+"""Checks of an odometry topic: how its robot moved, and what is odd about its stamps, numbers and covariances."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.corrupt.reorder import WINDOW_NS
+from odomcorrupt.corruption.patch import PLANAR_BLOCK
+from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.corruption.reorder import WINDOW_NS
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import interpolate, inverse, wrap
 
@@ -18,7 +19,61 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
 
-__all__ = ["Findings", "disagreement_m", "findings"]
+__all__ = ["HUGE", "CovarianceWatch", "Findings", "disagreement_m", "findings"]
+
+HUGE = 1e3
+"""A variance from here on says "not known", m^2 or rad^2."""
+
+ROUNDING = 1e-9
+"""Part of the largest variance by which a covariance may miss being one."""
+
+
+@dataclass(slots=True)
+class CovarianceWatch:
+    """Remembers of many 6 x 6 covariances what is odd about x, y and yaw."""
+
+    count: int = 0
+    largest: float = 0.0
+    zero: bool = True
+    senseless: bool = False
+    crooked: bool = False
+    changed: bool = False
+    _first: Array | None = None
+
+    def take(self, flat: Array) -> None:
+        """Look at n covariances (n, 36)."""
+        planar = flat[:, PLANAR_BLOCK]
+        if not len(planar):
+            return
+        if self._first is None:
+            self._first = planar[0].copy()
+        self.count += len(planar)
+        self.changed |= not bool(np.array_equal(planar, np.broadcast_to(self._first, planar.shape), equal_nan=True))
+        self.zero &= not bool(planar.any())
+        square = planar.reshape(-1, 3, 3)
+        diagonal = np.diagonal(square, axis1=1, axis2=2)
+        if not np.isfinite(planar).all() or (diagonal < 0.0).any():
+            self.senseless = True
+            return
+        self.largest = max(self.largest, float(diagonal.max()))
+        off = np.abs(square - square.transpose(0, 2, 1)).max(axis=(1, 2))
+        allowed = ROUNDING * diagonal.max(axis=1)
+        self.crooked |= bool((off > allowed).any() or (np.linalg.eigvalsh(square)[:, 0] < -allowed).any())
+
+    def oddity(self, *, never_changes: bool) -> str | None:
+        """Return what is odd, None for nothing; never_changes: whether it is odd that they do not."""
+        if self.zero:
+            return "are all zero" if self.count else None
+        if self.senseless:
+            return "are negative or not numbers"
+        if self.largest >= HUGE:
+            return f'say "not known" (up to {self.largest:.3g})'
+        if self.crooked:
+            return "are not symmetric, or not positive"
+        if never_changes and self.count > 1 and not self.changed:
+            return "never change"
+        return None
+
 
 MOVING = 0.05
 """Slower than this, m/s or rad/s, a robot counts as standing."""

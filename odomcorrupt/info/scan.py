@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corrupt.odometry_source import stamps_or_log_ns
-from odomcorrupt.corrupt.patch import PLANAR
-from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
-from odomcorrupt.corrupt.unmodified_topics import frame_of
+from odomcorrupt.corruption.odometry_source import stamps_or_log_ns
+from odomcorrupt.corruption.patch import PLANAR
+from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
+from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
-from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceWatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -6,14 +6,14 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corrupt.summary import SIDEWAYS
-from odomcorrupt.corrupt.targets import GLOBAL_FRAMES, Frames, plain, side_of
-from odomcorrupt.corrupt.unmodified_topics import truth_tellers
+from odomcorrupt.corruption.summary import SIDEWAYS
+from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
+from odomcorrupt.corruption.unmodified_topics import truth_tellers
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import disagreement_m, findings
-from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
+from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
     from odomcorrupt.info.scan import EdgeRecord, Survey
@@ -150,8 +150,18 @@ def _remarks(
     return said
 
 
+def _visible(value: Any) -> Any:
+    """Return values with the control characters of all names in them escaped."""
+    if isinstance(value, dict):
+        return {key: _visible(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_visible(one) for one in value]
+    return visible(value) if isinstance(value, str) else value
+
+
 def portrait_text(values: dict[str, Any]) -> str:
     """Return a portrait for people: tables of topics and edges, then sentences."""
+    values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}
     rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]
     for t in values["topics"]:

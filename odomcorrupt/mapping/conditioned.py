@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["MAX_TRIES", "FreeSamples", "move_sampled_in_map"]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.path import Knots, NoisyPath
+from odomcorrupt.corruption.path import Knots, NoisyPath
 from odomcorrupt.mapping.conditioned import MAX_TRIES
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,

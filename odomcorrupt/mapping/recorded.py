@@ -8,8 +8,8 @@ import numpy as np
 
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corrupt.odometry_source import Driver
-from odomcorrupt.corrupt.targets import ENCODINGS, ODOMETRY, TRANSFORMS
+from odomcorrupt.corruption.odometry_source import Driver
+from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.frames import FrameTree
 from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN, Grid
@@ -18,7 +18,7 @@ from odomcorrupt.mapping.messages import GRID, read_grid
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["RecordedMap", "read_map_from_odom", "read_odom_frame", "read_recorded_map"]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corrupt.drift import MARKS_M
-from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.corrupt.transform import Transform
+from odomcorrupt.corruption.drift import MARKS_M
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.corrupt.path import Knots, PathSource
-    from odomcorrupt.corrupt.transform import Options
+    from odomcorrupt.corruption.path import Knots, PathSource
+    from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 

@@ -6,8 +6,8 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.corrupt.inverse import acts
-from odomcorrupt.corrupt.summary import holonomic_words, model_words, per_message
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.summary import holonomic_words, model_words, per_message
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel

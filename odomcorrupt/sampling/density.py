@@ -18,13 +18,13 @@ import numpy as np
 
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.se2 import rotate, wrap
-from odomcorrupt.sampling.move import move_between, move_variances
+from odomcorrupt.sampling.samples import move_between, move_variances
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["DensityGrid", "density_on_grid", "pose_density", "product", "table_5_5"]
 

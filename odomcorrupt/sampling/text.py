@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.move import Move
-    from odomcorrupt.sampling.samples import Moments
+    from odomcorrupt.sampling.samples import Moments, Move
 
 __all__ = ["Drawn", "csv_text", "json_text", "law_words", "report_text", "title"]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.corrupt.se2_on_se3 import SpatialPoses, from_left, from_right
-from odomcorrupt.corrupt.targets import ODOMETRY, TRANSFORMS, Frames, plain, side_of
+from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
+from odomcorrupt.corruption.targets import ODOMETRY, TRANSFORMS, Frames, plain, side_of
 from odomcorrupt.geometry.se2 import compose, interpolate, inverse
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batch.tum import read_tum
+from odomcorrupt.batching.tum import read_tum
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.transform import Options
+from odomcorrupt.corruption.transform import Options
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
@@ -71,8 +71,8 @@ def test_every_run_has_the_bytes_of_the_command_in_the_manifest(name, here):
 
 def test_small_portions_and_groups_give_the_same_bytes(here, monkeypatch):
     assert run(["batch", "office.mcap", "one", "--runs", "4", *MODEL, "--seed", "7"]) == 0
-    monkeypatch.setattr("odomcorrupt.batch.patch_batch.PORTION_MESSAGES", 7)
-    monkeypatch.setattr("odomcorrupt.batch.engine.GROUP", 3)
+    monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 7)
+    monkeypatch.setattr("odomcorrupt.batching.engine.GROUP", 3)
     assert run(["batch", "office.mcap", "two", "--runs", "4", *MODEL, "--seed", "7"]) == 0
     for k in range(4):
         name = f"run_{k:06d}.mcap"

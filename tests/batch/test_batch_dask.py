@@ -20,7 +20,7 @@ RUNS = 48
 
 absent = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None,
-    reason='dask is not installed: pip install "odomcorrupt[dask]" to have this tested',
+    reason='dask is not installed: pip install ".[dask]" to have this tested',
 )
 
 
@@ -92,4 +92,4 @@ def test_without_dask_the_extra_is_named(tmp_path, monkeypatch, capsys):
     Path("in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
     monkeypatch.setitem(sys.modules, "distributed", None)
     assert run(["batch", "in.mcap", "runs", "--runs", "1", "--seed", "1", "--dask", "tcp://127.0.0.1:1"]) == 1
-    assert 'pip install "odomcorrupt[dask]"' in capsys.readouterr().err
+    assert 'pip install ".[dask]"' in capsys.readouterr().err

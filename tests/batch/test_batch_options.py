@@ -40,7 +40,7 @@ def records(directory):
 @pytest.mark.parametrize("name", BAGS)
 @pytest.mark.parametrize("options", OPTIONS)
 def test_options_of_corruption_give_the_bytes_of_the_command_in_the_manifest(name, options, here, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.batch.patch_batch.PORTION_MESSAGES", 300)
+    monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 300)
     assert run(["batch", name, "runs", "--runs", "2", *NOISE, *OPTIONS[options]]) == 0
     for record in records(here / "runs"):
         words = shlex.split(record["command"])[1:]

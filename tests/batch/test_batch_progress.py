@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batch.progress import Watched
+from odomcorrupt.batching.progress import Watched
 from odomcorrupt.commands._eta import left_words
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -21,7 +21,7 @@ FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 
 @pytest.mark.parametrize("name", ["office.mcap", "office.bag", "office_ros2"])
 def test_pass_tells_its_part_in_ascending_order(name, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.batch.progress.PAUSE_S", 0.0)
+    monkeypatch.setattr("odomcorrupt.batching.progress.PAUSE_S", 0.0)
     beats = []
     with open_reader(FIXTURES / name) as reader:
         watched = Watched(reader, lambda part, past_s: beats.append((part, past_s)))
@@ -45,7 +45,7 @@ def test_half_a_pass_counts_for_rate_and_time_left():
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     program = (
-        "import odomcorrupt.batch.progress as pulse, time; pulse.PAUSE_S = 0.0\n"
+        "import odomcorrupt.batching.progress as pulse, time; pulse.PAUSE_S = 0.0\n"
         "import sys; from odomcorrupt.cli import run; sys.exit(run(sys.argv[1:]))\n"
     )
     script = tmp_path / "slow.py"

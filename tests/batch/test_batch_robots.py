@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odomcorrupt.batch.parameter_draws import draw_robot, spreads_of
-from odomcorrupt.batch.sweep import variants
+from odomcorrupt.batching.parameter_draws import draw_robot, spreads_of
+from odomcorrupt.batching.sweep import variants
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.model_file import parse_model

@@ -9,7 +9,7 @@ import pytest
 from bag_contents import rows_of
 
 from odomcorrupt.cli import run
-from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.simulation import simulate, write_mcap
 
 ROBOT = 41
 

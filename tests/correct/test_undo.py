@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from odomcorrupt.correct.clock import ClockPutRight, true_stamps
-from odomcorrupt.correct.path import CorrectedPath, corrected_knots
-from odomcorrupt.correct.undo import undo_effects
-from odomcorrupt.corrupt.covariance import pose_covariance
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.correction.clock import ClockPutRight, true_stamps
+from odomcorrupt.correction.path import CorrectedPath, corrected_knots
+from odomcorrupt.correction.undo import undo_effects
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.user import user_effect

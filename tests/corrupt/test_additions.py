@@ -9,8 +9,8 @@ from drives import model, office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corrupt.additions import pack_transform
-from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.corruption.additions import pack_transform
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse, wrap, yaw_from_quaternion
 

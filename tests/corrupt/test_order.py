@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from odomcorrupt.corrupt.reorder import Arrivals, TimeOrder
+from odomcorrupt.corruption.reorder import Arrivals, TimeOrder
 
 S = 10**9
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from drives import LAW_COEFFICIENTS, model, office, silent, stamps, textbook_run
 
-from odomcorrupt.corrupt.covariance import pose_covariance
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import LAWS, Coefficients

@@ -11,9 +11,9 @@ from bagged import messages_of, read
 from drives import model, silent
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corrupt.run import Container, corrupt_bag
-from odomcorrupt.corrupt.summary import holonomic_words, summary
-from odomcorrupt.corrupt.transform import Options
+from odomcorrupt.corruption.run import Container, corrupt_bag
+from odomcorrupt.corruption.summary import holonomic_words, summary
+from odomcorrupt.corruption.transform import Options
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import wrap, yaw_from_quaternion

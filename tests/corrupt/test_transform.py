@@ -23,9 +23,9 @@ from bagged import (
 from drives import model, office, silent
 
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.corrupt.covariance import pose_covariance
-from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.increments import Increments, accumulate

@@ -7,10 +7,9 @@ import pytest
 from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, read, robot
 from drives import model, office, silent
 
-from odomcorrupt.corrupt.covariance import SUMS, pose_covariance
-from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.corrupt.random_covariance import wanders
-from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.corruption.covariance import SUMS, pose_covariance, wanders
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -12,7 +12,7 @@ from drives import office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.unmodified_topics import frame_of, truth_tellers
+from odomcorrupt.corruption.unmodified_topics import frame_of, truth_tellers
 
 
 def channel(number, topic, msgtype, encoding="cdr"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from manoeuvres import motion
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.effects.expression import parse_expression
 from odomcorrupt.effects.user import user_effect

@@ -14,8 +14,8 @@ sys.path.append(str(Path(__file__).parents[1] / "corrupt"))
 from bagged import ODOM, MemoryBag, blocks_of, odometry, quaternion, read, robot, twists
 
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.corrupt.transform import Transform
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients

@@ -11,7 +11,7 @@ import numpy as np
 from mutations import mutated
 from trials import FoundError, command, judged
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.mapping.mapfile import read_map
 from odomcorrupt.model.model_file import format_model, parse_model, read_model

@@ -26,7 +26,7 @@ from rosbags.rosbag1 import Reader as Ros1LibraryReader
 from odomcorrupt.bags.messages import READABLE, locate
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients

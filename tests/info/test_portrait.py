@@ -13,7 +13,7 @@ from odomcorrupt.bags.block import Channel
 from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.info.covariance_check import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceWatch
 from odomcorrupt.info.scan import survey
 from odomcorrupt.info.summary import portrait, portrait_text
 

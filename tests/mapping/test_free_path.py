@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rooms import MODEL, drive, room
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.mapping.conditioned_runs import FreeRuns

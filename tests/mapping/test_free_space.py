@@ -2,15 +2,14 @@ import numpy as np
 import pytest
 from rooms import MODEL, RESOLUTION, drive, room
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError
 from odomcorrupt.mapping.conditioned import move_sampled_in_map
 from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.model.noise_laws import Variances
-from odomcorrupt.sampling.move import move_between
-from odomcorrupt.sampling.samples import move_sampled
+from odomcorrupt.sampling.samples import move_between, move_sampled
 
 WALL = (2.0, -1.0, 2.2, 1.0)
 AHEAD = move_between(np.zeros(3), np.array([3.0, 0.0, 0.0]))

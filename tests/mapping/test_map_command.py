@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.grid import OCCUPIED
 from odomcorrupt.mapping.mapfile import read_map

@@ -7,7 +7,7 @@ import pytest
 from mcap.writer import Writer
 from packed import ROS2, grid, scan
 
-from odomcorrupt.corrupt.transform import Options
+from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import BagError, MapError, RecordingError, TopicError
 from odomcorrupt.mapping.frames import mount_at
 from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN

@@ -7,14 +7,14 @@ import numpy as np
 
 from mujocosim.body import RADIUS_M, TRACK_M, Body, Standing, build
 from mujocosim.causes import CAUSES
-from odomcorrupt.simulate import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
-from odomcorrupt.simulate.encoders import reckon
-from odomcorrupt.simulate.kinematics import Drive
-from odomcorrupt.simulate.record import record
-from odomcorrupt.simulate.robot import Robot
-from odomcorrupt.simulate.route import follow
-from odomcorrupt.simulate.streams import Streams, stream
-from odomcorrupt.simulate.tracker import watch
+from odomcorrupt.simulation import ROUTES, TRACKERS, Rig, Segment, SimulatedRun, Tracker
+from odomcorrupt.simulation.encoders import reckon
+from odomcorrupt.simulation.kinematics import Drive
+from odomcorrupt.simulation.record import record
+from odomcorrupt.simulation.robot import Robot
+from odomcorrupt.simulation.routes import follow
+from odomcorrupt.simulation.streams import Streams, stream
+from odomcorrupt.simulation.tracker import watch
 
 CONTROL_S = 0.01
 STEPS = 10

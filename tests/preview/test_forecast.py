@@ -12,8 +12,8 @@ from test_run import FIXTURES
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.path import NoisyPath
-from odomcorrupt.corrupt.transform import Options, Transform
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
 from odomcorrupt.model.motion_model import MotionModel

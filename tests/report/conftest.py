@@ -12,7 +12,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.validate.compare import compare
 

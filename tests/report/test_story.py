@@ -33,10 +33,13 @@ from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io.clock import Clock
-from odomcorrupt.study.select.channels import Action
-from odomcorrupt.study.select.dependence import Unknown
-from odomcorrupt.study.select.random_effects import RandomGain
+from odomcorrupt.study.select.dependence import BasisScore, Dependence
+from odomcorrupt.study.select.random_effects import RandomCoefficient
+from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.basis import BasisFunction
+from odomcorrupt.study.terms.channels import Action
+from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.model_sequence import ladder_comparison
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
@@ -63,17 +66,46 @@ ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
 NONE = Advice((), (), (), None)
 
 
-def unknown(channel, driver, *, per="m", wavelength_m=None):
+def unknown(channel, regressor, *, per="m", wavelength_m=None):
     centres = {
         "position": np.array([[0.0, 0.0], [1.0, 0.5], [2.0, -1.0]]),
         "heading": np.arange(3.0),
-    }.get(driver, np.linspace(-1.0, 1.0, 9))
+    }.get(regressor, np.linspace(-1.0, 1.0, 9))
     curve = 0.01 * np.sin(np.arange(len(centres)))
-    law = None
+    best = None
     if wavelength_m is not None:
-        law = SimpleNamespace(law=SimpleNamespace(wavelength_m=wavelength_m), action=Action(channel, "v"))
-    expression = f"{channel} += v * (0.01 * {driver})"
-    return Unknown(channel, driver, per, centres, curve, np.full(len(centres), 0.002), 1e-6, 40.0, law, expression)
+        best = found_as(
+            BasisFunction("distance", "k * cos(distance)", (lambda m: m.distance,), 1, wavelength_m), channel
+        )
+    return Dependence(
+        channel=channel,
+        regressor=regressor,
+        per=per,
+        centres=centres,
+        curve=curve,
+        curve_error=np.full(len(centres), 0.002),
+        p=1e-6,
+        nats=40.0,
+        best=best,
+        expression=f"{channel} += v * (0.01 * {regressor})",
+    )
+
+
+def found_as(function, channel):
+    """Say that a basis function explains 40 nats of a channel's error per metre."""
+    score = Score(
+        estimate=np.array([0.01]),
+        standard_error=np.array([0.001]),
+        statistic=100.0,
+        inflation=1.0,
+        p=1e-6,
+        separable=True,
+        held_out_nats=30.0,
+        held_out_error=3.0,
+        term=BasisTerm(function, Action(channel, "v")),
+        penalty=10.0,
+    )
+    return BasisScore(score)
 
 
 UNKNOWNS = (
@@ -99,7 +131,7 @@ def ladder(searched, case):
 def rich(searched):
     """Say that the search also found noise and unknowns, the first of which is believed."""
     wandering = effect_from_values("gauss_markov", {"sigma": 0.02, "tau": 4.0, "channel": "yaw"})
-    return replace(searched, noise=(RandomGain(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
+    return replace(searched, noise=(RandomCoefficient(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
 
 
 @pytest.fixture(scope="session")
@@ -202,10 +234,8 @@ def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(ladder):
 
 
 def test_a_believed_law_is_told_with_the_numbers_of_the_model(searched):
-    law, action = SimpleNamespace(wavelength_m=0.0, expression=lambda _, k: f"yaw += v * ({k[0]:.4g} * a)"), Action
-    scored = SimpleNamespace(law=law, action=action("yaw", "v"), effect=SimpleNamespace(name="yaw_over_a"))
-    found = replace(UNKNOWNS[0], law=scored)
-    effect = user_effect("yaw_over_a", "yaw += v * (k * a)", {"k": 0.0123})
+    found = replace(UNKNOWNS[0], best=found_as(BasisFunction("acceleration", "k * a", (lambda m: m.a,)), "yaw"))
+    effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
     learned = replace(searched, unknown=(found,), laws=(found,))
     text = found_text(learned, NONE, fit=fit)
@@ -297,7 +327,7 @@ def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
     assert "as the law has it" in text
     assert "  unequal_wheels: curvature -0." in text
     table = laws_table({"quadratic": fitted, "other": fitted}).splitlines()
-    assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.pieces.active)), "yes"]
+    assert table[1].split() == ["quadratic", "0.0", str(len(fitted.fit.components.active)), "yes"]
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients, law_named

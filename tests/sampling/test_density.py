@@ -8,8 +8,7 @@ from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.density import density_on_grid, pose_density, product, table_5_5
 from odomcorrupt.sampling.examples import EXAMPLES
-from odomcorrupt.sampling.move import move_between, move_variances
-from odomcorrupt.sampling.samples import move_sampled
+from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
 
 FORWARD = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]))
 REVERSE = move_between(np.array([0.3, -0.2, 0.5]), np.array([-0.5, -0.5, 0.2]))

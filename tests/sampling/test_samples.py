@@ -3,17 +3,18 @@ import math
 import numpy as np
 import pytest
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.rng import stream
 from odomcorrupt.sampling.examples import EXAMPLES
-from odomcorrupt.sampling.move import move_between, move_variances
 from odomcorrupt.sampling.samples import (
     ellipse,
     linearised_moments,
+    move_between,
     move_sampled,
+    move_variances,
     sample_moments,
     with_noise,
 )

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from odomcorrupt.simulate import Rig, Segment, Tracker, simulate
+from odomcorrupt.simulation import Rig, Segment, Tracker, simulate
 
 FLAWLESS_RIG = Rig(
     sampling_jitter_s=0.0,

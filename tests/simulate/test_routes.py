@@ -6,8 +6,8 @@ from mcap.writer import Writer
 from simulated_manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, both, way_m
 
 from odomcorrupt.errors import BagError, TopicError
-from odomcorrupt.simulate import ROUTES, Commands, read_commands, simulate
-from odomcorrupt.simulate.messages import STORE
+from odomcorrupt.simulation import ROUTES, Commands, read_commands, simulate
+from odomcorrupt.simulation.bag import STORE
 
 
 def driven(route, seed=6, duration_s=300.0):

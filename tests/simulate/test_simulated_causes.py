@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_manoeuvres import FLAWLESS_RIG, FLAWLESS_TRACKER, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
 
-from odomcorrupt.simulate import Segment, Tracker, simulate
+from odomcorrupt.simulation import Segment, Tracker, simulate
 
 SPIN_RIGHT = (REST, Segment(0.0, -0.8, 19.0), Segment(0.0, 0.0, 5.0))
 FASTER = (REST, Segment(1.0, 0.0, 19.0), Segment(0.0, 0.0, 5.0))

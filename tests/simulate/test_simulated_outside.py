@@ -5,10 +5,10 @@ import pytest
 from simulated_manoeuvres import CIRCLE_LEFT, REST, SPIN_LEFT, STRAIGHT, both, silent, way_m
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.simulate import OUTSIDE, Segment, simulate, simulate_without
-from odomcorrupt.simulate.fault_draws import draw_causes
-from odomcorrupt.simulate.robot import build_robot
-from odomcorrupt.simulate.streams import stream
+from odomcorrupt.simulation import OUTSIDE, Segment, simulate, simulate_without
+from odomcorrupt.simulation.fault_draws import draw_causes
+from odomcorrupt.simulation.robot import build_robot
+from odomcorrupt.simulation.streams import stream
 
 CRUISE = slice(500, 900)
 

@@ -20,9 +20,9 @@ from simulated_manoeuvres import (
     way_m,
 )
 
-from odomcorrupt.simulate import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
-from odomcorrupt.simulate.fault_draws import draw_parameters
-from odomcorrupt.simulate.messages import STORE
+from odomcorrupt.simulation import CAUSES, OUTSIDE, TRACKERS, Segment, simulate, simulate_without, write_mcap
+from odomcorrupt.simulation.bag import STORE
+from odomcorrupt.simulation.fault_draws import draw_parameters
 
 EVERY = {**CAUSES, **OUTSIDE}
 OF_THE_SENSORS = {

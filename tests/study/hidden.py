@@ -13,7 +13,7 @@ from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.recording import Recording, Trajectory
 
 if TYPE_CHECKING:
-    from odomcorrupt.simulate import SimulatedRun
+    from odomcorrupt.simulation import SimulatedRun
 
 
 def as_recording(run: SimulatedRun, name: str = "run", *, track: bool = True) -> Recording:

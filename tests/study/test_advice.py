@@ -11,7 +11,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.report.text.design import advice_text
-from odomcorrupt.simulate import Commands, read_commands, simulate
+from odomcorrupt.simulation import Commands, read_commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.excitation import excitation, lacks_of
 from odomcorrupt.study.design.information import planned_field, recorded_field, separation

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hidden import as_recording
 
-from odomcorrupt.simulate import Commands, simulate
+from odomcorrupt.simulation import Commands, simulate
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.design.ambiguities import open_choices
 from odomcorrupt.study.design.drives import Drives, most_useful

@@ -15,13 +15,19 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.windows import WindowErrors
 from odomcorrupt.study.validate.calibration import horizon_of
-from odomcorrupt.study.validate.evaluation import horizons_of, judge_stretch
-from odomcorrupt.study.validate.goodness_of_fit import Look, Verdict, pits_of, verdict_of, whiteness_of
+from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
+from odomcorrupt.study.validate.goodness_of_fit import (
+    Look,
+    Verdict,
+    ljung_box,
+    pit_of,
+    pits_of,
+    verdict_of,
+    whiteness_of,
+)
 from odomcorrupt.study.validate.lack_of_fit import drift_failures, failures, sudden_failures
-from odomcorrupt.study.validate.log_score import nats_of
+from odomcorrupt.study.validate.log_score import log_score_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty
-from odomcorrupt.study.validate.pit import pit_of
-from odomcorrupt.study.validate.whiteness import ljung_box
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
@@ -31,7 +37,7 @@ SURE = ParameterUncertainty(np.zeros(0), np.zeros((0, 0)))
 def judged(seed: int, seconds: float, model: MotionModel = RIGHT):
     steps = wander(seed, seconds)
     run = recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)
-    return judge_stretch(run, model, Approach("truth"))
+    return evaluate_stretch(run, model, Approach("truth"))
 
 
 def outside(horizon) -> bool:
@@ -162,13 +168,13 @@ def test_a_verdict_is_one_level_for_all_looks_together():
 def test_the_right_model_gains_nats_over_a_wrong_one_by_more_than_the_paired_error():
     right = judged(3, 300.0)
     wrong = judged(3, 300.0, replace(RIGHT, noise=Noise("diffusion", Coefficients(0.1, 0.02, 0.05, 0.01))))
-    paired = nats_of([right], [wrong])
+    paired = log_score_of([right], [wrong])
     assert paired.gain_per_m > 3.0 * paired.gain_error
     assert paired.gain_error < 0.5 * paired.error, "pairing takes out what the drive itself varies by"
     assert paired.per_m * right.node_metres.sum() == pytest.approx(
         right.whitener.log_likelihood(right.innovations), rel=1e-12
     )
-    assert nats_of([right], [right]).gain_error == 0.0
+    assert log_score_of([right], [right]).gain_error == 0.0
 
 
 def wandering_gain(seed: int):
@@ -188,7 +194,7 @@ def test_a_gain_that_wanders_belongs_to_what_the_model_expects():
     effect = effect_from_values("gauss_markov", {"sigma": 0.08, "tau": 5.0, "channel": "yaw"})
     nees, log_likelihood = {}, {}
     for name, model in {"without": RIGHT, "with": replace(RIGHT, effects=(effect,))}.items():
-        pieces = [judge_stretch(wandering_gain(seed), model, Approach("truth")) for seed in range(12)]
+        pieces = [evaluate_stretch(wandering_gain(seed), model, Approach("truth")) for seed in range(12)]
         nees[name] = [h.nees for h in horizons_of(pieces, (2.0, 10.0))]
         log_likelihood[name] = sum(float(piece.node_nats.sum()) for piece in pieces)
         whitened = sum(piece.whitener.log_likelihood(piece.innovations) for piece in pieces)

@@ -12,7 +12,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.lack_of_fit import sentence, size
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.validate.calibration import HORIZONS_M
-from odomcorrupt.study.validate.evaluation import horizons_of, judge_stretch
+from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
 
 PLANTED = Coefficients(0.02, 0.01, 0.02, 0.005)
@@ -25,7 +25,7 @@ def judged(seed: int, extra, seconds: float = 300.0):
     truth = accumulate(np.zeros(3), steps)
     added = extra(steps, truth[:-1])
     wrong = Increments(steps.ds_m + added[:, 0], steps.dl_m, steps.dtheta_rad + added[:, 2])
-    return judge_stretch(recording(steps, noisy_path(wrong, PLANTED, seed), seed=seed), MODEL, Approach("truth"))
+    return evaluate_stretch(recording(steps, noisy_path(wrong, PLANTED, seed), seed=seed), MODEL, Approach("truth"))
 
 
 def found_in(piece) -> list[Failure]:

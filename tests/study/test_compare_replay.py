@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import Approach
-from odomcorrupt.study.validate.evaluation import judge_stretch
+from odomcorrupt.study.validate.evaluation import evaluate_stretch
 from odomcorrupt.study.validate.predictive_check import replay
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
@@ -21,7 +21,7 @@ RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.
 def replayed(seed: int, model: MotionModel = RIGHT, runs: int = 60):
     steps = wander(seed, 60.0)
     run = recording(steps, noisy_path(steps, PLANTED, seed), seed=seed)
-    return replay(judge_stretch(run, model, Approach("truth")), runs=runs)
+    return replay(evaluate_stretch(run, model, Approach("truth")), runs=runs)
 
 
 def inside(model: MotionModel, part: float) -> float:

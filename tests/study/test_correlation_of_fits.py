@@ -12,7 +12,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 
 PLANTED = Coefficients(0.04, 0.03, 0.04, 0.02)
@@ -39,7 +39,7 @@ def test_told_correlations_are_those_of_many_fits():
         k = found.noise.coefficients
         estimates.append([found.effects[0].e, found.effects[1].curvature, *(getattr(k, name) for name in NAMES)])
         known = {"wheelbase.e", "unequal_wheels.curvature", *NAMES}
-        one = fit_correlation(found, believed_columns(found.problem, [(False, False)]), known)
+        one = fit_correlation(found, found.design_matrix(), known)
         matrix = one.among(["wheelbase.e", "unequal_wheels.curvature", *NAMES])
         if len(matrix) == 6:
             told.append(matrix.matrix)

@@ -11,7 +11,7 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
 from odomcorrupt.study.io.recording import Trajectory
 

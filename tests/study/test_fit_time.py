@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 from hidden import as_recording
 
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate import gauss_newton
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.noise_likelihood import NoiseTask
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 
 if TYPE_CHECKING:
     import pytest
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]:
     """Return how often a base fit evaluates a likelihood, and how often it lays the drive out anew."""
     counted = {"evaluated": 0, "posed": 0}
-    evaluate, pose = NoiseTask.evaluate, gauss_newton.pose_problem
+    evaluate, pose = NoiseLikelihood.evaluate, gauss_newton.pose_problem
 
     def evaluating(self, free):
         counted["evaluated"] += 1
@@ -29,7 +29,7 @@ def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]
         return pose(*given, **named)
 
     with monkeypatch.context() as patch:
-        patch.setattr(NoiseTask, "evaluate", evaluating)
+        patch.setattr(NoiseLikelihood, "evaluate", evaluating)
         patch.setattr(gauss_newton, "pose_problem", posing)
         fit_robot([as_recording(simulate(1, "unequal_wheels", duration_s=duration_s))], [], law_name="diffusion")
     return counted["evaluated"], counted["posed"]

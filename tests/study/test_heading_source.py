@@ -11,7 +11,7 @@ from hidden import as_recording
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import choices
 from odomcorrupt.geometry.motion import error_of
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.testing import contract_drive
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
 
-from odomcorrupt.simulate import simulate, simulate_without
+from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.stepwise import learn
 

@@ -6,7 +6,7 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import registry
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 
 SYSTEMATIC = (

@@ -13,12 +13,12 @@ from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
-from odomcorrupt.study.estimate.noise_likelihood import NoiseTask
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.intervals import cut_at
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.resample import cut_at
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
-from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
 from odomcorrupt.study.io.recording import Trajectory
 
@@ -46,7 +46,7 @@ def test_banded_likelihood_equals_the_dense_normal(law):
 def test_polarised_pieces_are_the_law(law):
     problem = short_problem()
     k = np.array([0.05, 0.02, 0.07, 0.03, 0.004, 0.01, 0.02])
-    pieces = LawPieces(LAWS[law], problem.nodes, problem.steps)
+    pieces = VarianceComponents(LAWS[law], problem.nodes, problem.steps)
     total = np.tensordot(pieces.shares(k), np.array(pieces.parts()), axes=1)
     direct = problem.nodes.covariance(LAWS[law], Coefficients(*k), problem.steps)
     np.testing.assert_allclose(total, direct, rtol=1e-10, atol=1e-18)
@@ -79,7 +79,7 @@ def test_coefficients_come_back_from_simulated_drives_with_a_truth_of_1_to_20_mm
         assert k.rot_trans == pytest.approx(PLANTED.rot_trans, rel=0.15)
         assert k.trans_trans == pytest.approx(PLANTED.trans_trans, rel=0.15)
         assert fitted.noise.truth.xy_m == pytest.approx(truth_mm * 1e-3, rel=0.15)
-        nothing = believed_columns(fitted.problem, [(False, False)])
+        nothing = fitted.design_matrix()
         weak = next(i for i in coefficient_intervals(fitted, nothing) if i.name == "trans_rot")
         inside.append(weak.low <= PLANTED.trans_rot <= weak.high)
     assert sum(inside) >= 7, "a 95 % interval misses one in twenty, not two in eight"
@@ -102,15 +102,18 @@ def test_whitened_innovations_are_standard_normal_at_the_planted_model():
 @pytest.mark.parametrize("law", ["diffusion", "quadratic"])
 def test_the_slope_of_the_likelihood_is_its_difference(law):
     problem = short_problem(3)
-    pieces = LawPieces(LAWS[law], problem.nodes, problem.steps)
-    task = NoiseTask(problem.nodes, pieces, np.ones((len(problem.nodes), 3, 1)), np.ones(len(problem.nodes)))
-    at = task.first_guess()
+    pieces = VarianceComponents(LAWS[law], problem.nodes, problem.steps)
+    likelihood = NoiseLikelihood(
+        problem.nodes, pieces, np.ones((len(problem.nodes), 3, 1)), np.ones(len(problem.nodes))
+    )
+    at = likelihood.initial_guess()
     every = np.arange(len(at))
     step = 1e-4 * np.eye(len(at))
     measured = [
-        (task.evaluate(at + move).log_likelihood - task.evaluate(at - move).log_likelihood) / 2e-4 for move in step
+        (likelihood.evaluate(at + move).log_likelihood - likelihood.evaluate(at - move).log_likelihood) / 2e-4
+        for move in step
     ]
-    np.testing.assert_allclose(task.slope(task.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(likelihood.slope(likelihood.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
 
 
 def test_the_band_of_the_inverse_is_that_of_the_whole_inverse():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import recording, wander
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise

@@ -9,16 +9,16 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.select.basis.places import _box, _strip
-from odomcorrupt.study.select.basis.values import laws_of_values
-from odomcorrupt.study.select.nelder_mead import hilltop
+from odomcorrupt.study.select.shape_search import maximise
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.basis.motion import functions_of_motion
+from odomcorrupt.study.terms.basis.place import _box, _strip
 
 FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
 """Where a map in UTM may begin, m."""
@@ -26,7 +26,7 @@ FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
 
 def test_a_ridge_is_followed_to_its_top():
     # no single number moved alone gains anything on the way
-    top = hilltop(lambda v: -50.0 * (v[0] - v[1]) ** 2 - 5.0 * (v[0] + v[1] - 6.0) ** 2, np.zeros(2), np.full(2, 0.1))
+    top = maximise(lambda v: -50.0 * (v[0] - v[1]) ** 2 - 5.0 * (v[0] + v[1] - 6.0) ** 2, np.zeros(2), np.full(2, 0.1))
     assert top == pytest.approx([3.0, 3.0], abs=0.05)
 
 
@@ -50,10 +50,10 @@ def test_a_patch_is_found_as_far_as_its_errors_say_and_where_the_map_begins_far_
 
 def test_the_error_of_a_slip_grows_where_its_place_was_looked_for_too():
     run = simulate(84, "region_slip", duration_s=300.0)
-    recording, free = as_recording(run), [(False, False)]
+    recording = as_recording(run)
     patch = effect_from_values("region_slip", run.answer["parameters"])
     fitted = fit([recording], [patch], approach=choose_approach([recording]))
-    known, sought = (with_told_errors(fitted, free, names).standard_errors[0] for names in ((), ("region_slip",)))
+    known, sought = (with_robust_errors(fitted, names).standard_errors[0] for names in ((), ("region_slip",)))
     assert known >= fitted.standard_errors[0]
     assert 1.1 * known < sought < 4.0 * known
 
@@ -70,19 +70,19 @@ def test_estimates_that_blocks_disagree_on_have_larger_errors():
     assert told[1] == pytest.approx(31.0, rel=0.5)
 
 
-@pytest.mark.parametrize("law", [_strip((0.3, *FAR_AWAY[:2], 0.6)), _box((0.3, *FAR_AWAY[:2], 0.6, 1.2))])
-def test_a_place_far_from_the_origin_is_written_to_a_millimetre(law):
-    assert "512345)" in law.text
-    assert "4998765)" in law.text
+@pytest.mark.parametrize("function", [_strip((0.3, *FAR_AWAY[:2], 0.6)), _box((0.3, *FAR_AWAY[:2], 0.6, 1.2))])
+def test_a_place_far_from_the_origin_is_written_to_a_millimetre(function):
+    assert "512345)" in function.text
+    assert "4998765)" in function.text
 
 
-def test_no_law_hangs_on_an_acceleration_that_is_noise():
+def test_no_basis_function_hangs_on_an_acceleration_that_is_noise():
     recording = as_recording(simulate(87, None, duration_s=120.0))
     (motion,) = fit([recording], approach=choose_approach([recording])).problem.motions
     written = [
-        float(law.text.split(" < ")[-1].split(" > ")[-1].split(",")[0])
-        for law in laws_of_values([motion])
-        if "where(a * sign(v)" in law.text
+        float(function.text.split(" < ")[-1].split(" > ")[-1].split(",")[0])
+        for function in functions_of_motion([motion])
+        if "where(a * sign(v)" in function.text
     ]
     assert len(written) > 20
     assert min(map(abs, written)) >= 0.1

@@ -12,7 +12,7 @@ from wandering import RATE_HZ, noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.stepwise import learn
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.simulate import Commands
-from odomcorrupt.simulate.fault_draws import EVERY
-from odomcorrupt.simulate.streams import stream
-from odomcorrupt.simulate.tracker import dock
+from odomcorrupt.simulation import Commands
+from odomcorrupt.simulation.fault_draws import EVERY
+from odomcorrupt.simulation.streams import stream
+from odomcorrupt.simulation.tracker import dock
 from odomcorrupt.study.io.recording import Trajectory
 
 if TYPE_CHECKING:

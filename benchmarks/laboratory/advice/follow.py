@@ -16,14 +16,14 @@ from laboratory.advice.blind import first_drive, on_the_way, place_of
 from laboratory.advice.verdicts import settled
 from laboratory.answer import told
 from odomcorrupt.commands._advice import write_drive
-from odomcorrupt.simulate import read_commands, simulate
-from odomcorrupt.simulate.fault_draws import SIZES
+from odomcorrupt.simulation import read_commands, simulate
+from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.design.advise import advise
 from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
     from laboratory.advice.cases import AdviceCase
-    from odomcorrupt.simulate import Commands, SimulatedRun
+    from odomcorrupt.simulation import Commands, SimulatedRun
     from odomcorrupt.study.design.advise import Advice
 
 __all__ = ["follow"]

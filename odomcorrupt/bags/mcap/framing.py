@@ -25,13 +25,11 @@ class Framed:
     data : (size,) uint8
     table : (n,) of dtype TABLE, its offsets counted from the start of data
     ends : where its chunks end in data, none for one chunk
-    crcs : CRC-32 of each chunk, none where they are not known
     """
 
     data: NDArray[np.uint8]
     table: NDArray[np.void]
     ends: tuple[int, ...] = ()
-    crcs: tuple[int, ...] = ()
 
     def followed_by(self, other: Framed) -> Framed:
         """Return both, the other one in the last chunk of this one."""

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.study.select.dependence import Unknown
-    from odomcorrupt.study.select.random_effects import RandomGain
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["cards"]
@@ -49,7 +49,7 @@ def _clock(line: str) -> str:
     )
 
 
-def _effect(look: Round, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
+def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
     sure = step_sure(look, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
@@ -74,7 +74,7 @@ def _meter(sure: float, nats: float) -> list[str]:
     ]
 
 
-def _noise(gain: RandomGain, learned: Learned) -> str:
+def _noise(gain: RandomCoefficient, learned: Learned) -> str:
     values = [f'<p class="value">{escape(number)}</p>' for number in noise_text(gain.effect)]
     channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
     return _card(
@@ -84,7 +84,7 @@ def _noise(gain: RandomGain, learned: Learned) -> str:
     )
 
 
-def _unknown(unknown: Unknown, learned: Learned) -> str:
+def _unknown(unknown: Dependence, learned: Learned) -> str:
     expression = told_expression(unknown, law_numbers(unknown, learned))
     what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
     then = "believed and fitted" if unknown in learned.laws else "to try"

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.dependence import Unknown
-    from odomcorrupt.study.select.random_effects import RandomGain
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
 
@@ -134,7 +134,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
         yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
 
 
-def _noise(gain: RandomGain, learned: Learned) -> dict[str, Any]:
+def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
     entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain, learned))
     for p in parameters(gain.effect):
@@ -151,10 +151,10 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     }
 
 
-def _unknown(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
+def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
     return {
         "channel": unknown.channel,
-        "depends_on": unknown.driver,
+        "depends_on": unknown.regressor,
         "detail": {
             "centres": unknown.centres,
             "curve": unknown.curve,

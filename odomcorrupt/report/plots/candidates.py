@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["draw_candidates", "evidence_nats"]
 
@@ -52,7 +52,7 @@ def draw_candidates(learned: Learned) -> Figure:
     return figure
 
 
-def _bars(axes: Axes, number: int, look: Round) -> None:
+def _bars(axes: Axes, number: int, look: Step) -> None:
     ranked = sorted(look.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
     nats = [evidence_nats(c) for c in ranked]
     colours = [_colour(c, look) for c in ranked]
@@ -68,14 +68,14 @@ def _bars(axes: Axes, number: int, look: Round) -> None:
     axes.set_title(f"look {number}: {outcome}")
 
 
-def _colour(candidate: Candidate, look: Round) -> str:
+def _colour(candidate: Candidate, look: Step) -> str:
     name = candidate.score.effect.name
     if name == look.added:
         return BLUE
     return SKY if name in look.alternatives else _GREY
 
 
-def _label(candidate: Candidate, nats: float, look: Round) -> str:
+def _label(candidate: Candidate, nats: float, look: Step) -> str:
     name = candidate.score.effect.name
     if name == look.added:
         return f"{nats:.0f}"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.sampling.density import DensityGrid
-    from odomcorrupt.sampling.move import Move
+    from odomcorrupt.sampling.samples import Move
 
 __all__ = ["draw_density"]
 

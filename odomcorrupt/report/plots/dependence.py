@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.dependence import Dependence
 
 __all__ = ["MOST_CURVES", "draw_unknown"]
 
@@ -31,7 +31,7 @@ _UNITS = {
 }
 
 
-def draw_unknown(unknown: Sequence[Unknown]) -> Figure:
+def draw_unknown(unknown: Sequence[Dependence]) -> Figure:
     """Draw the plainest curves beside each other, with two standard errors about them."""
     shown = unknown[:MOST_CURVES]
     with drawing():
@@ -42,13 +42,13 @@ def draw_unknown(unknown: Sequence[Unknown]) -> Figure:
     return figure
 
 
-def _drawn(axes: Axes, one: Unknown) -> None:
+def _drawn(axes: Axes, one: Dependence) -> None:
     per = f"per {one.per}"
     scale, unit = (float(np.degrees(1.0)), f"deg {per}") if one.channel == "yaw" else (1e3, f"mm {per}")
-    if one.driver == "position":
+    if one.regressor == "position":
         _places(axes, one, scale, unit)
         return
-    if one.driver == "heading":
+    if one.regressor == "heading":
         x = np.linspace(-180.0, 180.0, 121)
         angle = np.radians(x)
         waves = np.stack((np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)), axis=1)
@@ -56,7 +56,7 @@ def _drawn(axes: Axes, one: Unknown) -> None:
         curve, error = waves @ one.curve, np.sqrt(waves**2 @ one.curve_error**2)
         label = "heading (deg)"
     else:
-        label, factor = _UNITS.get(one.driver, (one.driver, 1.0))
+        label, factor = _UNITS.get(one.regressor, (one.regressor, 1.0))
         if one.wavelength_m is not None:
             label = "path driven, within a turn of the wheel (m)"
         x, curve, error = one.centres * factor, one.curve, one.curve_error
@@ -72,7 +72,7 @@ def _band(axes: Axes, x: Array, curve: Array, error: Array) -> None:
     axes.set_axisbelow(True)
 
 
-def _places(axes: Axes, one: Unknown, scale: float, unit: str) -> None:
+def _places(axes: Axes, one: Dependence, scale: float, unit: str) -> None:
     """Draw a disc for each place: colour for the error, size for how well it is known."""
     values = scale * one.curve
     most = float(np.abs(values).max()) or 1.0

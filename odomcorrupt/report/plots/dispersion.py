@@ -11,7 +11,7 @@ from odomcorrupt.report.plots.figure import BLUE, RED, drawing, new_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from odomcorrupt.batch.dispersion import SpreadReport
+    from odomcorrupt.batching.dispersion import SpreadReport
 
 __all__ = ["draw_spread"]
 

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.move import Move
-    from odomcorrupt.sampling.samples import Moments
+    from odomcorrupt.sampling.samples import Moments, Move
 
 __all__ = ["draw_banana", "draw_move", "draw_samples", "frame_samples"]
 

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.dependence import Unknown
-    from odomcorrupt.study.select.random_effects import RandomGain
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = [
     "ClockFound",
@@ -61,12 +61,12 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 
-def step_sure(look: Round, learned: Learned) -> float:
+def step_sure(look: Step, learned: Learned) -> float:
     """Return how sure a name is that a look added."""
     return confidence(evidence_of(look, learned))
 
 
-def noise_sure(gain: RandomGain, learned: Learned) -> float:
+def noise_sure(gain: RandomCoefficient, learned: Learned) -> float:
     """Return how sure a name of noise is; whatever depends on something looks like a gain that wanders."""
     like_anything = gain.effect.name in WANDERING
     left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
@@ -78,24 +78,24 @@ def sure_words(sure: float) -> str:
     return f"sure {int(100.0 * sure) / 100.0:.2f}"
 
 
-def law_numbers(unknown: Unknown, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
+def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
     """Return the numbers of a believed law by name, as a fit of the final model has them; of others none.
 
     fit : the fit that is told or written, where it is not the search's own
     """
     fit = fit or learned.fit
-    if unknown not in learned.laws or unknown.law is None:
+    if unknown not in learned.laws or unknown.best is None:
         return {}
     errors = iter(fit.standard_errors)
     for effect in fit.effects:
         own = [LawNumber(getattr(effect, p.name), float(next(errors)), p.unit) for p in amplitudes(effect)]
-        if effect.name == unknown.law.effect.name:
+        if effect.name == unknown.name:
             return {p.name: number for p, number in zip(amplitudes(effect), own, strict=True)}
     return {}
 
 
-def told_expression(unknown: Unknown, numbers: Mapping[str, LawNumber]) -> str:
+def told_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
     """Return the expression of an unknown dependence: with these numbers, where its law is believed."""
-    if unknown.law is None or not numbers:
+    if unknown.best is None or not numbers:
         return unknown.expression
-    return unknown.law.law.expression(unknown.law.action, [number.value for number in numbers.values()])
+    return unknown.best.term.expression([number.value for number in numbers.values()])

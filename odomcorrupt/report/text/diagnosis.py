@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.confidence import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import Disagreement
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
@@ -76,23 +76,23 @@ def unnamed(why: str, *, found: bool) -> str:
     return f"nothing {'else ' if found else ''}that is known is missing, but the model is rejected: {why}"
 
 
-def _unknown_lines(unknown: Unknown, numbers: Mapping[str, LawNumber], *, believed: bool) -> list[str]:
+def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed: bool) -> list[str]:
     finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
     spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
     told = f"{told_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
     return [finding, f"  {'believed and fitted' if believed else 'to try'}: {told}"]
 
 
-def dependence(unknown: Unknown) -> str:
+def dependence(unknown: Dependence) -> str:
     """Return on what an error depends, as a clause."""
-    driver = unknown.driver.replace("_", " ")
+    regressor = unknown.regressor.replace("_", " ")
     if unknown.wavelength_m is not None:
         return f"the {unknown.channel} error comes back every {unknown.wavelength_m:.3g} m driven"
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
-        return f"the error {whose} depends on {driver}"
+        return f"the error {whose} depends on {regressor}"
     per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
-    return f"the {unknown.channel} error{per} depends on {driver}"
+    return f"the {unknown.channel} error{per} depends on {regressor}"
 
 
 def shares_text(ladder: Sequence[Judgement]) -> str:

@@ -84,5 +84,5 @@ def laws_table(results: Mapping[str, RobotFit]) -> str:
     for name, result in results.items():
         behind = best - result.information_nats
         step = "yes" if result.fit.problem.approach.law.per_step else "no"
-        lines.append(f"{name:<12}{behind:>22.1f}{len(result.fit.pieces.active):>14}   {step}")
+        lines.append(f"{name:<12}{behind:>22.1f}{len(result.fit.components.active):>14}   {step}")
     return "\n".join(lines)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["candidates_table", "clock_lines", "ladder_text", "noise_text", "numbers_text", "value_text"]
 
@@ -64,7 +64,7 @@ def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
     return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
 
 
-def candidates_table(look: Round, *, most: int = 8) -> str:
+def candidates_table(look: Step, *, most: int = 8) -> str:
     """Return the candidates of one look, the plainest first."""
     lines = [f"{'effect':<16}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"]
     lines += [_candidate_line(c) for c in look.candidates[:most]]

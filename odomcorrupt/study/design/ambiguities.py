@@ -9,7 +9,6 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.information import separation
-from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Round
+    from odomcorrupt.study.select.stepwise import Step
 
 __all__ = ["TOO_FEW_NATS", "Choice", "open_choices"]
 
@@ -47,7 +46,7 @@ class Choice:
     hint: str = ""
 
 
-def open_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
+def open_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]:
     """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
     if look.added is None:
         return [], []
@@ -86,7 +85,7 @@ def _mends(drives: Drives, twin: type[Effect]) -> str:
     )
 
 
-def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:
+def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
     """Return what would explain this very effect on these drives, and is no alternative for its price alone.
 
     Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart. What needs a
@@ -101,7 +100,7 @@ def _lookalikes(drives: Drives, look: Round) -> list[Candidate]:
         c
         for c in possible
         if separation(effect, c.score.effect, [e for e in beside if e.name != c.score.effect.name], [drives.recorded])
-        < ALTERNATIVE_NATS * max(added.score.inflation, c.score.inflation)
+        < drives.learned.decisions.alternative_nats * max(added.score.inflation, c.score.inflation)
     ]
 
 

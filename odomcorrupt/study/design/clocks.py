@@ -15,7 +15,6 @@ from odomcorrupt.study.design.drives import best_plan, missing_motion
 from odomcorrupt.study.design.identifiability import HIDDEN, SEEN, Untestable
 from odomcorrupt.study.design.information import clock_errors, separation
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.select.model_comparison import ALTERNATIVE_NATS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.design.drives import Drives, Gain
     from odomcorrupt.study.design.information import Field
-    from odomcorrupt.study.select.stepwise import Round
+    from odomcorrupt.study.select.stepwise import Step
 
 __all__ = ["CLOCKS", "Unseen", "clock_choices", "unseen_clocks"]
 
@@ -67,7 +66,7 @@ def unseen_clocks(drives: Drives) -> list[Unseen]:
     return found
 
 
-def clock_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]]:
+def clock_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]:
     """Return the choice between what was added and a clock that is off by a constant, if these data leave it open."""
     if look.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
         return [], []
@@ -77,7 +76,7 @@ def clock_choices(drives: Drives, look: Round) -> tuple[list[Choice], list[Gain]
     beside = [e for e in drives.learned.fit.effects if e is not own]
     inflation = look.candidates[0].score.inflation
     known = separation(own, None, beside, [drives.with_clocks]) / inflation
-    if known >= ALTERNATIVE_NATS:
+    if known >= drives.learned.decisions.alternative_nats:
         return [], []
 
     def telling(drive: Field) -> float:

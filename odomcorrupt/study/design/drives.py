@@ -46,7 +46,7 @@ class Drives:
     _planned: dict[tuple[str, float], tuple[Plan, Field]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.recorded = recorded_field(self.learned.fit, self.learned.clocks.free)
+        self.recorded = recorded_field(self.learned.fit)
         self.with_clocks = replace(self.recorded, clocks=self.recorded.problem.clock_columns())
 
     def planned(self, name: str, duration_s: float) -> tuple[Plan, Field]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.candidates import Candidate
-    from odomcorrupt.study.select.stepwise import Learned, Round
+    from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["HIDDEN", "SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
 
@@ -131,7 +131,13 @@ def untried(learned: Learned) -> list[Untestable]:
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
     found = []
     for name, kind in registry().items():
-        if name in have or kind.kind == "noise" or kind.clock or kind.twin_of is not None or kind.needs_sideways:
+        if (
+            name in have
+            or kind.kind in ("noise", "event")
+            or kind.clock
+            or kind.twin_of is not None
+            or kind.needs_sideways
+        ):
             continue
         hint = kind.about.drive if kind.about else ""
         if kind.needs_track and not track:
@@ -141,7 +147,7 @@ def untried(learned: Learned) -> list[Untestable]:
     return found
 
 
-def limits(look: Round) -> list[Limit]:
+def limits(look: Step) -> list[Limit]:
     """Return the least sizes that would have been seen, of all that could be."""
     found = []
     for candidate in look.candidates:

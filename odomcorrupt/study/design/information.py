@@ -15,7 +15,6 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.design.plan import ideal_recording
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import with_random
 from odomcorrupt.study.estimate.whitener import whitener
@@ -67,10 +66,10 @@ class Field:
         return self._known[effect]
 
 
-def recorded_field(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> Field:
+def recorded_field(fit: Fit) -> Field:
     """Return the drives that were fitted."""
     own = sum(len(amplitudes(e)) for e in fit.problem.effects)
-    return Field(fit.problem, fit.noise.whitener, believed_columns(fit.problem, free_clocks)[:, :, own:])
+    return Field(fit.problem, fit.noise.whitener, fit.design_matrix()[:, :, own:])
 
 
 def planned_field(fit: Fit, plan: Plan) -> Field:

@@ -16,10 +16,10 @@ from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
-from odomcorrupt.study.estimate.extrinsics import find_setup
-from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
+from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
+from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
-from odomcorrupt.study.estimate.robust_errors import with_told_errors
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["RobotFit", "effects_to_fit", "fit_every_law", "fit_robot", "model_of"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RobotFit:
     """A robot's model, and what stands behind it.
 
@@ -49,7 +49,7 @@ class RobotFit:
     def information_nats(self) -> float:
         """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
         nodes = len(self.fit.problem.nodes)
-        return self.fit.log_likelihood - 0.5 * len(self.fit.pieces.active) * float(np.log(nodes))
+        return self.fit.log_likelihood - 0.5 * len(self.fit.components.active) * float(np.log(nodes))
 
 
 def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect]:
@@ -62,7 +62,7 @@ def effects_to_fit(start: MotionModel | None, add: Sequence[str]) -> list[Effect
         if effect.clock:
             raise EffectError(f"--add {name}: clocks are part of every fit already; leave it out")
         if effect.kind == "noise":
-            raise EffectError(f"--add {name}: a random effect cannot be fitted this way yet")
+            raise EffectError(f"--add {name}: a random effect cannot be fitted from recordings by this command")
         effects.append(effect)
     return effects
 
@@ -78,13 +78,15 @@ def fit_robot(
 ) -> RobotFit:
     """Fit clocks and set-up (unless they are known already), effects and noise to recordings of one robot.
 
-    Random effects come through as they are: wandering gains are believed, what encoders do is undone where it shows.
+    Random effects stay as they are: random coefficients are in the covariance, what encoders did is undone where it
+    shows.
 
-    shaped : names of effects whose shapes were looked for in the same recordings
+    shaped : names of effects whose shapes were searched in the same recordings
     """
     recordings = [restore_lost(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     start_noise = None
+    effects = [*effects, *mounting_of(recordings, effects)]
     if clocks is None:
         clocks = find_clocks(recordings, approach)
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
@@ -92,8 +94,8 @@ def fit_robot(
     fitted = fit(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
-    fitted = with_told_errors(fitted, clocks.free, shaped)
-    columns = believed_columns(fitted.problem, clocks.free)
+    fitted = with_robust_errors(fitted, shaped)
+    columns = fitted.design_matrix()
     intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     error = ten_second_error(fitted)
@@ -107,7 +109,7 @@ def fit_robot(
         correlation=fit_correlation(fitted, columns, own | errors.keys()),
         source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
     )
-    return RobotFit(model, fitted, clocks, tuple(intervals), error)
+    return RobotFit(model=model, fit=fitted, clocks=clocks, intervals=tuple(intervals), ten_second_error_m=error)
 
 
 def fit_every_law(

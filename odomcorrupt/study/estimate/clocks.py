@@ -1,4 +1,4 @@
-"""Find the clocks of recordings, before anything else is looked for."""
+"""Clocks of recordings: offset and rate of each, estimated before anything else."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _CLOCK_HARM = 1.15
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
 """Free beside the clocks while these are estimated, and then forgotten."""
 RIVALS = ("accel_slip", "backlash")
-"""What looks like a clock at starts and stops: a clock is believed only if it stays when these are free, too."""
+"""What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
     """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
 
-    noise, beside : the noise that was found on the way, and what was free: where to start from, nothing to believe
+    noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
     """
 
     clocks: tuple[Clock, ...]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import chi2
 
-from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseTask
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseLikelihood
 from odomcorrupt.study.estimate.variance_components import NAMES
 
 if TYPE_CHECKING:
@@ -50,9 +50,9 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
 
     One that the drive never asked for, such as noise of turns where nothing turned, has no bounds.
     """
-    task = NoiseTask(
+    likelihood = NoiseLikelihood(
         fitted.problem.nodes,
-        fitted.pieces,
+        fitted.components,
         columns,
         fitted.noise.weights,
         headings=fitted.problem.headings,
@@ -60,15 +60,15 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
     top = fitted.log_likelihood
     free = fitted.noise.free
     found = []
-    for position, index in enumerate(fitted.pieces.active):
+    for position, index in enumerate(fitted.components.active):
         best = float(free[position])
-        low, high = (_edge(task, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
+        low, high = (_edge(likelihood, fitted, position, best, direction, top) for direction in (-1.0, 1.0))
         found.append(Interval(NAMES[index], float(getattr(fitted.noise.coefficients, NAMES[index])), low, high))
-    found += [Interval(NAMES[index], 0.0, 0.0, float("inf")) for index in fitted.pieces.unseen]
+    found += [Interval(NAMES[index], 0.0, 0.0, float("inf")) for index in fitted.components.unseen]
     return sorted(found, key=lambda interval: NAMES.index(interval.name))
 
 
-def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:
+def _edge(likelihood: NoiseLikelihood, fitted: Fit, position: int, best: float, direction: float, top: float) -> float:
     """Return where the profile has dropped by the quantile, in steps that double and then by interpolation."""
     free = fitted.noise.free.copy()
     inside, inside_drop = max(best, np.log(1e-4)) if direction > 0 else best, 0.0
@@ -78,12 +78,12 @@ def _edge(task: NoiseTask, fitted: Fit, position: int, best: float, direction: f
         if outside <= np.log(LOWEST):
             return 0.0
         free[position] = outside
-        climbed = task.climb(free, fixed=position)
-        drop = top - task.evaluate(climbed).log_likelihood
+        profiled = likelihood.maximise(free, fixed=position)
+        drop = top - likelihood.evaluate(profiled).log_likelihood
         if drop >= _DROP:
             # a parabola in the logarithm between the two points
             share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))
             return float(np.exp(inside + share * (outside - inside)))
-        free, inside, inside_drop = climbed, outside, drop
+        free, inside, inside_drop = profiled, outside, drop
         step *= 2.0
     return 0.0 if direction < 0 else float("inf")

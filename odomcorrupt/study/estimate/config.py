@@ -23,16 +23,16 @@ NODE_S = 0.5
 """Spacing of nodes for a good truth, seconds."""
 _COARSE_NODE_S = 1.0
 _COARSE_TRUTH_M = 0.008
-"""A truth noisier than this per sample wanders, too (RTK, SLAM): nodes farther apart than it wanders."""
+"""A truth noisier than this per sample has coloured noise (RTK, SLAM): nodes lie farther apart than its correlation."""
 _BLIND_NODE_S = 2.0
-"""Positions alone tell of a turn by where it leads to, and their filter's jitter for noise of turns at nodes nearby."""
+"""Positions alone show a turn by where it leads to; at closer nodes their filter's jitter passes for noise of turns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
     """One choice for all recordings of a study.
 
-    side : what drives the regressors, see `drivers`
+    side : where regressors come from, see `regressors`
     spacing_s : of the nodes
     law_name : the noise law
     """

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Drift", "drift", "ten_second_error"]
 
-_HARM = 1.02
-"""An effect that the drift hardly depends on moves it up or down by about a hundredth, by chance."""
-_PLAIN_HARM = 1.15
-_BEYOND_CHANCE = 2.0
-
 
 class Drift(NamedTuple):
     """Squared position errors (n,) after 10 s, m^2: of windows at five phases."""
@@ -34,21 +29,26 @@ class Drift(NamedTuple):
         together = np.concatenate(self.squared)
         return float(np.sqrt(np.mean(together))) if len(together) else float("nan")
 
-    def worse_than(self, other: Drift) -> bool:
-        """Tell whether it is plainly larger than another of the same recordings.
+    def worse_than(self, other: Drift, *, factor: float, plain: float, errors: float) -> bool:
+        """Return whether it is larger than another of the same recordings by more than chance.
 
-        A few per cent more count only where they are more than what windows show by chance, paired one by one: of a
-        minute that has hardly any windows, a true cause may well spoil some.
+        Of a minute that has hardly any windows a true cause may well spoil some.
+
+        Parameters
+        ----------
+        factor : what it may be larger by in any case
+        plain : what it may be larger by if windows, paired one by one, show less than `errors` standard errors of it
+
         """
-        if not self.rmse > _HARM * other.rmse:
+        if not self.rmse > factor * other.rmse:
             return False
         pairs = [(a, b) for a, b in zip(self.squared, other.squared, strict=True) if len(a) == len(b) > 1]
-        if self.rmse > _PLAIN_HARM * other.rmse or len(pairs) < len(self.squared):
+        if self.rmse > plain * other.rmse or len(pairs) < len(self.squared):
             return True
         more = [a - b for a, b in pairs]
         # phases share what they see: the mean of their errors, as if they were one
-        error = np.mean([np.std(d, ddof=1) / np.sqrt(len(d)) for d in more])
-        return bool(np.mean([np.mean(d) for d in more]) > _BEYOND_CHANCE * error)
+        deviation = np.mean([np.std(d, ddof=1) / np.sqrt(len(d)) for d in more])
+        return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
 
 
 def drift(fitted: Fit) -> Drift:

@@ -25,14 +25,16 @@ _QUANTITIES = ("lever_arm", "mount_yaw")
 _LEVEL = 1e-4
 
 
-def mounting_of(recordings: Sequence[Recording]) -> tuple[Effect, ...]:
+def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """Return lever arm and mounting yaw, to be free in every fit, where the truth is a laser's; nothing otherwise.
 
-    Where a laser sits is never known as well as its scans show it.
+    Where a laser sits is never known as well as its scans show it. Those that are among the effects beside are left out.
     """
     kinds = registry()
     matched = any(recording.truth.covariance is not None for recording in recordings)
-    return tuple(kinds[name]() for name in _QUANTITIES) if matched else ()
+    there = {name for effect in beside for name in (effect.name, effect.twin_of)}
+    there |= {name for name, kind in kinds.items() if kind.twin_of in there}
+    return tuple(kinds[name]() for name in _QUANTITIES if matched and name not in there)
 
 
 def find_setup(
@@ -41,7 +43,7 @@ def find_setup(
     """Return lever arm and mounting yaw of all recordings together, those that are really there.
 
     They are estimated with the usual systematic effects free beside them, which are then forgotten. One that is not
-    significant, that makes the drift larger, or that cannot be told from an effect that is asked for, is left out.
+    significant, that makes the drift larger, or that is aliased with an effect that is asked for, is left out.
     """
     kinds = registry()
     asked = {name for effect in effects for name in (effect.name, effect.twin_of)}

@@ -1,7 +1,7 @@
 """Fit a whole model: effects, clocks, noise coefficients and truth noise, together.
 
-Gauss-Newton on the systematic part, with the noise refitted around it: what is believed is undone exactly, the rest is
-one linear step, until the steps are small against their errors.
+Gauss-Newton on the systematic part, with the noise refitted at every iteration: effects and clocks are taken out of the
+data exactly at their present values, the rest is one linear step, until steps are small against their errors.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import WANDERING, with_random
-from odomcorrupt.study.estimate.stochastic_em import noise_beside
-from odomcorrupt.study.estimate.variance_components import LawPieces
+from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
+from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "believed_columns", "fit"]
+__all__ = ["Fit", "design_matrix", "fit"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
@@ -43,25 +44,27 @@ class Onward(NamedTuple):
     clocks: tuple[Clock, ...]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """A fitted model of some recordings.
 
-    pieces : the law's covariances on the problem's nodes
+    components : the law's covariances on the problem's nodes
     problem : the recordings with the fitted effects and clocks taken out; nothing linear is left in its residual
-    random : wandering gains that are believed
+    random : random coefficients in the model
     noise : coefficients, truth noise, innovations and likelihood
     standard_errors : (p,) of the effects' amplitudes, in order; shapes are not fitted
     clock_errors : (R, 2) of the clocks' offsets and rates; 0 where a clock was not free
+    free_clocks : (R, 2) whether offset and rate of each recording's clock were free
     onward : effects and clocks after the last step, which the problem is without because it is small
     """
 
     problem: Problem
-    pieces: LawPieces
+    components: VarianceComponents
     noise: NoiseFit
     random: tuple[Effect, ...]
     standard_errors: Array
     clock_errors: Array
+    free_clocks: tuple[tuple[bool, bool], ...]
     onward: Onward
 
     @property
@@ -73,6 +76,39 @@ class Fit:
     def log_likelihood(self) -> float:
         """Log likelihood in nats."""
         return self.noise.log_likelihood
+
+    def design_matrix(self) -> Array:
+        """Return the columns (K, 3, q) of everything that was free: the effects' amplitudes first, then clocks."""
+        return design_matrix(self.problem, self.free_clocks)
+
+    def refit(
+        self,
+        effects: Sequence[Effect] | None = None,
+        *,
+        random: Sequence[Effect] | None = None,
+        weights: Array | None = None,
+        free_clocks: Sequence[tuple[bool, bool]] | None = None,
+    ) -> Fit:
+        """Return a fit of the same recordings, started from this one's clocks and noise.
+
+        Parameters
+        ----------
+        effects, random : systematic effects at their starting values, and random ones; default those of this fit
+        weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated again
+        free_clocks : (R, 2), default as in this fit
+
+        """
+        problem = self.problem
+        return fit(
+            problem.recordings,
+            self.effects if effects is None else effects,
+            clocks=problem.clocks,
+            free_clocks=self.free_clocks if free_clocks is None else free_clocks,
+            approach=problem.approach,
+            start=self.noise.free,
+            weights=weights,
+            random=self.random if random is None else random,
+        )
 
     @property
     def wald(self) -> dict[str, float]:
@@ -103,11 +139,11 @@ def fit(
 ) -> Fit:
     """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
 
-    random : wandering gains that are believed, with their parameters
+    random : random coefficients in the model, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
     nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
     """
-    # a random effect is believed or passed over, never estimated here
+    # a random effect is included or left out, never estimated here
     random = [*random, *(e for e in effects if e.name in WANDERING)]
     bursts = any(e.name == "slip_burst" for e in effects)
     effects = [e for e in effects if e.kind != "noise"]
@@ -120,18 +156,11 @@ def fit(
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         if before is not None and weights is not None:
             weights = _carried(weights, before, problem)
-        columns = believed_columns(problem, free)
-        pieces = LawPieces(approach.law, problem.nodes, problem.steps)
-        noise = noise_beside(
-            problem,
-            pieces,
-            columns,
-            random,
-            start=start,
-            weights=weights,
-            elsewhere=before is None,
-            bursts=bursts,
-        )
+        columns = design_matrix(problem, free)
+        components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
+        free_too = np.concatenate((columns, bias_roots(problem)), axis=2) if has_bias(problem) else columns
+        noise = fit_noise_beside(problem, components, free_too, random, begin)
         start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))
@@ -148,10 +177,19 @@ def fit(
     clock_errors = np.zeros(free.shape)
     clock_errors[led(free, leaders)] = errors[own:]
     clock_errors = clock_errors[leaders]
-    return Fit(problem, pieces, noise, tuple(random), errors[:own], clock_errors, Onward(effects, clocks))
+    return Fit(
+        problem=problem,
+        components=components,
+        noise=noise,
+        random=tuple(random),
+        standard_errors=errors[:own],
+        clock_errors=clock_errors,
+        free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
+        onward=Onward(effects, clocks),
+    )
 
 
-def believed_columns(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
+def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | Array) -> Array:
     """Return the columns (K, 3, q) of everything that is free: effects first, then clocks."""
     free = led(np.asarray(free_clocks), clock_leaders(problem.recordings))
     parts = [problem.columns(effect) for effect in problem.effects]
@@ -176,7 +214,7 @@ def _carried(weights: Array, before: Problem, now: Problem) -> Array:
 
 
 def _made(before: Sequence[Effect], after: Sequence[Effect], theta: Array) -> Array:
-    """Return the steps that were really made: a parameter that stands at its bound goes no farther."""
+    """Return the steps that were really made: a parameter at its bound moves no farther."""
     own = [(getattr(a, p.name) - getattr(b, p.name)) for b, a in zip(before, after, strict=True) for p in amplitudes(b)]
     return np.concatenate((np.array(own, dtype=np.float64), theta[len(own) :]))
 

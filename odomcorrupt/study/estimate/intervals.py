@@ -1,22 +1,21 @@
 """Intervals: truth samples half a second or so apart, and the odometry between them.
 
 Between two neighbouring nodes the odometry says U, the truth says D, and e = log(D^-1 U) is what the model must
-explain. Everything that happens at a single odometry step on the way (a systematic error, a draw of noise) is carried
-to the end of its interval exactly: an error of heading swings the rest of the way around. The truth is never
+explain. Everything that happens at a single odometry step in between (a systematic error, a draw of noise) is carried
+to the end of its interval exactly: an error of heading rotates the rest of the path. The truth is never
 interpolated, because that would change its noise; the odometry is (it is smooth between its samples).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 from odomcorrupt.model.noise_laws import variances
-from odomcorrupt.study.estimate.resample import cut_at
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,9 +25,9 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.io.recording import Recording, Trajectory
 
-__all__ = ["LEAST_NODES", "Intervals", "count_nodes", "intervals", "join", "lay_nodes", "pick_nodes"]
+__all__ = ["LEAST_NODES", "Cut", "Intervals", "count_nodes", "cut_at", "intervals", "join", "lay_nodes", "pick_nodes"]
 
 GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
@@ -54,7 +53,7 @@ def pick_nodes(
     return picked
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Intervals:
     """K intervals between neighbouring nodes, and the n steps of odometry inside them.
 
@@ -246,6 +245,39 @@ def join(parts: Sequence[Intervals], steps: Sequence[int]) -> Intervals:
     joined["source"] = np.concatenate([p.source + n for p, n in zip(parts, n0, strict=False)])
     joined["first"] = np.concatenate([p.first + n for p, n in zip(parts, n1, strict=False)])
     return Intervals(**joined)
+
+
+class Cut(NamedTuple):
+    """The odometry between the first and the last of some nodes, cut at each of them.
+
+    t_s, xyt : (n,) seconds and (n, 3) poses, nodes among them
+    at_node : where the nodes stand in it
+    source : (n,) index of the increment that begins there, of the odometry as it was
+    """
+
+    t_s: Array
+    xyt: Array
+    at_node: NDArray[np.int64]
+    source: NDArray[np.int64]
+
+
+def cut_at(odometry: Trajectory, odo_s: Array, node_s: Array, origin_ns: int) -> Cut:
+    """Cut the odometry at nodes: both lie in order of time already, so nothing need be sorted."""
+    source = np.searchsorted(odo_s, node_s, side="right") - 1
+    first, last = source[0] + 1, np.searchsorted(odo_s, node_s[-1], side="left")
+    between_them = np.arange(first, last)
+    # a node that falls on a sample takes its place
+    twice = source[(odo_s[source] == node_s) & (source >= first) & (source < last)]
+    between_them = np.delete(between_them, twice - first)
+    at_node = np.searchsorted(between_them, source, side="right") + np.arange(len(node_s))
+    total = len(between_them) + len(node_s)
+    is_node = np.zeros(total, dtype=bool)
+    is_node[at_node] = True
+    t_s, xyt, sources = np.empty(total), np.empty((total, 3)), np.empty(total, dtype=np.int64)
+    t_s[is_node], t_s[~is_node] = node_s, odo_s[between_them]
+    xyt[is_node], xyt[~is_node] = odometry.at(node_s, origin_ns), odometry.xyt[between_them]
+    sources[is_node], sources[~is_node] = source, between_them
+    return Cut(t_s, xyt, at_node, sources)
 
 
 def _noise_shape(covariance: Array | None, count: int) -> Array:

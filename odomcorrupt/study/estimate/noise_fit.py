@@ -1,58 +1,85 @@
-"""Maximum likelihood of the noise coefficients and of the truth's own noise, outliers set apart."""
+"""Fit of the noise: coefficients and the truth's own noise by maximum likelihood, outliers down-weighted.
+
+Beside random coefficients, what these explain must not be counted again as noise of every step: the process is drawn
+from its posterior and taken out, and the noise of the rest is fitted, a few times over. A draw, unlike the posterior's
+mean, leaves exactly the noise that is there: stochastic EM (Celeux & Diebolt 1985, Computational Statistics Quarterly
+2, section 2).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2
 
-from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseTask
+from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
+from odomcorrupt.study.estimate.random_process import root_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
-    from odomcorrupt.study.estimate.variance_components import LawPieces
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["fit_noise"]
+__all__ = ["NoiseStart", "fit_noise", "fit_noise_beside"]
 
 _ROBUST_ROUNDS = 5
 _CHANCE, _SIGNAL = 0.002, 0.05
 """Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
 _OUTLIER = float(chi2.isf(2e-4, 3))
 """A node whose squared innovations sum to more is a suspect: one in 5000 is by chance, so trimming biases nothing."""
+_MOST_ROUNDS = 8
+_SETTLED = 0.03
+"""Change of a logarithm at which the rounds end; draws alone move it by about as much."""
+_FAINT = 1e-4
+"""Noise smaller than this hardly matters, and its logarithm may be anything."""
+_SEED = 20261121
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseStart:
+    """Where a fit of the noise starts, and how critically it looks at outliers.
+
+    free : (m,) from an earlier fit, see `NoiseFit.free`; default an initial guess
+    weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated
+    elsewhere : whether `free` is of a fit with other columns, so that the maximum near it is no better than a guess
+    bursts : whether bursts are known of, so that any number of outliers are outliers
+    """
+
+    free: Array | None = None
+    weights: Array | None = None
+    elsewhere: bool = False
+    bursts: bool = False
 
 
 def fit_noise(
-    nodes: Intervals,
-    pieces: LawPieces,
-    columns: Array,
-    *,
-    start: Array | None = None,
-    weights: Array | None = None,
-    headings: bool = True,
-    elsewhere: bool = False,
-    bursts: bool = False,
+    nodes: Intervals, components: VarianceComponents, columns: Array, start: NoiseStart, *, headings: bool = True
 ) -> NoiseFit:
-    """Fit coefficients and truth noise by maximum likelihood; columns (K, 3, m) are free linear terms throughout.
+    """Return coefficients and truth noise of maximum likelihood; columns (K, 3, m) are free linear terms throughout.
 
-    Intervals whose innovations are too large to be chance get a larger covariance of their own, monotonously; the fit
-    is repeated; slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more than
-    a few nodes in a hundred they are signal, and the fit is left plain, unless bursts are known of. Given weights (K,)
-    are kept as they are, so that likelihoods can be compared. Without headings, the truth's are unknown: their noise is
-    held flat. A start from elsewhere, of a fit with other columns, is looked at as critically as a first guess.
+    Intervals whose innovations are too large to be chance get a larger covariance of their own, monotonously, and the
+    fit is repeated: slips and gross errors of the truth then do not pass for ordinary noise. Where that would be more
+    than a few intervals in a hundred they are signal, and the fit is left plain, unless bursts are known of. Without
+    headings the truth's heading noise is held flat.
     """
     ones = np.ones(len(nodes))
-    task = NoiseTask(nodes, pieces, columns, ones if weights is None else weights, headings=headings)
-    if start is None or len(start) != len(task.first_guess()):
-        free = task.second_look(task.climb(task.first_guess()))
+    weights = start.weights
+    likelihood = NoiseLikelihood(nodes, components, columns, ones if weights is None else weights, headings=headings)
+    if start.free is None or len(start.free) != len(likelihood.initial_guess()):
+        free = likelihood.restart(likelihood.maximise(likelihood.initial_guess()))
     elif weights is not None:
-        free = task.climb(start)
+        free = likelihood.maximise(start.free)
     else:
         # what has died while much else was still wrong may live now
-        free = task.climb(task.revived(start))
-        free = task.second_look(free) if elsewhere else free
-    plain = done = task.evaluate(free)
+        free = likelihood.maximise(likelihood.revived(start.free))
+        free = likelihood.restart(free) if start.elsewhere else free
+    plain = done = likelihood.evaluate(free)
     if weights is not None:
         return plain
     for _ in range(_ROBUST_ROUNDS):
@@ -61,6 +88,50 @@ def fit_noise(
         if worse.mean() < _CHANCE:
             break
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
-        task = NoiseTask(nodes, pieces, columns, heavier, headings=headings)
-        done = task.evaluate(task.climb(task.revived(done.free)))
-    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not bursts else done
+        likelihood = NoiseLikelihood(nodes, components, columns, heavier, headings=headings)
+        done = likelihood.evaluate(likelihood.maximise(likelihood.revived(done.free)))
+    return plain if np.mean(done.weights > 1.0) > _SIGNAL and not start.bursts else done
+
+
+def fit_noise_beside(
+    problem: Problem, components: VarianceComponents, columns: Array, random: Sequence[Effect], start: NoiseStart
+) -> NoiseFit:
+    """Return the noise fitted to what random coefficients leave, see `fit_noise`."""
+    nodes, headings, weights = problem.nodes, problem.headings, start.weights
+    if random and start.free is not None:
+        even = np.ones(len(nodes)) if weights is None else weights
+        noise = NoiseLikelihood(nodes, components, columns, even, headings=headings).evaluate(start.free)
+    else:
+        noise = fit_noise(nodes, components, columns, start, headings=headings)
+    if not random:
+        return noise
+    roots = np.concatenate([root_of(effect, problem) for effect in random], axis=2)
+    for normal in np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, roots.shape[2])):
+        before = noise.free
+        rest = replace(nodes, residual=nodes.residual - _drawn(noise, problem, columns, roots, normal))
+        again = NoiseStart(before, weights, bursts=start.bursts)
+        noise = fit_noise(rest, components, columns, again, headings=headings)
+        weights = noise.weights
+        plain = before > np.log(_FAINT)
+        if np.abs(noise.free - before)[plain].max(initial=0.0) < _SETTLED:
+            break
+    return noise
+
+
+def _drawn(noise: NoiseFit, problem: Problem, columns: Array, roots: Array, normal: Array) -> Array:
+    """Return (K, 3): a draw from the posterior of what the processes did to the residuals."""
+    whiten = noise.whitener.whiten
+    r, design, white = whiten(problem.nodes.residual), whiten(columns), whiten(roots)
+    factor = cholesky(np.eye(white.shape[1]) + white.T @ white, lower=True)
+
+    def carried(data: Array) -> Array:
+        solved: Array = solve_triangular(factor, white.T @ data, lower=True)
+        return solved
+
+    if columns.shape[2]:
+        own = carried(design)
+        normal_matrix = design.T @ design - own.T @ own
+        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ carried(r), rcond=None)[0]
+        r = r - design @ theta
+    process: Array = roots @ solve_triangular(factor, carried(r) + normal, lower=True, trans="T")
+    return process

@@ -1,4 +1,10 @@
-"""The likelihood as a function of the noise: evaluated, climbed, with everything linear estimated on the way."""
+"""The likelihood as a function of the noise: evaluated and maximised, everything linear estimated on the way.
+
+The maximum is found by Newton steps with the average information, within a box and a trust region. The average of
+observed and expected information needs no second derivatives and is never negative; near the maximum its steps are
+nearly Newton's (Gilmour, Thompson & Cullis 1995, Biometrics 51, 1440). It changes slowly, so it is computed again only
+where steps do not gain what they promise.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,6 @@ from scipy.linalg import blas, lapack
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.reml import Box, climbed
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.estimate.variance_components import NAMES
 from odomcorrupt.study.estimate.whitener import (
@@ -30,9 +35,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
-    from odomcorrupt.study.estimate.variance_components import LawPieces
+    from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseTask", "by_column", "estimated"]
+__all__ = ["HIGHEST", "LOWEST", "NoiseFit", "NoiseLikelihood", "by_column", "estimated"]
 
 LOWEST = 1e-5
 """A coefficient this small is none."""
@@ -43,12 +48,21 @@ _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
 _NO_WANDER = 2e-6
 _STEP = 1e-4
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
-"""A climb ends where its next step would gain less."""
+"""The iteration ends where its next step would gain less."""
 _DEAD, _FAINT = 1e-4, 1e-3
-"""Noise this small has no slope left to climb back on; and where a coefficient is tried again."""
+"""Noise this small has no slope to be found again by; and where a coefficient is started again."""
+_MOST_STEPS = 60
+_FAR, _NEAREST = 3.0, 1e-3
+"""Largest and smallest trust region, in logarithms."""
+_AS_PROMISED = 0.2
+"""A step that gains its promise within this part needs no new information."""
+_RIDGE = 1e-6
+_SWEEPS, _STILL = 40, 1e-3
+_BENDS = (0.7, 3.0)
+"""Bounds of the curvature along a step over that of the information."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFit:
     """Fitted noise, and the likelihood it leaves.
 
@@ -69,29 +83,49 @@ class NoiseFit:
     free: Array
 
 
-class NoiseTask:
-    """What stays the same while a fit climbs: the covariance is a weighted sum of bands that are laid out once."""
+@dataclass(frozen=True, slots=True)
+class _Box:
+    """Bounds (m,) of the maximisation; a number whose bounds meet is held."""
+
+    low: Array
+    high: Array
+
+
+class NoiseLikelihood:
+    """The likelihood of residuals for any noise: the covariance is a weighted sum of bands that are laid out once.
+
+    Parameters
+    ----------
+    nodes : the residuals of K intervals
+    components : what each coefficient of the law contributes to their covariance
+    columns : (K, 3, m)
+        Linear terms, free throughout.
+    weights : (K,)
+        Robust factors on each interval's covariance.
+    headings : whether the truth has any; if not, its heading noise is held flat
+
+    """
 
     def __init__(
-        self, nodes: Intervals, pieces: LawPieces, columns: Array, weights: Array, *, headings: bool = True
+        self, nodes: Intervals, components: VarianceComponents, columns: Array, weights: Array, *, headings: bool = True
     ) -> None:
-        if not pieces.active:
+        if not components.active:
             raise FitError("the odometry never moves; a noise law has nothing to act on")
-        self._nodes, self._pieces, self._weights, self._headings = nodes, pieces, weights, headings
+        self._nodes, self._components, self._weights, self._headings = nodes, components, weights, headings
         # whatever LAPACK is given lies in memory as it wants it: column by column, a band's column at a time
         self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
-        bands = [band_of(part * weights[:, None, None]) for part in pieces.parts()]
+        bands = [band_of(part * weights[:, None, None]) for part in components.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
         self._floor = np.asfortranarray(floor_band(len(nodes)))
 
-    def first_guess(self) -> Array:
-        """Start where noise of the truth and of the odometry each explain a fair part of the residual."""
+    def initial_guess(self) -> Array:
+        """Return noise (m,) where truth and odometry each explain a fair part of the residual."""
         scale = np.median(np.abs(self._nodes.residual), axis=0)
         truth = np.clip(np.array([scale[:2].mean() / 2.0, scale[2] / 2.0, 1e-4]), 1e-4, 0.1)
         if not self._headings:
             truth[1] = UNKNOWN_RAD
-        return np.concatenate((np.full(len(self._pieces.active), np.log(0.02)), np.log(truth)))
+        return np.concatenate((np.full(len(self._components.active), np.log(0.02)), np.log(truth)))
 
     def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise, columns estimated by generalised least squares."""
@@ -99,36 +133,46 @@ class NoiseTask:
         white = factored(self._band(self._shares(free)))
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         nothing = np.zeros(0)
-        blank = NoiseFit(k, truth, 0.0, nothing, nothing, self._weights, nothing, white, free)
+        blank = NoiseFit(
+            coefficients=k,
+            truth=truth,
+            log_likelihood=0.0,
+            theta=nothing,
+            theta_covariance=nothing,
+            weights=self._weights,
+            innovations=nothing,
+            whitener=white,
+            free=free,
+        )
         return estimated(blank, white, self._stacked)
 
-    def climb(self, free: Array, *, fixed: int | None = None) -> Array:
-        """Return the noise of largest likelihood; with one of its numbers held, nearly so (a profile is shallow)."""
-        active = len(self._pieces.active)
+    def maximise(self, free: Array, *, fixed: int | None = None) -> Array:
+        """Return the noise (m,) of largest likelihood from a start; with one number held, nearly so (for a profile)."""
+        active = len(self._components.active)
         low = np.concatenate((np.full(active, _LOW), _TRUTH_LOW))
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
         if not self._headings:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
-        return climbed(self, np.clip(free, low, high), Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
+        return self._ascend(np.clip(free, low, high), _Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
 
-    def second_look(self, free: Array) -> Array:
-        """Return the better of a top and the one that is reached from where no coefficient is nearly zero.
+    def restart(self, free: Array) -> Array:
+        """Return the better of a maximum (m,) and the one that is reached from where no coefficient is nearly zero.
 
-        Noise of travel, of turns and of a wander of the truth look alike at one speed, and the first steps of a climb
-        may put a coefficient where nothing pulls it back.
+        Noise of travel, of turns and a random walk of the truth look alike at one speed, and the first steps may put a
+        coefficient where nothing pulls it back.
         """
-        if not np.any(free[: len(self._pieces.active)] < np.log(_DEAD)):
+        if not np.any(free[: len(self._components.active)] < np.log(_DEAD)):
             return free
         other = self.revived(free)
         other[-1] = _TRUTH_LOW[-1]
-        other = self.climb(other)
+        other = self.maximise(other)
         return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
 
     def revived(self, free: Array) -> Array:
-        """Return noise of which nothing is nearly zero: there, it would have no slope left to climb back on."""
-        active = len(self._pieces.active)
+        """Return noise (m,) of which nothing is nearly zero: there the likelihood has no slope to be found again by."""
+        active = len(self._components.active)
         coefficients, truth = free[:active], free[active:]
         lively = np.where(coefficients < np.log(_DEAD), np.log(_FAINT), coefficients)
         return np.concatenate((lively, np.maximum(truth, np.log(_DEAD))))
@@ -165,10 +209,43 @@ class NoiseTask:
         information: Array = 0.5 * pushes.T @ pushes
         return information
 
+    def _ascend(self, begin: Array, box: _Box, enough: float) -> Array:
+        """Return the maximum reached from a beginning, to within a step that promises less than `enough` nats."""
+        movable = np.flatnonzero(box.low < box.high)
+        done, reach, bend = self.evaluate(begin), _FAR, 1.0
+        slope, information, fresh = (self.slope(done, movable), self.information(done, movable), True)
+        for _ in range(_MOST_STEPS):
+            here = done.free[movable]
+            room = (np.maximum(box.low[movable] - here, -reach), np.minimum(box.high[movable] - here, reach))
+            step = _best_step(slope, bend * information, *room)
+            promise = float(slope @ step - 0.5 * bend * step @ information @ step)
+            if promise < enough:
+                # the information is fresh, or its last promise was kept
+                break
+            free = done.free.copy()
+            free[movable] += step
+            new = self.evaluate(np.clip(free, box.low, box.high))
+            gain = new.log_likelihood - done.log_likelihood
+            if gain > 0.0:
+                done, before, slope = new, slope, self.slope(new, movable)
+                reach = min(2.0 * reach, _FAR)
+                # outliers bend the maximum more than the average information says
+                bend = float(np.clip((before - slope) @ step / (step @ information @ step), *_BENDS))
+                if abs(gain - promise) < _AS_PROMISED * promise:
+                    fresh = False
+                    continue
+            elif fresh:
+                reach = 0.3 * min(reach, float(np.abs(step).max()))
+                if reach < _NEAREST:
+                    break
+                continue
+            information, fresh = self.information(done, movable), True
+        return done.free
+
     def _shares(self, free: Array) -> Array:
         """Return the weight of every band."""
         coefficients, truth = self._unpack(free)
-        return np.concatenate((self._pieces.shares(coefficients), truth_weights(truth)))
+        return np.concatenate((self._components.shares(coefficients), truth_weights(truth)))
 
     def _share_slope(self, free: Array, i: int) -> Array:
         """Return by how much every band's weight changes with one number."""
@@ -189,12 +266,30 @@ class NoiseTask:
 
     def _unpack(self, free: Array) -> tuple[Array, TruthNoise]:
         """Return coefficients (7,) and truth noise; what sits on its lower bound is exactly zero."""
-        active = self._pieces.active
+        active = self._components.active
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]
         coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
         xy, yaw, wander = np.exp(free[len(active) :])
         return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+
+
+def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Array:
+    """Return the step (m,) to the top of a parabola within bounds that hold zero."""
+    whole = information + _RIDGE * np.eye(len(slope))
+    step = np.linalg.solve(whole, slope)
+    inside: Array = np.clip(step, low, high)
+    if np.array_equal(inside, step):
+        return inside
+    # coordinate by coordinate: each as far as the others, where they are now, let it
+    for _ in range(_SWEEPS):
+        before = inside.copy()
+        for i in range(len(slope)):
+            inside[i] += (slope[i] - whole[i] @ inside) / whole[i, i]
+            inside[i] = min(max(inside[i], low[i]), high[i])
+        if np.abs(inside - before).max() < _STILL:
+            break
+    return inside
 
 
 def by_column(columns: Array) -> Array:
@@ -203,7 +298,7 @@ def by_column(columns: Array) -> Array:
 
 
 def estimated(noise: NoiseFit, white: Whitener, stacked: Array) -> NoiseFit:
-    """Return a fit with its linear part estimated anew; stacked (3 K, 1 + m) is the residual and the columns."""
+    """Return a fit with its linear part estimated again; stacked (3 K, 1 + m) is the residual and the columns."""
     whitened = white.whitened(stacked)
     r, b = whitened[:, 0], whitened[:, 1:]
     theta, covariance = np.zeros(b.shape[1]), np.zeros((b.shape[1], b.shape[1]))

@@ -25,7 +25,7 @@ __all__ = ["Event", "events", "set_apart", "slip_bursts"]
 
 _FEWEST = 6
 _LEVEL = 0.02
-"""Chance that so many ordinary steps that are large by chance would all lose way: six of six is less."""
+"""Chance that so many ordinary steps that are large by chance would all lose distance: six of six is less."""
 _ODD = 2e-4
 """Chance of an ordinary step that stands out."""
 _HARDLY = 100.0
@@ -37,14 +37,14 @@ _PLAIN = 2.0
 """How much more one wheel has lost than the other where it is plain which one slipped."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
     """A stretch in which odometry and truth part at once.
 
     start_s, end_s : since the recording's origin
     along_m, yaw_rad : by how much odometry goes farther (forwards) and turns more to the left than the truth
-    slip : the part of the way that was lost, positive where the truth falls behind; of the wheel that lost more, where
-        the track is known; 0 where it cannot be told
+    slip : the part of the distance that was lost, positive where the truth falls behind; of the wheel that lost more,
+        where the track is known; 0 where it is not known
     turn_rad : how far the odometry turned meanwhile, to the left
     lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
     """
@@ -61,7 +61,7 @@ class Event:
 
 def events(fit: Fit) -> list[Event]:
     """Return the stretches that a robust fit flagged in order of time, neighbours taken together."""
-    return _told(fit, np.flatnonzero(fit.noise.weights > 1.0))
+    return _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
 
 
 def odd_steps(fit: Fit) -> list[Event]:
@@ -69,7 +69,7 @@ def odd_steps(fit: Fit) -> list[Event]:
 
     The fit is plain then and its noise is as wide as they are, so most of the others say what is usual.
     """
-    return _told(fit, _standing_out(fit))
+    return _events_of(fit, _standing_out(fit))
 
 
 def set_apart(fit: Fit) -> Array:
@@ -87,7 +87,7 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
     return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
-def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
+def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
     groups = np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else []
     usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
@@ -113,11 +113,11 @@ def _told(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
     return found
 
 
-def _slip(lost: Array, way: Array, track_m: float | None) -> float:
-    """Return the part of its way that a wheel lost, from what the odometry went and turned too far, and in all."""
+def _slip(lost: Array, path: Array, track_m: float | None) -> float:
+    """Return the part of its distance that a wheel lost, from what odometry moved and turned too far, and in all."""
     if track_m is None:
-        return _part(float(lost[0]), float(way[0]))
-    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(way[0], way[2], track_m)
+        return _part(float(lost[0]), float(path[0]))
+    lost_by, gone = rims_of(lost[0], lost[2], track_m), rims_of(path[0], path[2], track_m)
     more, less = sorted((0, 1), key=lambda wheel: -abs(lost_by[wheel]))
     against_each_other = gone.right * gone.left < 0.0
     if against_each_other and abs(lost_by[more]) < _PLAIN * abs(lost_by[less]):
@@ -125,14 +125,14 @@ def _slip(lost: Array, way: Array, track_m: float | None) -> float:
     return _part(float(lost_by[more]), float(gone[more]))
 
 
-def _part(lost: float, way: float) -> float:
-    return lost / way if abs(way) > 1e-3 else 0.0
+def _part(lost: float, path: float) -> float:
+    return lost / path if abs(path) > 1e-3 else 0.0
 
 
 def slip_bursts(fit: Fit) -> Effect | None:
     """Return bursts of slip where the events are slips: the truth falls behind in nearly all of them.
 
-    Outliers of the truth and tails of the noise go either way.
+    Outliers of the truth and tails of the noise are on both sides.
     """
     lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
     slips = np.array([event.slip for event in lasting])

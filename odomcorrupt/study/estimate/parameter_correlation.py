@@ -15,7 +15,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.model.correlation import Correlation
-from odomcorrupt.study.estimate.noise_likelihood import LOWEST, NoiseTask
+from odomcorrupt.study.estimate.noise_likelihood import LOWEST, NoiseLikelihood
 from odomcorrupt.study.estimate.variance_components import NAMES
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _STEP = 0.05
 def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Correlation:
     """Return the correlations of what a model's file has errors for.
 
-    columns : (K, 3, q) of the fit, see `believed_columns`
+    columns : (K, 3, q) of the fit, see `Fit.design_matrix`
     known : names of the standard errors that are kept
     """
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
@@ -49,21 +49,21 @@ def fit_correlation(fitted: Fit, columns: Array, known: Container[str]) -> Corre
 def _noise_covariance(fitted: Fit, columns: Array) -> tuple[list[str], Array]:
     """Return the names of the coefficients that are not zero, and the covariance (n, n) of their logarithms.
 
-    All zeros, which says nothing, where the likelihood is no hill there.
+    All zeros, which says nothing, where the likelihood has no maximum there.
     """
-    active, best = fitted.pieces.active, fitted.noise.free
+    active, best = fitted.components.active, fitted.noise.free
     positions = [i for i in range(len(active)) if best[i] > np.log(LOWEST) + 1.0]
     names = [NAMES[active[i]] for i in positions]
     blank = np.zeros((len(names), len(names)))
-    task = NoiseTask(
-        fitted.problem.nodes, fitted.pieces, columns, fitted.noise.weights, headings=fitted.problem.headings
+    likelihood = NoiseLikelihood(
+        fitted.problem.nodes, fitted.components, columns, fitted.noise.weights, headings=fitted.problem.headings
     )
 
     def value(*moves: tuple[int, float]) -> float:
         free = best.copy()
         for i, step in moves:
             free[i] += step
-        return task.evaluate(free).log_likelihood
+        return likelihood.evaluate(free).log_likelihood
 
     top = value()
     # noise of the truth whose size does not matter is none that could be mistaken for something

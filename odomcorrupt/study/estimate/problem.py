@@ -1,7 +1,7 @@
-"""A problem to fit: recordings, with what is believed so far already taken out of them.
+"""The regression problem: recordings with the effects and clocks of a model taken out, and the columns of the rest.
 
-Believing in effects means undoing them exactly (increments are corrected and composed again, stamps shifted), never to
-first order; what is left is linear in small changes of the parameters, and each change is one regressor column.
+Effects are undone exactly (increments are corrected and composed again, stamps shifted), never to first order; what is
+left is linear in small changes of the parameters, and each change is one regressor column.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None
     return left
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Problem:
-    """Recordings, the effects and clocks believed in, and the nodes of what is left.
+    """Recordings, effects and clocks of a model, and the intervals of what these leave.
 
     nodes : the K intervals of all runs
     run : (K,) which recording an interval belongs to

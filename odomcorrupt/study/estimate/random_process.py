@@ -1,4 +1,4 @@
-"""Gains that wander, as Gaussian processes over the nodes: what a unit of one does, and how to believe in it."""
+"""Random coefficients as Gaussian processes over the intervals: columns, and the whitener that knows of them."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ __all__ = [
 ]
 
 WANDERING = ("gauss_markov", "gyro_bias_walk")
-"""Random effects that a fit can believe."""
+"""Random coefficients: effects that a fit can have in its covariance."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
 """Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
 _QUICKEST_S = 3.0
-"""A bias that came back sooner would hardly be told from noise of every step."""
+"""A bias that reverted sooner could hardly be told from noise of every step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots to a correlation time: a few show that a process is there, more show how rough it is."""
@@ -56,7 +56,7 @@ class Process:
     """A gain as a Gaussian process: what a unit of it does, and its correlation time; None: a walk of unit density.
 
     variance : where it is stationary, at scale 1
-    numbers : how many it is charged for; a walk that comes back has one more than one that does not
+    numbers : how many the penalty charges; a mean-reverting bias has one more than a walk
     """
 
     kind: type[Effect]
@@ -68,13 +68,13 @@ class Process:
     numbers: int = 2
 
     @property
-    def comes_back(self) -> bool:
-        """Whether it is a bias that does not walk away."""
+    def mean_reverting(self) -> bool:
+        """Whether it is a mean-reverting bias."""
         return self.tau is not None and self.unit is bias_of
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with wandering gains and the truth's own bias in its covariance, all else estimated.
+    """Return a fit of noise with random coefficients and the truth's own bias in its covariance, all else estimated.
 
     Without either it is the same fit.
     """
@@ -85,7 +85,7 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 
 
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
-    """Return the same noise without the gains that wander."""
+    """Return the same noise without random coefficients."""
     white = noise.whitener
     if white.shrink is None:
         return noise
@@ -95,7 +95,7 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return a whitener of the problem's residuals that knows of wandering gains and the truth's own bias, too."""
+    """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
     roots = [root_of(effect, problem) for effect in random]
     if has_bias(problem):
         roots.append(bias_roots(problem))
@@ -116,14 +116,14 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
 
 
 def root_of(effect: Effect, problem: Problem) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make a wandering gain of its own size."""
+    """Return columns (K, 3, m) whose independent standard normal factors make a random coefficient of its own size."""
     (process,) = processes_like(effect)
     root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
     return root
 
 
 def processes() -> list[Process]:
-    """Return the processes to try; a bias that comes back very soon is hardly told from noise of every step."""
+    """Return the processes to try; a bias that reverts very soon is hardly told from noise of every step."""
     return _processes(_TAUS_S, _TAUS_S[1:])
 
 
@@ -175,7 +175,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
     Its knots lie a correlation time over `parts` apart.
     """
     nodes = problem.nodes
-    # runs lie far apart: what wandered in one says nothing about the next
+    # runs lie far apart: a process starts again in each
     time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
     tau = process.tau
     gaps = np.diff(time)
@@ -190,7 +190,7 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
 
 
 def _walk(knots: Array) -> Array:
-    """Return the covariance of a random walk of unit density, anew after every long break."""
+    """Return the covariance of a random walk of unit density, which starts again after every long break."""
     start = np.concatenate(([True], np.diff(knots) > _BREAK_S))
     begin = knots[np.maximum.accumulate(np.where(start, np.arange(len(knots)), 0))]
     since = knots - begin + 1.0

@@ -1,8 +1,8 @@
-"""Standard errors as they are told: shapes that were looked for left free, and what stretches of the drive disagree on.
+"""Robust standard errors: with the shapes free that were searched, and as blocks of the drive really vary.
 
-The fit's own errors hold shapes fixed and believe the noise model. A place's edge is known to some centimetres only,
-and the slip inside moves with it; and where the noise is not quite what the law says, estimates vary more from block
-to block of the drive than they should (White 1982, by blocks).
+The fit's own errors hold shapes fixed and assume that the noise model is right. A place's edge is known to some
+centimetres only, and the slip inside moves with it; and where the noise is not quite what the law says, estimates vary
+more from block to block of the drive than they should (White 1982, Econometrica 50, by blocks).
 """
 
 from __future__ import annotations
@@ -14,31 +14,30 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, block_of, inflation, shared_variance
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
 from odomcorrupt.study.io.clock import clock_leaders, led
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Container
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["with_told_errors"]
+__all__ = ["with_robust_errors"]
 
 _EDGE = 0.05
-"""How far a shape is moved to see what that does, in parts of its typical size: less than an interval's way."""
+"""How far a shape is moved to see what that does, in parts of its typical size: less than the path of an interval."""
 
 
-def with_told_errors(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], shaped: Container[str] = ()) -> Fit:
-    """Return the fit with the errors of its effects' amplitudes and of its clocks as they are told, in plain words.
+def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
+    """Return the fit with robust standard errors of its effects' amplitudes and of its clocks.
 
-    shaped : names of effects whose shapes were looked for in these data, too; those of others are taken as known
+    shaped : names of effects whose shapes were searched in these data, too; those of others are taken as known
     """
     problem = fitted.problem
-    believed = believed_columns(problem, free_clocks)
-    if not believed.shape[2]:
+    design = fitted.design_matrix()
+    if not design.shape[2]:
         return fitted
     shapes = [
         (effect, p)
@@ -46,21 +45,21 @@ def with_told_errors(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]], shap
         for p in parameters(effect)
         if effect.name in shaped and not p.amplitude
     ]
-    columns = np.concatenate((believed, *(_moved_shape(problem, *shape)[:, :, None] for shape in shapes)), axis=2)
+    columns = np.concatenate((design, *(_moved_shape(problem, *shape)[:, :, None] for shape in shapes)), axis=2)
     white = fitted.noise.whitener.whiten(columns)
-    # a shape is looked for near where it stands, about as far as it is large
-    prior = np.diag([0.0] * believed.shape[2] + [p.typical**-2.0 for _, p in shapes])
+    # prior of a shape: about where it is, as wide as it is typically large
+    prior = np.diag([0.0] * design.shape[2] + [p.typical**-2.0 for _, p in shapes])
     normal = white.T @ white + prior
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     covariance = np.linalg.pinv(normal * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
-    covariance = covariance[: believed.shape[2]]
+    covariance = covariance[: design.shape[2]]
     variance = np.diag(covariance) * _between_blocks(problem, white @ covariance.T, fitted.noise.innovations)
     own, errors = len(fitted.standard_errors), np.sqrt(variance)
-    free, leaders = np.asarray(free_clocks), clock_leaders(problem.recordings)
+    free, leaders = np.array(fitted.free_clocks), clock_leaders(problem.recordings)
     clock_errors = np.zeros(free.shape)
     clock_errors[led(free, leaders)] = errors[own:]
-    told = dataclasses.replace(problem, effects=tuple(effect.plain() for effect in problem.effects))
-    return dataclasses.replace(fitted, problem=told, standard_errors=errors[:own], clock_errors=clock_errors[leaders])
+    plain = dataclasses.replace(problem, effects=tuple(effect.plain() for effect in problem.effects))
+    return dataclasses.replace(fitted, problem=plain, standard_errors=errors[:own], clock_errors=clock_errors[leaders])
 
 
 def _moved_shape(problem: Problem, effect: Effect, p: Parameter) -> Array:

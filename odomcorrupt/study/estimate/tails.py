@@ -59,9 +59,9 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
     Who stands draws nothing: beside a perfect truth his zeros would make all that moves look heavy.
     """
     steps = fit.problem.nodes.odometry_step
-    way = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
-    moving = way > _STILL_M
-    driven: NDArray[np.bool_] = way > _USUAL * np.median(way[moving]) if moving.any() else moving
+    travel = np.hypot(steps[:, 0], steps[:, 1]) + _ARM_M * np.abs(steps[:, 2])
+    moving = travel > _STILL_M
+    driven: NDArray[np.bool_] = travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
     return driven
 
 

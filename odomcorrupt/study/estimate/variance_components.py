@@ -1,4 +1,4 @@
-"""A noise law on the residuals, taken apart into matrices that its coefficients only weigh."""
+"""Variance components: the covariance that a noise law puts on the residuals, linear in shares."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Law
     from odomcorrupt.study.estimate.intervals import Intervals
 
-__all__ = ["NAMES", "LawPieces"]
+__all__ = ["NAMES", "VarianceComponents"]
 
 NAMES = ("rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans", "end_trans", "end_rot")
 """Coefficients that a fit may find; white noise on twists is none of them, the truth's own noise hides it."""
@@ -23,7 +23,7 @@ _PROBE = (np.array([0.3]), np.array([0.7]), np.array([0.2]))
 """Magnitudes of a step on which coefficients that do anything together show it."""
 
 
-class LawPieces:
+class VarianceComponents:
     """Covariances (K, 3, 3) that a law puts on the residuals, split so that coefficients only weigh them.
 
     A law is homogeneous in its coefficients, of degree 1 or 2; polarising it gives one matrix per coefficient and per
@@ -39,7 +39,7 @@ class LawPieces:
             return np.stack((v.rot1, v.trans, v.across, v.rot2))
 
         seen = magnitudes(law, steps)
-        # the more motion, the more noise: the largest of each tells whether a coefficient does anything
+        # the more motion, the more noise: the largest of each shows whether a coefficient does anything
         most = tuple(np.array([m.max(initial=0.0)]) for m in seen)
         self._degree = law.degree
         self.active = [i for i in range(len(NAMES)) if rows(i, on=most).any()]

@@ -98,7 +98,7 @@ def phased_rmse(recordings: Sequence[Recording], length_s: float = WINDOW_S) -> 
 
 
 def _squared_misses(recording: Recording, length_s: float, phase: float) -> Array:
-    """Return how far odometry ends from the truth in `time_windows`, (n,) m^2; what happens on the way is not asked."""
+    """Return how far odometry ends from the truth in `time_windows`, (n,) m^2, whatever happens in between."""
     ends = _time_ends(recording, length_s, phase)
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     picked = ends.picked

@@ -99,7 +99,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
             name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
             truth_scale_error=error,
             clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
-            notes=(*([chosen] if chosen and i == 0 else []), *r.notes, *([said] if i == 0 else [])),
+            notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
         )
         for i, r in enumerate(found)
     ]

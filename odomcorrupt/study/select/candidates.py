@@ -1,9 +1,10 @@
-"""Look for what is missing, one effect at a time, each believed exactly before the next is named.
+"""Candidates: terms that may come next, tested, refitted together with the model, and admitted or refused.
 
-An effect is admitted only if both gates of the score test pass, it gains on blocks held out of its estimate, its size
-is physically possible and well enough known, and the drift over 10 s of the data it was fitted on hardly grows
-(a likelihood alone may want a cause that improves single steps and spoils the path). Two causes may make up for each
-other on the path, though: one that spoils it is admitted after all where, beside the next one, the drift falls.
+A candidate is admitted only if both score tests pass, it gains on blocks held out of its estimate, its size is
+physically possible and well enough known, it gains when everything is fitted together, and the 10 s drift of the data
+it was fitted on hardly grows (a likelihood alone may want a cause that improves single steps and spoils the path). Two
+causes may make up for each other on the path, though: one that spoils it is admitted after all where, beside the next
+one, the drift falls.
 """
 
 from __future__ import annotations
@@ -14,38 +15,33 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.drift_error import drift
-from odomcorrupt.study.estimate.gauss_newton import Fit, believed_columns, fit
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
-from odomcorrupt.study.select.score import Score, score_tests
-from odomcorrupt.study.select.shape_search import Members
+from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.regressors import drives_sideways
+from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.score import Score
+    from odomcorrupt.study.terms.term import Term
 
-    from odomcorrupt.effects.effect import Effect
+__all__ = ["Candidate", "include", "library", "library_candidates", "objection", "tried", "with_shape_refined"]
 
-__all__ = ["Candidate", "library", "next_effect", "price"]
-
-LEVEL = 0.01
-"""Probability of naming any effect on data without one."""
-_SHORTLIST = 4
-_WORTH_A_REFIT = 0.25
-"""Part of the leader's evidence below which a refit would not turn the tables."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
-_KNOWN = 4.2
-"""An effect is testable if this many of its standard errors fit into half of what is physically possible."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A score, and where the effect made the shortlist, the whole model refitted with it.
+    """A scored term, and where it made the shortlist, the whole model refitted with it.
 
-    gain : log likelihood gained by the refit, nats, less what its parameters would gain by chance (k/2 ln K)
-    rmse_s : 10 s error of the fitted data before and after, metres
+    gain : log likelihood gained by the refit less the penalty, nats
+    rmse : 10 s position error of the fitted data before and after, m
     refused : why it is not admitted, or empty
     """
 
@@ -55,42 +51,48 @@ class Candidate:
     rmse: tuple[float, float] = (float("nan"), float("nan"))
     refused: str = ""
 
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.score.term.name
 
-def library(fitted: Fit) -> list[tuple[Effect, ...]]:
-    """Return every registered systematic effect that the model does not have, at its identity.
 
-    An effect with shapes comes as the family of shapes worth trying. Clocks are apart, a twin is named as an
-    alternative of the one it cannot be told from, single wheels need a track, and not every robot drives sideways.
+def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
+    """Return every registered systematic effect that the model does not have, as a family of shapes worth trying.
+
+    Clocks are apart, a twin is named as an alternative of the one it cannot be told from, single wheels need a track,
+    and not every robot drives sideways.
     """
-    have = {effect.name for effect in fitted.effects}
-    motions = fitted.problem.motions
+    have = {effect.name for effect in fit.effects}
+    motions = fit.problem.motions
     track, sideways = all(m.track_m is not None for m in motions), drives_sideways(motions)
     kinds = [
         kind
         for name, kind in registry().items()
         if name not in have
-        and kind.kind != "noise"
+        and kind.kind not in ("noise", "event")
         and not kind.clock
         and kind.twin_of is None
         and (sideways or not kind.needs_sideways)
+        and (track or not kind.needs_track)
     ]
-    families = [tuple(kind.scan(motions)) for kind in kinds if track or not kind.needs_track]
+    families = [LibraryTerm.family(kind, motions) for kind in kinds]
     return [family for family in families if family]
 
 
-def next_effect(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
-    """Return all candidates, the ones that may be added first and in order of evidence."""
-    candidates = _candidates(fitted, free_clocks)
+def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
+    """Return all effects of the library as candidates, admitted ones first and by gain."""
+    candidates = _candidates(fit, decisions)
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
-    excused = [_excused(c, free_clocks) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
+    excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     return sorted(excused, key=_rank, reverse=True)
 
 
-def _excused(candidate: Candidate, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
+def _excused(candidate: Candidate, decisions: Decisions) -> Candidate:
     """Return the candidate admitted, where what comes next makes good the path that it spoils alone."""
     if candidate.fit is None:
         return candidate
-    following = [c for c in _candidates(candidate.fit, free_clocks) if not c.refused]
+    following = [c for c in _candidates(candidate.fit, decisions) if not c.refused]
     made_good = any(c.rmse[1] <= candidate.rmse[0] for c in following)
     return replace(candidate, refused="") if made_good else candidate
 
@@ -99,100 +101,104 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
     return (candidate.refused == "", candidate.gain, -candidate.score.p)
 
 
-def _candidates(fitted: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> list[Candidate]:
-    believed = believed_columns(fitted.problem, free_clocks)
-    families = library(fitted)
-    look = Members(fitted, believed)
-    members = [look.best(family) for family in families]
-    scores = score_tests(fitted, members, believed)
-    # whoever may choose among many shapes is the likelier to fit by chance
-    scores = [replace(s, p=min(1.0, s.p * len(f))) for s, f in zip(scores, families, strict=True)]
-    trials = {s.effect.name: len(f) for s, f in zip(scores, families, strict=True)}
-    count = len(fitted.problem.nodes)
-    ranked = sorted(scores, key=lambda s: _evidence(s, trials[s.effect.name], count), reverse=True)
+def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
+    search = ShapeSearch(fit, decisions)
+    terms = [search.best(family) for family in library(fit)]
+    ranked = sorted(score_terms(fit, terms, decisions), key=lambda s: s.robust_nats, reverse=True)
     candidates: list[Candidate] = []
-    still = hardly_turns(fitted)
+    still = hardly_turns(fit)
     refits, leader = 0, -np.inf
     for score in ranked:
-        refused = _objection(score)
-        refused = refused or _steered(fitted, score, still=still)
-        weight = _evidence(score, trials[score.effect.name], count)
-        if refused or refits == _SHORTLIST or weight < _WORTH_A_REFIT * leader:
-            candidates.append(Candidate(score, refused=refused or "others explain it better"))
+        refused = objection(fit, score, decisions, still=still)
+        unlikely = refits == decisions.shortlist or score.robust_nats < decisions.shortlist_share * leader
+        if refused or unlikely:
+            candidates.append(Candidate(score=score, refused=refused or "others explain it better"))
             continue
         refits += 1
-        candidates.append(_refitted(fitted, score, trials[score.effect.name], free_clocks))
+        candidates.append(_refitted(fit, score, decisions))
         if not candidates[-1].refused:
             # one that cannot be had stands in nobody's way
-            leader = max(leader, weight)
+            leader = max(leader, score.robust_nats)
     return sorted(candidates, key=_rank, reverse=True)
 
 
-def _evidence(score: Score, trials: int, count: int) -> float:
-    return 0.5 * score.statistic / score.inflation - price(score.effect, trials, count)
-
-
-def price(effect: Effect, trials: int, count: int) -> float:
-    """Return the nats an effect must gain: (k/2) ln K for its parameters, and what looking about gains by chance."""
-    return 0.5 * len(parameters(effect)) * float(np.log(count)) + float(np.log(trials))
-
-
-def _objection(score: Score) -> str:
-    """Return why an effect is out of question, or nothing."""
+def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
+    """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
     if not score.separable:
         return "cannot be told from what is in the model"
     for p, value, error in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True):
         room = p.high if value > 0.0 else -p.low
-        if error * _KNOWN > 0.5 * max(p.high, -p.low):
+        if error * decisions.testable_errors > 0.5 * max(p.high, -p.low):
             return "not testable on this drive"
         if abs(value) > room:
             why = "beyond what is physically possible" if room > 0.0 else "of a sign that it cannot have"
             return f"{p.name} would be {value:.3g}, {why}"
-    if score.p >= LEVEL:
-        return "no evidence"
-    if score.held_out_nats <= score.held_out_error:
-        return "does not gain on held-out blocks"
-    return ""
+    if not score.significant(decisions.level):
+        return "no evidence" if score.p >= decisions.level else "does not gain on held-out blocks"
+    columns = score.term.columns(fit.problem)
+    answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
+    steered = answers or (still and acts_in_curves_only(fit, score.effect))
+    return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
 
 
-def _steered(fitted: Fit, score: Score, *, still: bool) -> str:
-    """Return why an effect may be the driver's work, or nothing."""
-    columns = fitted.problem.columns(score.effect)
-    answers = is_gain_of_turns(fitted, columns) and may_be_steering(fitted, columns, score.estimate)
-    if answers or (still and acts_in_curves_only(fitted, score.effect)):
-        return "turns no larger than the noise: it may be a driver who steers back"
-    return ""
+def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
+    """Return a candidate fitted together with the model, robust weights kept so that likelihoods compare."""
+    effects, weights = (*fit.effects, score.estimated), fit.noise.weights
+    candidate = tried(fit, fit.refit(effects, weights=weights), score, decisions)
+    if candidate.gain > 0.0 or not np.any(fit.free_clocks) or candidate.fit is None:
+        return candidate
+    # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss
+    held = fit.refit(effects, weights=weights, free_clocks=[(False, False)] * len(fit.free_clocks))
+    return tried(fit, candidate.fit, score, decisions, gain=held.log_likelihood - fit.log_likelihood - score.penalty)
 
 
-def _refitted(fitted: Fit, score: Score, trials: int, free_clocks: Sequence[tuple[bool, bool]]) -> Candidate:
-    problem = fitted.problem
-    values = {
-        p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(amplitudes(score.effect), score.estimate, strict=True)
-    }
-    moved = replace(score.effect, **values)  # type: ignore[type-var]  # effects are dataclasses
-    worth = price(score.effect, trials, len(problem.nodes))
+def tried(
+    fit: Fit, with_it: Fit, score: Score, decisions: Decisions, *, gain: float | None = None, least: float = 0.0
+) -> Candidate:
+    """Return a term as a candidate, admitted if the fit with it gains and hardly drifts more than the one without.
 
-    def refit(free: Sequence[tuple[bool, bool]] | None) -> Fit:
-        return fit(
-            problem.recordings,
-            (*problem.effects, moved),
-            clocks=problem.clocks,
-            free_clocks=free,
-            approach=problem.approach,
-            start=fitted.noise.free,
-            weights=fitted.noise.weights,
-            random=fitted.random,
-        )
+    gain : default what the likelihood gains less the penalty; least : what it has to
+    """
+    if gain is None:
+        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty
+    before, after = drift(fit), drift(with_it)
+    spoiled = after.worse_than(
+        before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
+    )
+    refused = "gains nothing when everything is fitted together" if gain <= least else _SPOILS if spoiled else ""
+    return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
 
-    again = refit(free_clocks)
-    gain = again.log_likelihood - fitted.log_likelihood - worth
-    if gain <= 0.0 and np.any(free_clocks):
-        # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss
-        gain = refit(None).log_likelihood - fitted.log_likelihood - worth
-    before, after = drift(fitted), drift(again)
-    refused = ""
-    if gain <= 0.0:
-        refused = "gains nothing when everything is fitted together"
-    elif after.worse_than(before):
-        refused = _SPOILS
-    return Candidate(score, again, gain, (before.rmse, after.rmse), refused)
+
+def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+    """Return the fit with a term, robust weights estimated again and its shape refined, and the term as it is then.
+
+    What looked like outliers may be explained now.
+    """
+    return with_shape_refined(fit.refit((*fit.effects, score.estimated)), score, decisions)
+
+
+def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+    """Return the fit with the shape of one of its terms searched again, now that what it explains is no noise any more.
+
+    score : the term as it is in the model; both come back as they were where another shape gains too little
+    """
+    if not len(score.term.shape):
+        return fit, score
+    effect = next(e for e in fit.effects if e.name == score.term.name)
+    search = ShapeSearch(drop_term(fit, effect), decisions)
+    moved = search.maximise(_nearby(search, score.term, fit))
+    if np.array_equal(moved.shape, score.term.shape) and moved.start == score.term.start:
+        return fit, score
+    values = [getattr(effect, p.name) for p in amplitudes(effect)]
+    others = [e for e in fit.effects if e is not effect]
+    shaped = fit.refit((*others, moved.effect(values)))
+    if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
+        return fit, score
+    return shaped, replace(score, term=moved)
+
+
+def _nearby(search: ShapeSearch, term: Term, fit: Fit) -> Term:
+    """Return a term at the maximum to climb from: for an effect of the library, its whole family is tried again."""
+    if isinstance(term, LibraryTerm):
+        return search.best((term, *LibraryTerm.family(type(term.start), fit.problem.motions)))
+    return search.climb(term)

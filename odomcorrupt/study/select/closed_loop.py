@@ -1,4 +1,4 @@
-"""A driver who steers back: turns that answer to the noise look as if the odometry turned too much.
+"""Closed-loop bias: turns by which a controller answers to the noise look as if the odometry turned too much.
 
 Where a robot is kept on its line by somebody who sees the truth, noise that turned it is taken back within the second,
 and the odometry shows the turn back alone. Of K intervals such answers can explain K^2 / X chi-square at most, X being
@@ -15,7 +15,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.geometry.motion import error_of
-from odomcorrupt.study.select.channels import MOVES
+from odomcorrupt.study.terms.channels import MOVES
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -31,7 +31,7 @@ _PLAIN_TURNS = 4.0
 
 
 def may_be_steering(fit: Fit, columns: Array, estimate: Array) -> bool:
-    """Tell whether what a gain of turns explains, one number, may be a driver's answers to the noise.
+    """Tell whether what a gain of turns explains, one number, may be a controller's answers to the noise.
 
     It may where it says that the truth turned less, and is not more than answers can be.
 

@@ -1,122 +1,191 @@
-"""What is left when no known effect explains it: the driver on which the error depends, the curve, and a law to try.
+"""Dependences: what the residual depends on where no effect of the library explains it, as a curve and as a term.
 
-For every driver (speed, yaw rate, ...) and channel the error per metre, and of the heading per radian turned, too, is
-let free as a curve of a few hat functions. The curve's joint score says whether it is there, its estimate is what the
-user sees. Simple laws of one or two numbers are tried beside it: they see what a curve of eight is too blunt for.
+For every regressor (speed, yaw rate, ...) and channel the error per metre, and of the heading per radian turned and per
+second, too, is a curve of a few hat functions. The curve's joint score says whether it is there, its estimate is what
+the user sees. Basis functions of one or two coefficients are tried beside it: they see what a curve of eight is too
+blunt for, and can be included in the model.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
+from itertools import groupby, islice, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
-from odomcorrupt.study.select.basis_scores import best_laws, likeliest
-from odomcorrupt.study.select.channels import MOVES
-from odomcorrupt.study.select.closed_loop import hardly_turns
-from odomcorrupt.study.select.score import score_columns
-from odomcorrupt.study.select.splines import curve_drivers
+from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering
+from odomcorrupt.study.select.decisions import penalty
+from odomcorrupt.study.select.periodic import waves
+from odomcorrupt.study.select.score import score_columns, score_terms
+from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.terms.channels import MOVES
+from odomcorrupt.study.terms.splines import curve_regressors
+from odomcorrupt.study.terms.term import BasisTerm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.basis_scores import ScoredLaw
-    from odomcorrupt.study.select.score import ColumnScore
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.score import ColumnScore, Score
+    from odomcorrupt.study.select.screening import CoarseDesign, Screened
 
-__all__ = ["Unknown", "unknown_dependences"]
+__all__ = ["BasisScore", "Dependence", "basis_scores", "dependences"]
 
-_LEVEL = 0.01
 _OF_TURNS = ("yaw_rate", "lateral_acceleration", "yaw_acceleration", "heading")
-"""Drivers of which a drive that hardly turns shows nothing but how it is steered."""
-_LEAST_NATS, _LEAST_NATS_OF_TURNS = 4.0, 25.0
-"""What a curve without any law to it has to gain, and one of the yaw over how the robot turns: tight steering (3 per
-second) answers to the noise within an interval, and bends such curves by 5 to 24 nats where nothing is wrong."""
+"""Regressors of which a drive that hardly turns shows nothing but how it is steered."""
+_MOST_STARTS = 40
+"""Terms of one regressor and channel from which shape searches may start."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Unknown:
-    """An error of one channel that follows one driver.
+@dataclass(frozen=True, slots=True)
+class BasisScore:
+    """The basis function of one regressor and channel that explains most, scored exactly.
+
+    others : other forms that do nearly as well, so that only a fit can tell
+    """
+
+    score: Score
+    others: tuple[Score, ...] = ()
+
+    @property
+    def term(self) -> BasisTerm:
+        """The basis function and what it acts on."""
+        return basis_term(self.score)
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Its regressor and channel."""
+        return self.term.function.regressor, self.term.action.channel
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Dependence:
+    """An error of one channel that follows one regressor.
 
     per : what it is an error per: "m" driven, "rad" turned, or "s"
-    centres : (m,) values of the driver, or (m, 2) places
+    centres : (m,) values of the regressor, or (m, 2) places
     curve, curve_error : (m,) error of truth minus odometry per `per` there (m/m, rad/m, rad/rad, rad/s), and its error
     p : probability of such a dependence anywhere without any
-    nats : log likelihood that it gains, less what its numbers gain by chance
-    law : the law that explains most of it, if one does
+    nats : log likelihood that it gains, less the penalty
+    best : the basis function that explains most of it, if one does
     expression : a simple effect of that shape, ready to be edited
 
     Two are the same finding only if they are the same object.
     """
 
     channel: str
-    driver: str
+    regressor: str
     per: str
     centres: Array
     curve: Array
     curve_error: Array
     p: float
     nats: float
-    law: ScoredLaw | None
+    best: BasisScore | None
     expression: str
 
     @property
+    def name(self) -> str:
+        """Name of the effect that it is in a model, where a basis function explains it; else ""."""
+        return self.best.term.name if self.best is not None else ""
+
+    @property
     def wheels(self) -> str:
-        """Which wheels have the error, where its law acts on these: "left", "right" or "wheels"; else ""."""
-        return self.law.action.target if self.law is not None and self.law.action.by_wheel else ""
+        """Which wheels have the error, where its term acts on these: "left", "right" or "wheels"; else ""."""
+        return self.best.term.action.target if self.best is not None and self.best.term.action.by_wheel else ""
 
     @property
     def wavelength_m(self) -> float | None:
-        """Of an error that comes back with the way: after how much of it, m."""
-        return self.law.law.wavelength_m or None if self.law is not None else None
+        """Of an error that is periodic over the travelled distance: its period, m."""
+        return self.best.term.function.wavelength_m or None if self.best is not None else None
 
 
-def unknown_dependences(fit: Fit, believed: Array, likely: Sequence[ScoredLaw] | None = None) -> list[Unknown]:
-    """Return the dependences that nothing believed explains, the plainest first; usually none.
+def basis_scores(fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> list[BasisScore]:
+    """Return the best basis function of each regressor and channel, scored exactly, whether or not it is significant.
 
-    Parameters
-    ----------
-    fit : the fitted model
-    believed : (K, 3, q)
-        Columns of what is believed already.
-    likely : the likeliest laws, where they are known already
-
+    design : approximate columns, where they are known already for this problem
     """
-    likely = likeliest(fit, believed) if likely is None else likely
+    count = len(fit.problem.nodes)
+    search = ShapeSearch(fit, decisions, design)
+    worth = sorted(
+        (
+            (_kind(s), s.nats - penalty(s.term, count, decisions), i, s)
+            for i, s in enumerate(search.promising() + waves(fit))
+        ),
+        key=lambda w: (w[0], -w[1], w[2]),
+    )
+    terms: list[BasisTerm] = []
+    for _, group in groupby(worth, key=lambda w: w[0]):
+        ranked = [s for _, nats, _, s in islice(group, _MOST_STARTS) if nats > decisions.exact_nats]
+        terms += search.forms(ranked) if ranked else []
+    found: dict[tuple[str, str], list[Score]] = {}
+    for term, score in zip(terms, score_terms(fit, terms, decisions, family=1) if terms else [], strict=True):
+        if term.action.move == "omega" and may_be_steering(fit, term.columns(fit.problem), score.estimate):
+            continue
+        if term.share(score.estimate.tolist(), fit.problem.motions) < decisions.max_share:
+            found.setdefault((term.function.regressor, term.action.channel), []).append(score)
+    return [_with_others(scores, decisions) for scores in found.values()]
+
+
+def dependences(fit: Fit, scores: Sequence[BasisScore], decisions: Decisions) -> list[Dependence]:
+    """Return the dependences that the model does not explain, the plainest first; usually none.
+
+    scores : of basis functions, see `basis_scores`
+    """
     still = hardly_turns(fit)
-    laws = {(found.law.driver, found.action.channel): found for found in best_laws(likely)}
+    plain = [one for one in scores if one.score.robust_nats > 0.0 and one.score.significant(decisions.level)]
+    by_kind = {one.kind: one for one in plain}
     found = []
-    for (driver, channel, per), where, score in _curves(fit, believed):
-        of_turns = channel == "yaw" and (per == "rad" or driver in _OF_TURNS)
+    for kind, where, score in _curves(fit):
+        regressor, channel, per = kind
+        of_turns = channel == "yaw" and (per == "rad" or regressor in _OF_TURNS)
         if of_turns and still:
             continue
-        law = laws.get((driver, channel))
+        best = by_kind.get((regressor, channel))
         nats = 0.5 * score.statistic / score.inflation - 0.5 * len(where) * float(np.log(len(fit.problem.nodes)))
-        least = _LEAST_NATS_OF_TURNS if of_turns else _LEAST_NATS
-        seen = score.separable and score.p < _LEVEL and score.held_out_nats > score.held_out_error and nats > least
-        if law is not None and per == law.action.per:
-            most = max(nats, law.nats) if seen else law.nats
-            p = min(score.p, law.p) if seen else law.p
-            found.append(_unknown(driver, channel, per, where, score, p, most, law))
-        elif seen and law is None and per != "s":  # a bias that bends is known by its law alone
-            found.append(_unknown(driver, channel, per, where, score, score.p, nats, None))
+        least = decisions.curve_of_turns_nats if of_turns else decisions.curve_nats
+        seen = score.significant(decisions.level) and nats > least
+        if best is not None and per == best.term.action.per:
+            own = best.score
+            most = max(nats, own.robust_nats) if seen else own.robust_nats
+            p = min(score.p, own.p) if seen else own.p
+            found.append(_dependence(kind, where, score, best, p=p, nats=most))
+        elif seen and best is None and per != "s":  # a bias that bends is known by its basis function alone
+            found.append(_dependence(kind, where, score, None, p=score.p, nats=nats))
     return sorted(found, key=lambda u: u.nats, reverse=True)
 
 
-def _curves(fit: Fit, believed: Array) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
-    """Return the curve of every driver and channel: which it is, where its hats are, and their joint score."""
+def basis_term(score: Score) -> BasisTerm:
+    """Return the term of a score that is known to be a basis function."""
+    if not isinstance(score.term, BasisTerm):
+        raise TypeError(f"{score.term.name} is no basis function")
+    return score.term
+
+
+def _kind(screened: Screened) -> tuple[str, str]:
+    return screened.term.function.regressor, screened.term.action.channel
+
+
+def _with_others(scores: Sequence[Score], decisions: Decisions) -> BasisScore:
+    """Return the best of a kind, with those that come near it."""
+    best = max(scores, key=lambda s: s.nats)
+    return BasisScore(best, tuple(s for s in scores if s is not best and s.nats > decisions.form_share * best.nats))
+
+
+def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
+    """Return the curve of every regressor and channel: which it is, where its hats are, and their joint score."""
     motions, nodes = fit.problem.motions, fit.problem.nodes
     travel = np.concatenate([np.hypot(m.v, m.vy) * m.dt_s for m in motions])
     turn = np.concatenate([MOVES["omega"](m) * m.dt_s for m in motions])
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
-    drivers = curve_drivers(motions)
-    for name, (channel, per) in product(drivers, [*((c, "m") for c in CHANNELS), ("yaw", "rad"), ("yaw", "s")]):
-        shapes = [drivers[name](m) for m in motions]
+    regressors = curve_regressors(motions)
+    for name, (channel, per) in product(regressors, [*((c, "m") for c in CHANNELS), ("yaw", "rad"), ("yaw", "s")]):
+        shapes = [regressors[name](m) for m in motions]
         held = np.concatenate([values for values, _ in shapes]) * amounts[per][:, None]
         amount = np.abs(held).sum(axis=0)
         used = amount > 0.01 * np.abs(amounts[per]).sum()
@@ -130,29 +199,36 @@ def _curves(fit: Fit, believed: Array) -> list[tuple[tuple[str, str, str], Array
         names.append((name, channel, per))
         groups.append(np.stack(columns, axis=2))
         centres.append(shapes[0][1][used])
-    return list(zip(names, centres, score_columns(fit, groups, believed), strict=True))
+    return list(zip(names, centres, score_columns(fit, groups), strict=True))
 
 
-def _unknown(
-    driver: str, channel: str, per: str, where: Array, score: ColumnScore, p: float, nats: float, law: ScoredLaw | None
-) -> Unknown:
+def _dependence(
+    kind: tuple[str, str, str], where: Array, score: ColumnScore, best: BasisScore | None, *, p: float, nats: float
+) -> Dependence:
+    """Return a dependence of a kind (regressor, channel, per) from the score of its curve and its basis function."""
+    regressor, channel, per = kind
     curve, error = score.estimate, score.standard_error
-    if law is not None and law.law.wavelength_m:  # a wave is shown, not the hats that are too wide for it
-        where = np.linspace(0.0, law.law.wavelength_m, 13)
-        angle = 2.0 * np.pi * where / law.law.wavelength_m
-        waves = np.stack((np.cos(angle), np.sin(angle)), axis=1)
-        curve, error = waves @ law.score.estimate, np.sqrt(waves**2 @ law.score.standard_error**2)
-    return Unknown(
+    if best is not None and best.term.function.wavelength_m:  # a wave is shown, not the hats that are too wide for it
+        where = np.linspace(0.0, best.term.function.wavelength_m, 13)
+        angle = 2.0 * np.pi * where / best.term.function.wavelength_m
+        unit = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        curve, error = unit @ best.score.estimate, np.sqrt(unit**2 @ best.score.standard_error**2)
+    expression = (
+        _line(regressor, channel, per, where, score)
+        if best is None
+        else best.term.expression(best.score.estimate.tolist())
+    )
+    return Dependence(
         channel=channel,
-        driver=driver,
+        regressor=regressor,
         per=per,
         centres=where,
         curve=curve,
         curve_error=error,
         p=p,
         nats=nats,
-        law=law,
-        expression=law.expression if law is not None else _line(driver, channel, per, where, score),
+        best=best,
+        expression=expression,
     )
 
 

@@ -1,8 +1,8 @@
-"""Whether the recordings are of one robot as it was: a tyre was pumped, a load was put on, a gyro was switched on anew.
+"""Heterogeneity: whether recordings of one robot agree about its parameters, or something was changed between them.
 
-What differs between recordings and stays the same within each looks like slow noise to a search that believes in one
-robot. So each recording is asked for its own numbers, all together, with that noise left out; errors are no smaller
-than its blocks say.
+A tyre that was pumped, a load, a gyro that was switched on again differ between recordings and not within one; to a
+model of one robot they look like slow noise. So every recording has parameters of its own, estimated together, with
+that noise left out; standard errors are cluster-robust.
 """
 
 from __future__ import annotations
@@ -16,14 +16,11 @@ from scipy.stats import chi2
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, block_of, inflation, shared_variance
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
 from odomcorrupt.study.estimate.random_process import without_random
 from odomcorrupt.study.io.clock import clock_leaders
-from odomcorrupt.study.select.score import left_over
+from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
@@ -31,12 +28,11 @@ __all__ = ["Disagreement", "disagreements"]
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
 """What loads, tyres, floors and a switch change between two drives."""
-_LEVEL = 1e-3
 _KNOWN = 0.5
 """Part of what is possible that an error may be, for a recording to have a say."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Disagreement:
     """A parameter that recordings disagree about.
 
@@ -55,8 +51,11 @@ class Disagreement:
     p: float
 
 
-def disagreements(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Disagreement, ...]:
-    """Return the parameters that recordings disagree about, the plainest first; none where there is one recording."""
+def disagreements(fit: Fit, level: float) -> tuple[Disagreement, ...]:
+    """Return the parameters that recordings disagree about, the plainest first; none where there is one recording.
+
+    level : probability of any, where there is none
+    """
     problem = fit.problem
     leaders = np.array(clock_leaders(problem.recordings))
     runs = [int(leader) for leader in np.unique(leaders)]
@@ -65,17 +64,18 @@ def disagreements(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[D
     kinds = registry()
     own = {e.name: e for e in problem.effects}
     asked = [own.get(name) or kinds[name]() for name in _CHANGING]
-    others = tuple(e for e in problem.effects if e.name not in _CHANGING)
-    believed = believed_columns(replace(problem, effects=others), free_clocks)
-    calm = replace(fit, noise=without_random(fit.noise, problem, believed), random=())
+    others = replace(
+        fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
+    )
+    calm = replace(others, noise=without_random(fit.noise, problem, others.design_matrix()), random=())
     belongs = leaders[problem.run]
     common = [problem.columns(effect) for effect in asked]
     each = np.concatenate([column * (belongs == run)[:, None, None] for column in common for run in runs], axis=2)
-    left = left_over(calm, believed)
-    white = left.of(calm.noise.whitener.whiten(each))
+    rest = project_out(calm)
+    white = rest.of(calm.noise.whitener.whiten(each))
     covariance = np.linalg.pinv(white.T @ white, hermitian=True)
-    estimate = covariance @ (white.T @ left.residual)
-    error = np.sqrt(np.diag(covariance) * _inflated(fit, white @ covariance, left.residual - white @ estimate))
+    estimate = covariance @ (white.T @ rest.residual)
+    error = np.sqrt(np.diag(covariance) * _inflation(fit, white @ covariance, rest.residual - white @ estimate))
     found = []
     for number, effect in enumerate(asked):
         (p,) = amplitudes(effect)
@@ -87,15 +87,21 @@ def disagreements(fit: Fit, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[D
         weight = 1.0 / errors**2
         square = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
         chance = min(1.0, len(_CHANGING) * float(chi2.sf(square, len(values) - 1)))
-        if chance < _LEVEL:
-            names = tuple(problem.recordings[run].name for run, says in zip(runs, able, strict=True) if says)
-            numbers = tuple(values.tolist()), tuple(errors.tolist())
-            told = Disagreement(effect.name, p.name, p.unit, names, *numbers, chance)
-            found.append((square, told))
-    return tuple(told for _, told in sorted(found, key=lambda pair: -pair[0]))
+        if chance < level:
+            one = Disagreement(
+                effect=effect.name,
+                parameter=p.name,
+                unit=p.unit,
+                recordings=tuple(problem.recordings[run].name for run, can in zip(runs, able, strict=True) if can),
+                values=tuple(values.tolist()),
+                standard_errors=tuple(errors.tolist()),
+                p=chance,
+            )
+            found.append((square, one))
+    return tuple(one for _, one in sorted(found, key=lambda pair: -pair[0]))
 
 
-def _inflated(fit: Fit, pull: Array, left: Array) -> Array:
-    """Return by how much variances (p,) are larger than the noise model says, for all that blocks show of them."""
-    variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), pull, left)
+def _inflation(fit: Fit, pull: Array, rest: Array) -> Array:
+    """Return by how much variances (p,) are larger than the noise model says, as blocks of the drive show it."""
+    variance, dof = between_blocks(np.repeat(block_of(fit.problem), 3), pull, rest)
     return inflation(variance, dof, shared_variance(variance, dof))

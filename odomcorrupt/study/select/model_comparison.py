@@ -1,6 +1,7 @@
-"""Whether a known effect that was believed is really what the data say, or only the nearest name to a law of its own.
+"""Model comparison: effects of the library against basis functions, in the place of one effect or of a whole model.
 
-The effect is put back into the residual, whitened as the model with it says, and every law tries to explain it better.
+The nearest effect of the library may stand in for a cause that it does not have. So an included effect is dropped, to
+first order, and every basis function tries to explain better what it explained.
 """
 
 from __future__ import annotations
@@ -10,95 +11,130 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.gauss_newton import believed_columns
-from odomcorrupt.study.select.basis_columns import LawColumns
-from odomcorrupt.study.select.basis_scores import likeliest
-from odomcorrupt.study.select.candidates import price
-from odomcorrupt.study.select.dependence import unknown_dependences
-from odomcorrupt.study.select.score import left_over, score_columns
+from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.decisions import penalty
+from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
+from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.score import project_out, score_columns
+from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.basis_samples import LawSamples
-    from odomcorrupt.study.select.basis_scores import ScoredLaw
-    from odomcorrupt.study.select.dependence import Unknown
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.score import Score
+    from odomcorrupt.study.select.screening import CoarseDesign
 
-__all__ = ["ALTERNATIVE_NATS", "CHALLENGE_NATS", "Rivalry", "put_back", "rivalry"]
-
-ALTERNATIVE_NATS = 3.0
-"""Effects that explain the data this nearly as well are alternatives: the data cannot tell them apart."""
-CHALLENGE_NATS = 8.0
-"""By how much a law has to explain more than a known effect, both less their prices: names are the likelier before."""
-_COPY = 0.985
-"""Part of an effect's work that a law does which is nothing else; laws that were causes of their own did up to 0.96."""
+__all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement", "compare_with_basis"]
 
 
-def put_back(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]]) -> tuple[Fit, Array]:
-    """Return the fit with what one effect explains back in its innovations, and the columns of what else is believed.
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A dependence whose basis function may be included: the candidate, with the form that fits best."""
 
-    To first order, and with the noise as it is with the effect.
-    """
-    explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
-    noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
-    others = tuple(e for e in fit.effects if e is not effect)
-    return replace(fit, noise=noise), believed_columns(replace(fit.problem, effects=others), free_clocks)
+    dependence: Dependence
+    candidate: Candidate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rivalry:
-    """A known effect of a fit against the laws that might stand in its place.
+class ModelComparison:
+    """An included effect against the basis functions that might stand in its place.
 
-    nats, price : what the effect gains less its price, and that price
-    laws : the likeliest law of each driver and channel, without gates and without what only copies the effect
+    bare : the fit without the effect, see `drop_term`
+    nats, penalty : what the effect gains less its penalty, and that penalty
+    scores : the best basis function of each regressor and channel, those left out that only copy the effect
     """
 
     bare: Fit
-    believed: Array
     nats: float
-    price: float
-    laws: list[ScoredLaw]
+    penalty: float
+    scores: list[BasisScore]
 
     @property
     def margin(self) -> float:
-        """By how many nats the effect explains more than the best law would, both less their prices."""
-        return self.nats - max((law.nats for law in self.laws), default=0.0)
+        """By how many nats the effect explains more than the best basis function, both less their penalties."""
+        return self.nats - max((one.score.nats for one in self.scores), default=0.0)
 
-    def better_laws(self) -> list[tuple[Unknown, ScoredLaw]]:
-        """Return the dependence whose law explains plainly more than the effect, and those nearly as plain."""
-        if self.margin > -CHALLENGE_NATS:
+    def better(self, decisions: Decisions) -> list[Dependence]:
+        """Return the dependence that explains plainly more than the effect, and those nearly as plain."""
+        if self.margin > -decisions.replacement_nats:
             return []
-        found = unknown_dependences(self.bare, self.believed, self.laws)
-        better = [(one, one.law) for one in found if one.law is not None]
-        least = self.nats + CHALLENGE_NATS
-        better = [(one, law) for one, law in better if 0.5 * law.score.statistic - law.price > least]
-        return [(one, law) for one, law in better if one.nats > better[0][0].nats - ALTERNATIVE_NATS]
+        least = self.nats + decisions.replacement_nats
+        found = dependences(self.bare, self.scores, decisions)
+        found = [one for one in found if one.best is not None and one.best.score.nats > least]
+        return [one for one in found if one.nats > found[0].nats - decisions.alternative_nats]
 
 
-def rivalry(fit: Fit, effect: Effect, free_clocks: Sequence[tuple[bool, bool]], samples: LawSamples) -> Rivalry:
-    """Put an effect of a fit to the test against every law."""
-    bare, believed = put_back(fit, effect, free_clocks)
-    (own,) = score_columns(bare, [fit.problem.columns(effect)], believed)
-    worth = price(effect, max(len(type(effect).scan(fit.problem.motions)), 1), len(fit.problem.nodes))
+def compare_with_basis(fit: Fit, effect: Effect, decisions: Decisions, design: CoarseDesign) -> ModelComparison:
+    """Compare an effect of a fit with every basis function in its place."""
+    bare = drop_term(fit, effect)
+    columns = fit.problem.columns(effect)
+    (own,) = score_columns(bare, [columns])
+    worth = penalty(LibraryTerm.of(effect, fit.problem.motions), len(fit.problem.nodes), decisions)
     nats = 0.5 * own.statistic - worth
-    laws = likeliest(bare, believed, samples)
-    # who explains far less needs no closer look
-    far = [law for law in laws if law.nats < nats - CHALLENGE_NATS]
-    near = [law for law in laws if law.nats >= nats - CHALLENGE_NATS]
-    return Rivalry(bare, believed, nats, worth, [*far, *_no_copies(bare, believed, effect, near)])
+    rest, whiten = project_out(bare), bare.noise.whitener.whiten
+    explained = rest.of(whiten(columns))
+    explained = explained @ np.linalg.lstsq(explained, rest.residual, rcond=None)[0]
+
+    def copies(score: Score) -> bool:
+        """Return whether it does what the effect does: a fringe of it that fits by chance is no other cause."""
+        if score.nats < nats - decisions.replacement_nats:  # what explains far less needs no closer look
+            return False
+        basis = np.linalg.qr(rest.of(whiten(score.term.columns(bare.problem))))[0]
+        share = float(np.sum((basis.T @ explained) ** 2)) / max(float(explained @ explained), 1e-300)
+        return share > decisions.copy_share
+
+    scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
+    return ModelComparison(bare, nats, worth, scores)
 
 
-def _no_copies(bare: Fit, believed: Array, effect: Effect, laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
-    """Return the laws that do something else than an effect: a fringe of it that fits by chance is no other cause."""
-    if not laws:
-        return []
-    left, whiten, columns = left_over(bare, believed), bare.noise.whitener.whiten, LawColumns(bare.problem)
-    own = left.of(whiten(bare.problem.columns(effect)))
-    own = own @ np.linalg.lstsq(own, left.residual, rcond=None)[0]
-    bases = [np.linalg.qr(left.of(whiten(columns.of(law.law, law.action))))[0] for law in laws]
-    shares = [float(np.sum((basis.T @ own) ** 2)) / max(float(own @ own), 1e-300) for basis in bases]
-    return [law for law, share in zip(laws, shares, strict=True) if share <= _COPY]
+def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions) -> Proposal | None:
+    """Return the dependence that gains most and does not spoil the path, of those nearly as plain as the plainest."""
+    have = {effect.name for effect in fit.effects}
+    possible = [(one, one.best) for one in found if one.best is not None and one.name not in have]
+    best, plainest = None, -np.inf
+    for one, basis in possible[: decisions.shortlist]:
+        if one.nats < plainest - decisions.alternative_nats:
+            break
+        forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
+        fits = [(fit.refit((*fit.effects, score.estimated)), score) for score in forms]
+        included = max(fits, key=lambda pair: pair[0].log_likelihood - pair[1].penalty)
+        with_it, score = with_shape_refined(*included, decisions)
+        candidate = tried(fit, with_it, score, decisions, least=best.candidate.gain if best else 0.0)
+        if not candidate.refused:
+            best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
+    return best
+
+
+def _reshaped(one: Dependence, score: Score) -> Dependence:
+    """Return a dependence with the form of its basis function that fits best."""
+    if one.best is None or score is one.best.score:
+        return one
+    best = BasisScore(score)
+    return replace(one, best=best, expression=best.term.expression(score.estimate.tolist()))
+
+
+def best_replacement(
+    fit: Fit, compared: Iterable[tuple[Effect, ModelComparison]], decisions: Decisions
+) -> Proposal | None:
+    """Return a dependence that explains plainly more than an included effect, and the fit with it instead."""
+    for effect, own in compared:
+        others = [e for e in fit.effects if e is not effect]
+        best = None
+        for one in own.better(decisions):
+            if one.best is None or one.name in {e.name for e in others}:
+                continue
+            score = one.best.score
+            with_it = fit.refit((*others, score.estimated))
+            gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own.penalty
+            least = best.candidate.gain if best else decisions.replacement_nats
+            candidate = tried(fit, with_it, score, decisions, gain=gain, least=least)
+            if not candidate.refused:
+                best = Proposal(one, candidate)
+        if best is not None:
+            return best
+    return None

@@ -1,8 +1,8 @@
-"""Errors that come back with every turn of a wheel: an eccentric one pushes the robot to and fro, and round.
+"""Periodic errors: an eccentric wheel pushes the robot to and fro, and round, with every turn that it rolls.
 
-A wave over the way that a wheel has rolled is looked for in the heading, or along where there are no headings, at all
-wavelengths at once: what the residual says of each step is spread over a grid of way, and one Fourier transform gives
-the score of every wave (Lomb's periodogram on a grid).
+A wave over the distance that a wheel has rolled is sought in the heading (along, where there are no headings) at all
+wavelengths at once: the score of each step is binned over distance, and one Fourier transform gives the score of every
+wave (Lomb's periodogram on a grid).
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
-from odomcorrupt.study.select.basis import Law
-from odomcorrupt.study.select.channels import Action
-from odomcorrupt.study.select.score import left_over
+from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.screening import Screened
+from odomcorrupt.study.terms.basis import BasisFunction
+from odomcorrupt.study.terms.channels import Action
+from odomcorrupt.study.terms.term import BasisTerm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,26 +32,22 @@ _GRID_M = 0.02
 _TRIED = 3
 
 
-def waves(fit: Fit, believed: Array) -> list[tuple[Law, Action, float]]:
-    """Return the likeliest waves, what they act on, and the nats each gains, exactly."""
+def waves(fit: Fit) -> list[Screened]:
+    """Return the likeliest waves, and the nats that each gains, from exact columns."""
     problem, whitener = fit.problem, fit.noise.whitener
-    left = left_over(fit, believed)
-    r = left.residual
-    pull = whitener.pulled(r)
+    rest = project_out(fit)
+    pull = whitener.pulled(rest.residual)
     channel = "yaw" if problem.headings else "along"
     found = []
-    for text, way in _ways(problem.motions[0].track_m):
-        for wavelength_m in _likeliest(fit, pull, channel, way):
-            law = _wave(text, way, wavelength_m)
-            columns = [whitener.whiten(_column(fit, part, channel)) for part in law.parts]
-            white = left.of(np.stack(columns, axis=1))
-            theta = np.linalg.lstsq(white, r, rcond=None)[0]
-            found.append((law, Action(channel, "v"), float(0.5 * (white @ theta) @ r)))
+    for text, distance in _distances(problem.motions[0].track_m):
+        for wavelength_m in _likeliest(fit, pull, channel, distance):
+            term = BasisTerm(_wave(text, distance, wavelength_m), Action(channel, "v"))
+            found.append(Screened(term, rest.gain(whitener.whiten(term.columns(problem)))))
     return found
 
 
-def _ways(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
-    """Return what may have turned: the way of the body, and of either wheel where the track is known."""
+def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:
+    """Return the distances that may matter: of the body, and of either wheel where the track is known."""
     ways: list[tuple[str, Callable[[Motion], Array]]] = [("distance", lambda m: m.distance)]
     if track_m is not None:
         for side, sign in ((0.5 * track_m, "+"), (-0.5 * track_m, "-")):
@@ -98,19 +96,13 @@ def _smooth(strength: Array) -> Array:
     return np.maximum(level, 1e-300)
 
 
-def _wave(text: str, way: Callable[[Motion], Array], wavelength_m: float) -> Law:
+def _wave(text: str, way: Callable[[Motion], Array], wavelength_m: float) -> BasisFunction:
     pace = 2.0 * np.pi / wavelength_m
     trials = int(4.0 * (1.0 / SHORTEST_M) / 0.003)
-    return Law(
+    return BasisFunction(
         "distance",
         f"k * cos({pace:.6g} * {text}) + m * sin({pace:.6g} * {text})",
         (lambda m: np.cos(pace * way(m)), lambda m: np.sin(pace * way(m))),
         trials,
         wavelength_m,
     )
-
-
-def _column(fit: Fit, part: Callable[[Motion], Array], channel: str) -> Array:
-    error = np.zeros((sum(len(m) for m in fit.problem.motions), 3))
-    error[:, CHANNELS.index(channel)] = -np.concatenate([part(m) * m.v * m.dt_s for m in fit.problem.motions])
-    return fit.problem.nodes.column(error)

@@ -1,8 +1,8 @@
-"""Gains that wander: correlated noise, which deterministic effects are easily mistaken for.
+"""Random effects: coefficients that vary with time, for which deterministic effects are easily mistaken; and outliers.
 
-A gain g(t) on travel, on turn, or a bias of the yaw rate is a random process with a prior covariance over time; its
-marginal likelihood is a sum over eigenvalues, so all amplitudes of one correlation time cost one decomposition
-(Rasmussen & Williams 2006, Gaussian Processes for Machine Learning, eq. 5.8, on whitened data).
+A gain g(t) on travel, on turn, or a bias of the yaw rate is a Gaussian process over time; its marginal likelihood is a
+sum over eigenvalues, so all amplitudes of one correlation time cost one decomposition (Rasmussen & Williams 2006,
+Gaussian Processes for Machine Learning, eq. 5.8, on whitened data).
 """
 
 from __future__ import annotations
@@ -13,8 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh
 
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     FINELY,
+    WANDERING,
     bias_of,
     processes,
     processes_like,
@@ -23,69 +26,75 @@ from odomcorrupt.study.estimate.random_process import (
     with_random,
     without_random,
 )
-from odomcorrupt.study.select.score import left_over
+from odomcorrupt.study.estimate.tails import heavy_tails
+from odomcorrupt.study.select.score import project_out
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.random_process import Process
+    from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = ["COMING_BACK_NATS", "NAMED_NATS", "RandomGain", "random_gains", "remeasured"]
+__all__ = [
+    "RandomCoefficient",
+    "beside_bursts",
+    "gain_in_refit",
+    "outlier_effects",
+    "random_coefficients",
+    "remeasured",
+]
 
-_SCALES = (1e-6, 0.3)
-NAMED_NATS = 6.0
-"""Correlated noise gains at most 3.4 nats on clean data; more than this is a finding."""
-COMING_BACK_NATS = 25.0
-"""What a bias that comes back has to gain: headings of a truth by SLAM err alike for seconds, and gain up to 20."""
+_LEAST_SCALE = 1e-6
+"""Smallest standard deviation of a gain that is tried; the largest is the parameter's bound."""
 
 
 @dataclass(frozen=True, slots=True)
-class RandomGain:
-    """A wandering gain.
+class RandomCoefficient:
+    """A random effect that a search names.
 
-    effect : what it is called and its parameters: gauss_markov or gyro_bias_walk
-    nats : log likelihood it gains, less what its parameters would gain by chance
+    effect : gauss_markov, gyro_bias_walk, slip_burst, heavy_tails, or what encoders did, with its parameters
+    nats : log likelihood that it gains, less the penalty of its parameters
     """
 
     effect: Effect
     nats: float
 
 
-def random_gains(fit: Fit, believed: Array) -> list[RandomGain]:
-    """Return the wandering gains that the residual of a fit shows, the plainest first.
-
-    Parameters
-    ----------
-    fit : the fitted model
-    believed : (K, 3, q)
-        Columns of what is believed already.
-
-    """
+def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
+    """Return the random coefficients that the residual of a fit shows, those that gain most first."""
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
-    found: dict[tuple[str, str], tuple[RandomGain, float]] = {}
+    found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
     for process in processes():
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
-        nats, scale = _evidence(fit, believed, design, process)
+        nats, scale = _evidence(fit, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
-        gain = RandomGain(effect, nats - 0.5 * process.numbers * log_count)
+        least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
+        one = RandomCoefficient(effect, nats - 0.5 * process.numbers * log_count)
         key = (effect.name, getattr(effect, "channel", ""))
-        if key not in found or gain.nats > found[key][0].nats:
-            found[key] = gain, COMING_BACK_NATS if process.comes_back else NAMED_NATS
-    named = [gain for key, (gain, least) in found.items() if gain.nats > least and key not in have]
-    return sorted(named, key=lambda g: g.nats, reverse=True)
+        if key not in found or one.nats > found[key][0].nats:
+            found[key] = one, least
+    named = [one for key, (one, least) in found.items() if one.nats > least and key not in have]
+    return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def remeasured(fit: Fit, believed: Array, effect: Effect) -> Effect:
-    """Return a wandering gain that a fit believes, its parameters measured anew beside the noise of the fit."""
+def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
+    """Return the nats that a random coefficient gains; more of them once everything else is fitted beside it."""
+    refitted = with_it.log_likelihood - without.log_likelihood - float(np.log(len(without.problem.nodes)))
+    return max(one.nats, refitted)
+
+
+def remeasured(fit: Fit, effect: Effect) -> Effect:
+    """Return a random coefficient of a fit with its parameters estimated beside the noise of the fit."""
+    design = fit.design_matrix()
     others = [e for e in fit.random if e is not effect]
-    noise = with_random(without_random(fit.noise, fit.problem, believed), fit.problem, believed, others)
+    noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
     bare = replace(fit, noise=noise, random=tuple(others))
     best = max(
         (
-            (_evidence(bare, believed, rooted(fit.problem, process, FINELY), process), process)
+            (_evidence(bare, rooted(fit.problem, process, FINELY), process), process)
             for process in processes_like(effect, beside=True)
         ),
         key=lambda found: found[0][0],
@@ -94,21 +103,47 @@ def remeasured(fit: Fit, believed: Array, effect: Effect) -> Effect:
     return process.kind(**{process.scale: scale, **process.fixed})
 
 
-def _evidence(fit: Fit, believed: Array, design: Array, process: Process) -> tuple[float, float]:
+def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[RandomCoefficient]:
+    """Return bursts of slip where outliers are slips, or if asked for, heavy tails where they are on both sides."""
+    bursts = slip_bursts(fit)
+    if bursts is not None:
+        return [RandomCoefficient(bursts, decisions.counted_nats)]
+    # matches of a laser have heavy tails of their own
+    matched = any(recording.truth.covariance is not None for recording in fit.problem.recordings)
+    heavy = heavy_tails(fit) if tails and not matched else None
+    return [RandomCoefficient(*heavy)] if heavy is not None else []
+
+
+def beside_bursts(
+    named: list[RandomCoefficient], fit: Fit, decisions: Decisions
+) -> tuple[list[RandomCoefficient], Fit]:
+    """Drop random coefficients that are not there once all outliers are set apart: they were the bursts."""
+    correlated = {one.effect.name for one in named} & set(WANDERING)
+    if not correlated:
+        return named, fit
+    calm = fit.refit(random=(), weights=set_apart(fit))
+    there = {one.effect.name for one in random_coefficients(calm, decisions)}
+    if correlated <= there:
+        return named, fit
+    stay = [one for one in named if one.effect.name not in correlated - there]
+    return stay, fit.refit(random=[effect for effect in fit.random if effect.name in there])
+
+
+def _evidence(fit: Fit, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
-    if process.unit is bias_of:
-        # about what a bias wanders, and where a walk starts, is not its business
-        believed = np.concatenate((believed, unit_column(fit.problem, process)[:, :, None]), axis=2)
-    left = left_over(fit, believed)
-    white, r = left.of(fit.noise.whitener.whiten(design)), left.residual
+    # about what a bias varies, and where a walk starts, is not its business
+    mean = (unit_column(fit.problem, process)[:, :, None],) if process.unit is bias_of else ()
+    rest = project_out(fit, *mean)
+    white, r = rest.of(fit.noise.whitener.whiten(design)), rest.residual
     strength, vectors = eigh(white.T @ white)
     strength = np.maximum(strength, 0.0)
     score = (vectors.T @ (white.T @ r)) ** 2
-    scales = np.geomspace(*_SCALES, 121)
+    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
+    scales = np.geomspace(_LEAST_SCALE, most, 121)
     for _ in range(2):
         q = scales[:, None] ** 2
         gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
         best = int(np.argmax(gains))
         nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, 1.1 * scale, 21)
+        scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
     return nats, scale

@@ -1,13 +1,13 @@
-"""Score tests: which effect would explain what is left, each tried at its identity on the fitted model.
+"""Score tests: which term would explain the residual of a fit, each at its working point, to first order.
 
-One whitened column per parameter; an effect of two parameters is tested as a group. Two gates guard against false
-names: the plain chi-square, Bonferroni-corrected over the library (right when the noise model is right), and a
-moderated cluster-robust F (right when it is not: the sum over blocks of the run shows how much a score really varies).
+One whitened column per coefficient; a term of two is tested as a group. Two tests guard against false inclusions: the
+chi-square, Bonferroni-corrected over the family (right when the noise model is right), and a moderated cluster-robust
+F (right when it is not: the sum over blocks of the run shows how much a score really varies).
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
 from odomcorrupt.study.estimate.cluster_variance import PRIOR_DOF, between_blocks, block_of, inflation, shared_variance
+from odomcorrupt.study.select.decisions import penalty
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,22 +25,24 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.terms.term import Term
 
-__all__ = ["ColumnScore", "Score", "left_over", "score_columns", "score_tests"]
+__all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns", "score_terms"]
 
 _SEPARABLE = 0.02
-"""A column that loses all but this part of its length to what is believed already cannot be told from it."""
+"""A column that loses all but this part of its length to the design matrix cannot be told from the model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnScore:
     """What the residual says about a group of columns.
 
-    estimate, standard_error : (p,) of their factors, to first order, errors made robust
+    estimate, standard_error : (p,) of their coefficients, to first order; errors are cluster-robust
     statistic : chi-square with p degrees under the fitted model
     inflation : by how much the score varies more between blocks than the model says, at least 1
-    p : probability of such a score anywhere in the family without any effect, by the worse of both gates
-    separable : whether the group can be told from what is believed already at all
+    p : probability of such a score anywhere in the family without any effect, by the worse of both tests
+    separable : whether the group can be told from the model at all
     held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
     """
 
@@ -52,65 +55,107 @@ class ColumnScore:
     held_out_nats: float
     held_out_error: float
 
+    def significant(self, level: float) -> bool:
+        """Whether it can be told from the model, passes both tests, and gains on blocks held out of its estimate."""
+        return self.separable and self.p < level and self.held_out_nats > self.held_out_error
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score(ColumnScore):
-    """What the residual says about one effect; the factors are its parameters."""
+    """What the residual says about a term; the factors are its coefficients.
 
-    effect: Effect
+    penalty : nats that it must gain, see `decisions.penalty`
+    """
+
+    term: Term
+    penalty: float
+
+    @property
+    def effect(self) -> Effect:
+        """The effect as it was tested: at its working point, amplitudes at their identity."""
+        return self.term.start
+
+    @property
+    def estimated(self) -> Effect:
+        """The effect at its estimated coefficients, kept within their bounds."""
+        return self.term.effect(self.estimate.tolist())
+
+    @property
+    def nats(self) -> float:
+        """Log likelihood that it gains under the noise model, less the penalty."""
+        return 0.5 * self.statistic - self.penalty
+
+    @property
+    def robust_nats(self) -> float:
+        """The same, reduced where blocks of the drive vary more than the noise model says."""
+        return 0.5 * self.statistic / self.inflation - self.penalty
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """What the believed columns leave of whitened data.
+class Projection:
+    """The part of whitened data that the design matrix of a fit does not span.
 
-    basis : (3 K, q) orthonormal, spanning the believed columns
-    residual : (3 K,) what is left of the fit's innovations
+    basis : (3 K, q) orthonormal, spanning the whitened design matrix
+    residual : (3 K,) the fit's innovations without their part in that span
     """
 
     basis: Array
     residual: Array
 
     def of(self, white: Array) -> Array:
-        """Return what is left of whitened columns (3 K, c)."""
+        """Return whitened columns (3 K, c) without their part in the span."""
         rest: Array = white - self.basis @ (self.basis.T @ white)
         return rest
 
+    def gain(self, white: Array) -> float:
+        """Return the nats that whitened columns (3 K, p) explain together, to first order."""
+        rest = self.of(white)
+        if not rest.any():
+            return 0.0
+        return 0.5 * float((rest @ np.linalg.lstsq(rest, self.residual, rcond=None)[0]) @ self.residual)
 
-def left_over(fit: Fit, believed: Array) -> Left:
-    """Return what the believed columns (K, 3, q) leave."""
+
+def project_out(fit: Fit, *more: Array) -> Projection:
+    """Return the projection onto what the design matrix of a fit does not span, nor more columns (K, 3, c)."""
+    design = np.concatenate((fit.design_matrix(), *more), axis=2)
     r = fit.noise.innovations
-    white = fit.noise.whitener.whiten(believed) if believed.shape[2] else np.zeros((len(r), 0))
+    white = fit.noise.whitener.whiten(design) if design.shape[2] else np.zeros((len(r), 0))
     basis = np.linalg.qr(white)[0] if white.shape[1] else white
-    return Left(basis, r - basis @ (basis.T @ r))
+    return Projection(basis, r - basis @ (basis.T @ r))
 
 
-def score_tests(fit: Fit, candidates: Sequence[Effect], believed: Array) -> list[Score]:
-    """Test every candidate effect at its present values (usually the identity) on a fitted model.
+def score_terms(fit: Fit, terms: Sequence[Term], decisions: Decisions, *, family: int | None = None) -> list[Score]:
+    """Test terms, each beside the model of a fit.
 
     Parameters
     ----------
-    fit : the fitted model
-    candidates : the family of effects
-    believed : (K, 3, q)
-        Columns of what is believed already; candidates are tested beside them.
+    fit, terms, decisions : the model, what is tested, and what the penalty is made of
+    family : how many kinds of terms might have come first, besides the trials of each; default: as many as are tested
 
     """
-    scores = score_columns(fit, [fit.problem.columns(effect) for effect in candidates], believed)
-    return [Score(effect=effect, **asdict(score)) for effect, score in zip(candidates, scores, strict=True)]
+    count = len(fit.problem.nodes)
+    scores = score_columns(fit, [term.columns(fit.problem) for term in terms], family=family)
+    return [
+        Score(
+            **asdict(replace(score, p=min(1.0, score.p * term.trials))),
+            term=term,
+            penalty=penalty(term, count, decisions),
+        )
+        for term, score in zip(terms, scores, strict=True)
+    ]
 
 
-def score_columns(fit: Fit, groups: Sequence[Array], believed: Array) -> list[ColumnScore]:
-    """Test a family of groups of columns (K, 3, p), each beside what is believed (K, 3, q)."""
-    left = left_over(fit, believed)
+def score_columns(fit: Fit, groups: Sequence[Array], *, family: int | None = None) -> list[ColumnScore]:
+    """Test groups of columns (K, 3, p), each beside the model of a fit; `family` as in `score_terms`."""
+    rest = project_out(fit)
     block = np.repeat(block_of(fit.problem), 3)
     tests = []
     for group in groups:
         raw = fit.noise.whitener.whiten(group)
-        tests.append(_test(left.residual, left.of(raw), raw, block))
+        tests.append(_test(rest.residual, rest.of(raw), raw, block))
     usable = [t for t in tests if t.separable]
     shared = shared_variance(np.array([t.variance for t in usable]), np.array([t.dof for t in usable]))
-    return [_judged(t, shared, len(usable)) for t in tests]
+    return [_tested(t, shared, len(usable) if family is None else family) for t in tests]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +205,7 @@ def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) ->
     return gains
 
 
-def _judged(test: _Test, shared: float, family: int) -> ColumnScore:
+def _tested(test: _Test, shared: float, family: int) -> ColumnScore:
     count = len(test.estimate)
     inflated = float(inflation(np.array(test.variance), np.array(test.dof), shared))
     if test.separable:

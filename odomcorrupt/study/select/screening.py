@@ -1,177 +1,227 @@
-"""A quick look at a thousand laws, each as it is on average over every interval between nodes."""
+"""Screening: about what each of thousands of terms would explain, averaged over the intervals between nodes.
+
+A drive is thinned to a few increments of every interval. On them a term is a mean per interval, so a family costs one
+whitening per channel and not one per member. What is reported of a term comes from its exact columns.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import fields, replace
+from functools import cached_property
+from itertools import groupby
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.study.select.basis_samples import LawSamples
-from odomcorrupt.study.select.channels import actions_on
-from odomcorrupt.study.select.score import left_over
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.motion import error_of
+from odomcorrupt.study.terms.basis import basis_functions
+from odomcorrupt.study.terms.channels import MOVES, actions_on, views
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.effects.effect import Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.basis import Law
-    from odomcorrupt.study.select.channels import Action
+    from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.select.score import Projection
+    from odomcorrupt.study.terms.basis import BasisFunction
+    from odomcorrupt.study.terms.channels import Action
+    from odomcorrupt.study.terms.term import Term
 
-__all__ = ["QuickLook", "Tried"]
+__all__ = ["CoarseDesign", "Screened", "coarse_gains", "promising_terms"]
 
+_SAMPLES = 5
+"""Increments of each interval that are kept."""
 _KEPT = 20
-"""Laws of each driver that are whitened."""
-_SCALES = (1.0, 0.5, 0.25, 0.125)
-_MOST_STEPS = 12
-_WORTH_NATS = 0.1
-_STARTS, _PLACE = 4, 3
-"""From how many laws to start, several on one action if they have so many numbers in their shape."""
-_PLAIN_NATS, _PLAIN_PART = 30.0, 0.5
-"""What a disc has to explain, and of what the best law explains, for rectangles to be worth their time."""
+"""Basis functions of each regressor and action that are whitened."""
 
 
-class Tried(NamedTuple):
-    """A law, where it acts, and about how many nats it gains."""
+class Screened(NamedTuple):
+    """A basis function that acts somewhere, and about how many nats it gains before its penalty."""
 
-    law: Law
-    action: Action
+    term: BasisTerm
     nats: float
 
 
-class QuickLook:
-    """What laws would explain of what the believed columns (K, 3, q) leave, about."""
+class CoarseDesign:
+    """Columns of terms on the K intervals of a problem, each term taken at its mean over every interval.
 
-    def __init__(self, fit: Fit, believed: Array, samples: LawSamples | None = None) -> None:
-        self._whiten, self._left = fit.noise.whitener.whiten, left_over(fit, believed)
-        self._pull = fit.noise.whitener.pulled(self._left.residual)
-        self._motions = fit.problem.motions
-        self._samples = LawSamples(fit.problem) if samples is None else samples
+    It does not depend on the model, and may be kept for as long as the problem is the same.
+    """
 
-    def everything(self) -> list[Tried]:
-        """Return the likeliest laws of every driver on everything that they may act on."""
-        found: list[Tried] = []
-        for action in actions_on(self._motions):
-            mine = self._samples.reaching(action)
-            here = [self._samples.means_of_all(view, action) for view, _ in self._samples.units(action)]
-            kept = self._promising(mine, action, here)
-            first = _first_of(mine)
-            parts = np.concatenate([np.arange(first[i], first[i + 1]) for i in kept])
-            likely = [mine[i] for i in kept]
-            gains = self._gains(likely, action, [mean[:, parts] for mean in here])
-            found += [Tried(law, action, g) for law, g in zip(likely, gains, strict=True)]
-        return found + self._rectangles(found)
+    def __init__(self, problem: Problem) -> None:
+        self._nodes, self._motions = problem.nodes, problem.motions
+        self._means: dict[tuple[str, frozenset[str], str], Array] = {}
+        self._units: dict[Action, list[tuple[str, Array]]] = {}
 
-    def _promising(self, tried: Sequence[Law], action: Action, means: Sequence[Array]) -> list[int]:
-        """Return which laws to whiten, of each driver the best as they look where intervals knew nothing of each other.
+    @cached_property
+    def functions(self) -> list[BasisFunction]:
+        """All basis functions that are tried on this drive."""
+        return basis_functions(self._motions)
 
-        Their scores are exact: one back-substitution serves them all.
-        """
-        score = sum(
-            np.einsum("ki,ki->k", unit, self._pull) @ mean
-            for (_, unit), mean in zip(self._samples.units(action), means, strict=True)
-        )
-        white = [self._whiten(unit).reshape(-1, 3) for _, unit in self._samples.units(action)]
-        length = sum(
-            np.einsum("k,kj,kj->j", np.einsum("ki,ki->k", w, x), m, n)
-            for w, m in zip(white, means, strict=True)
-            for x, n in zip(white, means, strict=True)
-        )
-        apart = np.asarray(score) ** 2 / np.maximum(np.asarray(length), 1e-300)
-        gains = np.add.reduceat(apart, _first_of(tried)[:-1])
-        kept: list[int] = []
-        for driver in dict.fromkeys(law.driver for law in tried):
-            own = [i for i, law in enumerate(tried) if law.driver == driver]
-            kept += sorted(own, key=lambda i: -gains[i])[:_KEPT]
-        return kept
+    @property
+    def actions(self) -> list[Action]:
+        """All that they may act on here."""
+        return actions_on(self._motions)
 
-    def _rectangles(self, found: Sequence[Tried]) -> list[Tried]:
-        """Return the best rectangle, where a disc explains much of what any law does: its kin are too many for all."""
-        disc = max((t for t in found if t.law.kin), key=lambda t: t.nats, default=None)
-        if disc is None or disc.nats < max(_PLAIN_NATS, _PLAIN_PART * max(t.nats for t in found)):
-            return []
-        actions = [disc.action, *(a for a in actions_on(self._motions) if "both" in a.reaches)]
-        turned = []
-        for law in self.refined(disc).law.kin:
-            tried = [Tried(law, action, self._gain(law, action)) for action in actions]
-            turned.append(self.refined(max(tried, key=lambda t: t.nats)))
-        return [max(turned, key=lambda t: t.nats)]
+    def reaching(self, action: Action) -> list[BasisFunction]:
+        """Return the basis functions that an action is tried with."""
+        return [function for function in self.functions if not action.reaches.isdisjoint(function.reaches)]
 
-    def _gain(self, law: Law, action: Action) -> float:
-        here = [self._samples.means([law], view, action.move) for view, _ in self._samples.units(action)]
-        return self._gains([law], action, here)[0]
+    def columns(self, terms: Sequence[Term]) -> Array:
+        """Return (K, 3, P): about what a unit of each coefficient of each term does to the residuals, one by one."""
+        parts = []
+        for (kind, action), group in groupby(terms, key=lambda t: (type(t), getattr(t, "action", None))):
+            if kind is BasisTerm and action is not None:
+                functions = [term.function for term in group if isinstance(term, BasisTerm)]
+                parts.append(
+                    self.acting(action, [self.means(functions, v, action.move) for v, _ in self.units(action)])
+                )
+            else:
+                parts += [self._library(term) for term in group if isinstance(term, LibraryTerm)]
+        return np.concatenate(parts, axis=2)
 
-    def forms(self, ranked: Sequence[Tried]) -> list[Tried]:
-        """Return the best law, refined, and where it is plain, others of the first few: places have many hills."""
-        starts = [ranked[0]]
-        for tried in ranked[1:]:
-            if len(starts) == _STARTS or ranked[0].nats < _PLAIN_NATS:
-                break
-            if all(_differ(tried, start) for start in starts):
-                starts.append(tried)
-        return [self.refined(start) for start in starts]
+    def acting(self, action: Action, means: Sequence[Array]) -> Array:
+        """Return (K, 3, P) from the means (K, P) of functions, one for each unit of an action."""
+        units = self.units(action)
+        return np.asarray(sum(u[:, :, None] * mean[:, None, :] for (_, u), mean in zip(units, means, strict=True)))
 
-    def around(self, law: Law, action: Action) -> tuple[Law, Action]:
-        """Return the law of the best shape near this one, and the direction in which it acts."""
-        best = self.refined(Tried(law, action, self._gain(law, action)))
-        return best.law, best.action
+    def units(self, action: Action) -> list[tuple[str, Array]]:
+        """Return what an action reads (body, a wheel), and what (K, 3) a unit of error there does to the residuals."""
+        if action not in self._units:
+            track_m = self._motions[0].track_m
+            moved = [(m.dt_s, action.rates(v, track_m)) for m, v in zip(self._motions, self._whole, strict=True)]
+            self._units[action] = [
+                (view, self._nodes.column(np.concatenate([dt_s[:, None] * rates[i][1] for dt_s, rates in moved])))
+                for i, (view, _) in enumerate(moved[0][1])
+            ]
+        return self._units[action]
 
-    def refined(self, tried: Tried) -> Tried:
-        """Return the law of the best shape in the neighbourhood."""
-        best = tried
-        for scale in _SCALES:
-            for _ in range(_MOST_STEPS):
-                better = max(self._beside(best, scale), key=lambda t: t.nats, default=best)
-                if better.nats <= best.nats + _WORTH_NATS:
-                    break
-                best = better
-        return best
+    def means_of_all(self, view: str, action: Action) -> Array:
+        """Return the means (K, P) of all basis functions that are tried with an action."""
+        move = "omega" if action.move == "omega" else "v"
+        key = (view, action.reaches, move)
+        if key not in self._means:
+            self._means[key] = self.means(self.reaching(action), view, move)
+        return self._means[key]
 
-    def _beside(self, tried: Tried, scale: float) -> list[Tried]:
-        """Return its neighbours: another shape, or another direction."""
-        law, action = tried.law, tried.action
-        found = [Tried(law, turned, self._gain(law, turned)) for turned in action.neighbours(scale)]
-        if others := list(law.neighbours(scale)):
-            here = [self._samples.means(others, view, action.move) for view, _ in self._samples.units(action)]
-            gains = self._gains(others, action, here)
-            found += [Tried(other, action, gain) for other, gain in zip(others, gains, strict=True)]
-        return found
+    def means(self, functions: Sequence[BasisFunction], view: str, move: str) -> Array:
+        """Return the means (K, P) of functions over the intervals, weighted by how far each sample moves."""
+        seen, count = self._seen[view], len(self._nodes)
+        values = np.stack([part(seen) for function in functions for part in function.parts], axis=1)
+        weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
+        weight = weight / weight.sum(axis=1, keepdims=True)
+        means: Array = np.einsum("ks,ksj->kj", weight, values.reshape(count, -1, values.shape[1]))
+        return means
 
-    def _gains(self, tried: Sequence[Law], action: Action, means: Sequence[Array]) -> list[float]:
-        """Return half the chi-square that each law explains, from its means on each view."""
-        units = (unit for _, unit in self._samples.units(action))
-        columns = sum(unit[:, :, None] * mean[:, None, :] for unit, mean in zip(units, means, strict=True))
-        raw = self._whiten(np.asarray(columns))
-        own = np.einsum("ij,ij->j", raw, raw)
-        gains: list[float] = _chi_squares(self._left.of(raw), own, self._left.residual, _first_of(tried)).tolist()
-        return gains
+    def _library(self, term: LibraryTerm) -> Array:
+        """Return (K, 3, p) of an effect that remembers nothing, zero where it cannot act."""
+        columns = []
+        for p in amplitudes(term.start):
+            acting = replace(term.start, **{p.name: p.identity + p.step})  # type: ignore[type-var]  # effects are dataclasses
+            try:
+                rate = error_of(acting, self._thinned).reshape(len(self._nodes), _SAMPLES, 3).mean(axis=1)
+            except EffectError:  # it acts on single wheels, and the track is not known
+                rate = np.zeros((len(self._nodes), 3))
+            columns.append(np.einsum("kic,kc->ki", self._held, -rate / p.step))
+        return np.stack(columns, axis=2)
+
+    @cached_property
+    def _thinned(self) -> Motion:
+        return _thinned(self._nodes, self._motions)
+
+    @cached_property
+    def _seen(self) -> dict[str, Motion]:
+        return views(self._thinned)
+
+    @cached_property
+    def _whole(self) -> list[dict[str, Motion]]:
+        return [views(m) for m in self._motions]
+
+    @cached_property
+    def _held(self) -> Array:
+        """What (K, 3, 3) a constant rate of one in each channel does to the residuals."""
+        dt_s = np.concatenate([m.dt_s for m in self._motions])
+        return np.stack([self._nodes.column(dt_s[:, None] * unit) for unit in np.eye(3)], axis=2)
 
 
-def _first_of(tried: Sequence[Law]) -> NDArray[np.int64]:
-    """Return where the parts of each law begin, and the end."""
-    return np.concatenate(([0], np.cumsum([len(law.parts) for law in tried]))).astype(np.int64)
+def _thinned(nodes: Intervals, motions: Sequence[Motion]) -> Motion:
+    """Return a few increments of each of the K intervals, evenly spread and as many of each, as one motion."""
+    last = np.append(nodes.first[1:], len(nodes.source)) - 1
+    steps = np.linspace(nodes.first, last, _SAMPLES).round().astype(np.int64).T.ravel()
+    chosen = nodes.source[steps]
+    first = motions[0]
+    names = [f.name for f in fields(first) if isinstance(getattr(first, f.name), np.ndarray)]
+    arrays: dict[str, Any] = {n: np.concatenate([getattr(m, n) for m in motions])[chosen] for n in names}
+    return replace(first, **arrays)
 
 
-def _differ(one: Tried, other: Tried) -> bool:
-    """Tell whether two laws stand on different hills, for all that is known of their shapes."""
-    if one.action != other.action or len(one.law.shape) != len(other.law.shape):
-        return True
-    if len(one.law.shape) < _PLACE:
-        return False
-    return any(abs(a - b) > s for a, b, s in zip(one.law.shape, other.law.shape, one.law.steps, strict=True))
+def coarse_gains(fit: Fit, rest: Projection, columns: Array, counts: Sequence[int]) -> Array:
+    """Return about the nats (J,) that groups of neighbouring columns (K, 3, P) explain of the residual of a fit.
 
-
-def _chi_squares(white: Array, own: Array, r: Array, first: NDArray[np.int64]) -> Array:
-    """Return half the chi-square of each group of one or two neighbouring columns."""
-    score, length = white.T @ r, np.einsum("ij,ij->j", white, white)
+    counts : (J,) how many columns each group has
+    """
+    raw = fit.noise.whitener.whiten(columns)
+    own = np.einsum("ij,ij->j", raw, raw)
+    white, first = rest.of(raw), _first_of(counts)
+    score, length = white.T @ rest.residual, np.einsum("ij,ij->j", white, white)
     kept = length > 1e-3 * np.maximum(own, 1e-300)
     single = np.where(kept, score**2 / np.maximum(length, 1e-300), 0.0)
     gains: Array = 0.5 * np.add.reduceat(single, first[:-1])
-    for i in np.flatnonzero(np.diff(first) == 2):
-        pair = slice(first[i], first[i] + 2)
-        normal = white[:, pair].T @ white[:, pair]
-        if kept[pair].all() and np.linalg.cond(normal) < 1e6:
-            gains[i] = 0.5 * score[pair] @ np.linalg.solve(normal, score[pair])
+    for i in np.flatnonzero(np.diff(first) > 1):
+        group = slice(first[i], first[i + 1])
+        normal = white[:, group].T @ white[:, group]
+        if kept[group].all() and np.linalg.cond(normal) < 1e6:
+            gains[i] = 0.5 * score[group] @ np.linalg.solve(normal, score[group])
     return gains
+
+
+def promising_terms(fit: Fit, rest: Projection, design: CoarseDesign) -> list[Screened]:
+    """Return the best basis functions of every regressor on everything that they may act on."""
+    found: list[Screened] = []
+    pull = fit.noise.whitener.pulled(rest.residual)
+    for action in design.actions:
+        functions = design.reaching(action)
+        means = [design.means_of_all(view, action) for view, _ in design.units(action)]
+        kept = _best_apart(fit, design, action, means, pull)
+        first = _first_of([len(function.parts) for function in functions])
+        columns = np.concatenate([np.arange(first[i], first[i + 1]) for i in kept])
+        counts = [len(functions[i].parts) for i in kept]
+        gains = coarse_gains(fit, rest, design.acting(action, [mean[:, columns] for mean in means]), counts)
+        found += [Screened(BasisTerm(functions[i], action), float(g)) for i, g in zip(kept, gains, strict=True)]
+    return found
+
+
+def _best_apart(fit: Fit, design: CoarseDesign, action: Action, means: Sequence[Array], pull: Array) -> list[int]:
+    """Return which functions to whiten: of each regressor the best as they look if intervals were independent.
+
+    Their scores are exact: one back-substitution serves them all.
+    """
+    functions = design.reaching(action)
+    units = [unit for _, unit in design.units(action)]
+    score = sum(np.einsum("ki,ki->k", unit, pull) @ mean for unit, mean in zip(units, means, strict=True))
+    white = [fit.noise.whitener.whiten(unit).reshape(-1, 3) for unit in units]
+    length = sum(
+        np.einsum("k,kj,kj->j", np.einsum("ki,ki->k", w, x), m, n)
+        for w, m in zip(white, means, strict=True)
+        for x, n in zip(white, means, strict=True)
+    )
+    apart = np.asarray(score) ** 2 / np.maximum(np.asarray(length), 1e-300)
+    gains = np.add.reduceat(apart, _first_of([len(function.parts) for function in functions])[:-1])
+    kept: list[int] = []
+    for regressor in dict.fromkeys(function.regressor for function in functions):
+        own = [i for i, function in enumerate(functions) if function.regressor == regressor]
+        kept += sorted(own, key=lambda i: -gains[i])[:_KEPT]
+    return kept
+
+
+def _first_of(counts: Sequence[int]) -> NDArray[np.int64]:
+    """Return where each group of columns begins, and the end."""
+    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)

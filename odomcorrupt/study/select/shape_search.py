@@ -1,168 +1,186 @@
-"""Which member of a family of shapes explains most: all are looked at at a glance, the best few closely and refined."""
+"""Shape search: the member of a family of terms that explains most, approximately among all, exactly among the best.
+
+Places, thresholds and correlation times enter nonlinearly. Families are laid out on grids; from the best members
+coordinate steps that shrink lead to the nearest maximum, and once a term is in the model, a simplex moves all numbers
+of its shape at once, as ridges ask for.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cached_property
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from scipy.optimize import minimize
 
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import choices
 from odomcorrupt.errors import EffectError
-from odomcorrupt.study.select.nelder_mead import hilltop
-from odomcorrupt.study.select.score import left_over
-from odomcorrupt.study.select.subsample import Glance
+from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.screening import CoarseDesign, Screened, coarse_gains, promising_terms
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbours
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-    from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.decisions import Decisions
 
-__all__ = ["UNUSUAL_NATS", "Members"]
+__all__ = ["ShapeSearch", "maximise"]
 
-UNUSUAL_NATS = 4.0
-"""What a word other than the usual one, a heading from a gyro, has to explain on top."""
-_AT_A_GLANCE, _REFINEMENTS = (0.4, 0.2, 0.1), (0.1, 0.05, 0.02)
-"""Steps of shapes, in parts of their typical sizes: first about, then exactly."""
-_SIMPLEX = 0.1
-"""How far the last look goes at first, in parts of typical sizes."""
-_WORTH_NATS = 0.2
+_COARSE, _EXACT = (1.0, 0.5, 0.25, 0.125), (0.25, 0.125, 0.05)
+"""Scales of the steps of a shape: with approximate columns first, then with exact ones."""
+_SIMPLEX = 0.25
+"""Scale of the first simplex."""
+_MOST_STEPS, _WORTH_NATS = 12, 0.1
 _LARGE = 12
-"""Of a larger family so many are looked at exactly."""
-_STARTS, _PLAIN = 4, 60.0
-"""From how many members the search goes on where the best explains so much (chi-square): hills have neighbours.
+"""Of a larger family so many members are evaluated exactly."""
+_STARTS, _PLAIN_NATS = 4, 30.0
+"""From how many members the search goes on where the best explains so much: there are other maxima nearby.
 What explains less does not show its finer features either."""
+_NEAR, _WORTH = 0.03, 0.05
+"""Parts of the first steps, and nats, below which the simplex ends."""
+
+T = TypeVar("T", bound=Term)
 
 
-class Members:
-    """What the members of families explain of what the believed columns (K, 3, q) of a fit leave."""
+class ShapeSearch:
+    """Searches over shapes of terms beside the model of a fit.
 
-    def __init__(self, fit: Fit, believed: Array) -> None:
-        self._fit, self._left = fit, left_over(fit, believed)
+    design : approximate columns, where they are known already for this problem
+    """
 
-    @cached_property
-    def _glance(self) -> Glance:
-        return Glance(self._fit.problem)
+    def __init__(self, fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> None:
+        self._fit, self._decisions, self._rest = fit, decisions, project_out(fit)
+        self._design = CoarseDesign(fit.problem) if design is None else design
 
-    def best(self, family: Sequence[Effect]) -> Effect:
-        """Return the shape that explains most, of a family at its identities.
+    def gain(self, term: Term) -> float:
+        """Return the nats that a term explains at its shape, from exact columns; 0 where it cannot act."""
+        try:
+            columns = term.columns(self._fit.problem)
+        except EffectError:  # it acts on single wheels, and the track is not known
+            return 0.0
+        return self._rest.gain(self._fit.noise.whitener.whiten(columns))
 
-        A parameter that is a word keeps its first one, unless another explains plainly more. Where the heading comes
-        from matters to the place as well, and each source has the whole family; other words are tried where the best
-        one stands, if it explains plainly.
+    def coarse_gains(self, terms: Sequence[Term]) -> Array:
+        """Return about the nats (J,) that terms explain at their shapes."""
+        return coarse_gains(self._fit, self._rest, self._design.columns(terms), [term.width for term in terms])
+
+    def best(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
+        """Return the member of a family that explains most, its shape refined.
+
+        A parameter that is a word keeps its first value, unless another explains plainly more. Where the heading comes
+        from matters to a place as well, so each source has the whole family; other words are tried at the best shape,
+        if it explains plainly.
         """
-        if len(family) == 1 and not choices(family[0]):
+        if len(family) == 1 and not choices(family[0].start):
             return family[0]
+        price = self._decisions.unusual_shape_nats
         usual = self._highest(family)
-        unusual = [
-            self._highest(others) for others in zip(*(_said_otherwise(e, ("heading",)) for e in family), strict=True)
-        ]
-        most, best = max([usual, *((nats - UNUSUAL_NATS, other) for nats, other in unusual)], key=itemgetter(0))
-        words = [word for word in choices(best) if word != "heading"] if most > _PLAIN else []
-        touches = [self._refined(self._climbed(other)) for other in _said_otherwise(best, words)]
-        return max([(most, best), *((nats - UNUSUAL_NATS, other) for nats, other in touches)], key=itemgetter(0))[1]
+        unusual = [self._highest(others) for others in zip(*(t.with_words(("heading",)) for t in family), strict=True)]
+        most, best = max([usual, *((nats - price, other) for nats, other in unusual)], key=itemgetter(0))
+        words = [word for word in choices(best.start) if word != "heading"] if most > _PLAIN_NATS else []
+        others = [self._refined(other) for other in best.with_words(words)]
+        return max([(most, best), *((nats - price, other) for nats, other in others)], key=itemgetter(0))[1]
 
-    def topmost(self, effect: Effect) -> Effect:
-        """Return an effect of the best shape near this one's, which has one: worth its time once it is believed."""
-        shapes = [p for p in parameters(effect) if not p.amplitude]
+    def promising(self) -> list[Screened]:
+        """Return the best basis functions of every regressor and action, on the grid of their families.
 
-        def shaped(values: Array) -> Effect:
-            return replace(effect, **{p.name: _bounded(v, p) for p, v in zip(shapes, values, strict=True)})  # type: ignore[type-var]
+        Rectangles are too many to try everywhere: they are where a disc explains much of what anything does.
+        """
+        found = promising_terms(self._fit, self._rest, self._design)
+        disc = max((s for s in found if s.term.function.related), key=lambda s: s.nats, default=None)
+        decisions = self._decisions
+        most = max((s.nats for s in found), default=0.0)
+        if disc is None or disc.nats < max(decisions.related_nats, decisions.related_share * most):
+            return found
+        place = self.climb(disc.term)
+        actions = [place.action, *(a for a in self._design.actions if "both" in a.reaches)]
+        related = []
+        for function in place.function.related:
+            tried = [BasisTerm(function, action) for action in actions]
+            turned = self.climb(tried[int(np.argmax(self.coarse_gains(tried)))])
+            related.append(Screened(turned, float(self.coarse_gains([turned])[0])))
+        return [*found, max(related, key=lambda s: s.nats)]
 
-        start, steps = np.array([(getattr(effect, p.name), _SIMPLEX * p.typical) for p in shapes]).T
-        return shaped(hilltop(lambda values: self._gain(shaped(values)), start, steps))
+    def forms(self, ranked: Sequence[Screened]) -> list[BasisTerm]:
+        """Return the best of ranked terms, its shape refined, and where it is plain, other maxima among the first."""
+        return [self.climb(term) for term in starts([s.term for s in ranked], ranked[0].nats)]
 
-    def _highest(self, family: Sequence[Effect]) -> tuple[float, Effect]:
-        """Return the chi-square and the member of the highest hill; of a large family, of those that may be on it."""
-        if len(family) > _LARGE and len(amplitudes(family[0])) == 1:
-            about = self._about(family)
-            family = [family[i] for i in np.argsort(-about, kind="stable")[:_LARGE]]
-        ranked = sorted(((self._gain(member), member) for member in family), reverse=True, key=itemgetter(0))
-        starts = _starts([member for _, member in ranked], ranked[0][0])
-        return max((self._refined(self._climbed(start)) for start in starts), key=itemgetter(0))
+    def climb(self, term: T) -> T:
+        """Return the term at the nearest maximum over its shape, from approximate columns."""
+        return self._climb(term, self.coarse_gains, _COARSE)
 
-    def _gain(self, effect: Effect) -> float:
-        """Return the chi-square that an effect explains."""
-        try:
-            column = self._left.of(self._fit.noise.whitener.whiten(self._fit.problem.columns(effect)))
-        except EffectError:  # it acts on single wheels, and nobody knows where they are
-            return 0.0
-        if not column.any():
-            return 0.0
-        return float((column @ np.linalg.lstsq(column, self._left.residual, rcond=None)[0]) @ self._left.residual)
+    def maximise(self, term: T) -> T:
+        """Return the term at the nearest maximum, all numbers of its shape moved at once, from exact columns."""
+        if not len(term.shape):
+            return term
+        return term.with_shape(
+            maximise(lambda v: self.gain(term.with_shape(v.tolist())), term.shape, _SIMPLEX * term.steps).tolist()
+        )
 
-    def _about(self, family: Sequence[Effect]) -> Array:
-        """Return about the chi-square (J,) that each effect of one amplitude explains."""
-        try:
-            columns = self._left.of(self._fit.noise.whitener.whiten(self._glance.columns(family)))
-        except EffectError:
-            return np.zeros(len(family))
-        score, length = columns.T @ self._left.residual, np.einsum("ij,ij->j", columns, columns)
-        about: Array = score**2 / np.maximum(length, 1e-300)
-        return about
+    def _highest(self, family: Sequence[LibraryTerm]) -> tuple[float, LibraryTerm]:
+        """Return the nats and the term at the highest maximum that a family leads to."""
+        if len(family) > _LARGE:
+            family = [family[i] for i in np.argsort(-self.coarse_gains(family), kind="stable")[:_LARGE]]
+        ranked = sorted(((self.gain(term), term) for term in family), reverse=True, key=itemgetter(0))
+        begin = starts([term for _, term in ranked], ranked[0][0])
+        return max((self._refined(term) for term in begin), key=itemgetter(0))
 
-    def _climbed(self, effect: Effect) -> Effect:
-        """Return the effect about at the top of the hill on which this one stands."""
-        shapes = [p for p in parameters(effect) if not p.amplitude]
-        if not shapes or len(amplitudes(effect)) != 1:
-            return effect
-        for fraction in _AT_A_GLANCE:
-            while True:
-                near = [effect, *(moved for p in shapes for moved in _beside(effect, p, fraction))]
-                about = self._about(near)
+    def _refined(self, term: LibraryTerm) -> tuple[float, LibraryTerm]:
+        exact = self._climb(self.climb(term), lambda terms: np.array([self.gain(t) for t in terms]), _EXACT)
+        return self.gain(exact), exact
+
+    def _climb(self, term: T, gains: Callable[[Sequence[T]], Array], scales: Sequence[float]) -> T:
+        if not len(term.shape):
+            return term
+        nats = float(gains([term])[0])
+        for scale in scales:
+            for _ in range(_MOST_STEPS):
+                near: list[T] = list(neighbours(term, scale))
+                about = gains(near)
                 best = int(np.argmax(about))
-                if about[best] <= about[0] + _WORTH_NATS:
+                if not about[best] > nats + _WORTH_NATS:
                     break
-                effect = near[best]
-        return effect
-
-    def _refined(self, effect: Effect) -> tuple[float, Effect]:
-        """Return the chi-square and the effect at the top of the hill on which this one stands."""
-        shapes = [p for p in parameters(effect) if not p.amplitude]
-        best, most = effect, self._gain(effect)
-        for fraction in _REFINEMENTS:
-            better = True
-            while better:
-                better = False
-                for p in shapes:
-                    for moved in _beside(best, p, fraction):
-                        if (new := self._gain(moved)) > most + _WORTH_NATS:
-                            best, most, better = moved, new, True
-        return most, best
+                term, nats = near[best], float(about[best])
+        return term
 
 
-def _starts(ranked: Sequence[Effect], most: float) -> list[Effect]:
-    """Return members to refine, the best first: one, or where they explain plainly, some that differ in shape."""
+def starts(ranked: Sequence[T], nats: float) -> list[T]:
+    """Return terms to refine, the best first: one, or where it explains plainly, some that lead to other maxima.
+
+    nats : what the best explains
+    """
     chosen = [ranked[0]]
-    shapes = [p for p in parameters(ranked[0]) if not p.amplitude]
-    for member in ranked[1:]:
-        if most < _PLAIN or len(chosen) == _STARTS:
+    for term in ranked[1:]:
+        if len(chosen) == _STARTS or nats < _PLAIN_NATS:
             break
-        far = [any(abs(getattr(member, p.name) - getattr(c, p.name)) > 0.4 * p.typical for p in shapes) for c in chosen]
-        if all(far):
-            chosen.append(member)
+        if all(_apart(term, other) for other in chosen):
+            chosen.append(term)
     return chosen
 
 
-def _beside(effect: Effect, p: Parameter, fraction: float) -> list[Effect]:
-    """Return the effect with one number of its shape a step down and up."""
-    values = [_bounded(getattr(effect, p.name) + s * fraction * p.typical, p) for s in (-1.0, 1.0)]
-    return [replace(effect, **{p.name: value}) for value in values]  # type: ignore[type-var]  # effects are dataclasses
+def _apart(one: Term, other: Term) -> bool:
+    """Return whether two terms are likely to lead to different maxima."""
+    if getattr(one, "action", None) != getattr(other, "action", None) or len(one.shape) != len(other.shape):
+        return True
+    return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
 
 
-def _bounded(value: float, p: Parameter) -> float:
-    return float(np.clip(value, p.low, p.high))
+def maximise(gain: Callable[[Array], float], start: Array, steps: Array) -> Array:
+    """Return where a gain (nats) of a shape (s,) has the maximum nearest to a start.
 
-
-def _said_otherwise(effect: Effect, words: Sequence[str]) -> list[Effect]:
-    """Return the effect with each of these words of its replaced by each other one that it may be."""
-    options = [(word, option) for word in words for option in choices(effect).get(word, ())]
-    return [
-        replace(effect, **{word: option})  # type: ignore[type-var]  # effects are dataclasses
-        for word, option in options
-        if getattr(effect, word) != option
-    ]
+    By a simplex, because edges have no slope (Nelder and Mead 1965, Computer Journal 7, 308); `steps` (s,) span it.
+    """
+    found = minimize(
+        lambda moved: -gain(start + steps * moved),
+        np.zeros(len(start)),
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": np.vstack((np.zeros(len(start)), np.eye(len(start)))),
+            "xatol": _NEAR,
+            "fatol": _WORTH,
+        },
+    )
+    top: Array = start + steps * found.x
+    return top

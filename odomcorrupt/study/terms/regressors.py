@@ -2,7 +2,7 @@
 
 An error can be regressed only on a motion that does not contain it. The encoder of a real robot is smooth and the
 contact with the ground disturbs the truth: take the odometry. Odometry that was made noisy by us (or by a simulator)
-carries the noise itself, sample by sample: take the truth then. The odometry's own jitter tells which it is.
+carries the noise itself, sample by sample: take the truth then. The odometry's own jitter shows which it is.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _SLOPE_NOISE = np.array([0.003, 0.003, 0.002])
 """Noise left in a driving speed, m/s and rad/s: more of it would pass for motion while the robot does not move so."""
 _JITTER_S = 0.2
 _SIDEWAYS = 0.1
-"""Part of the way that is driven sideways by a robot which can."""
+"""Part of the travelled distance that a holonomic robot moves sideways, at least."""
 _BIAS = 0.002
 _LEAST_BIAS, _PLAIN_SIDE = 2e-4, 3.0
 _FEW = 50
@@ -56,12 +56,12 @@ def driving_motion(recording: Recording, side: Side, *, place: Motion | None = N
     It is for regressors and noise laws alone: it cannot be composed exactly. Where a motion over the same stamps is
     known already, its poses, which are the truth's, are taken over as `place`.
     """
-    driver = recording.odometry if side == "odometry" else recording.truth
-    t_s, own = recording.odometry_s, driver.seconds_since(recording.origin_ns)
-    width_s = SMOOTHING_S if side == "odometry" else _truth_window(driver)
+    source = recording.odometry if side == "odometry" else recording.truth
+    t_s, own = recording.odometry_s, source.seconds_since(recording.origin_ns)
+    width_s = SMOOTHING_S if side == "odometry" else _truth_window(source)
     middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
-    world = slopes(own, driver.xyt, middle, width_s)
-    heading = driver.heading_at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
+    world = slopes(own, source.xyt, middle, width_s)
+    heading = source.heading_at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
     twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
     if place is None:
         # slopes and regions lie in the world: where the robot is, is the truth's to say
@@ -108,7 +108,7 @@ def choose_side(recording: Recording, node_s: float) -> Side:
     shows, too, is no noise: motors hunt, and on a drive that hardly turns that is all the turning there is.
 
     Where all the noise there is plainly lives in the odometry, a tenth of that is enough: on straights, where there
-    is no motion beside it, a law would find it.
+    is no motion beside it, a basis function would find it.
     """
     t_s = recording.odometry_s
     grid = np.arange(t_s[0], t_s[-1], max(_JITTER_S, 2.0 * float(np.median(np.diff(t_s)))))

@@ -26,7 +26,7 @@ _DRAWS = 20_000
 _SEED = 1_950_128
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Horizon:
     """Errors over one length of path, windows not overlapping; odometry minus truth.
 

@@ -20,10 +20,10 @@ from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import cutting_of
-from odomcorrupt.study.validate.evaluation import Evaluation, horizons_of, judge_stretch
+from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import Verdict, pits_of, verdict_of, whiteness_of
 from odomcorrupt.study.validate.lack_of_fit import Failure, drift_failures, failures, sudden_failures
-from odomcorrupt.study.validate.log_score import LogScore, nats_of
+from odomcorrupt.study.validate.log_score import LogScore, log_score_of
 from odomcorrupt.study.validate.trajectory_error import TrajectoryError, trajectory_error
 
 if TYPE_CHECKING:
@@ -33,13 +33,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.validate.cross_validation import Pieces
-    from odomcorrupt.study.validate.pit import Pit
-    from odomcorrupt.study.validate.whiteness import Whiteness
+    from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
 __all__ = ["Comparison", "Judgement", "compare"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Judgement:
     """One model against the recordings.
 
@@ -74,7 +73,7 @@ class Judgement:
         return self.nats.per_m
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """Models side by side, and the odometry as it came and with its clock set right, as 10 s errors in metres."""
 
@@ -94,7 +93,7 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     fitted = {name for model in models.values() for name in _fitted_on(model)}
     cutting = cutting_of(on_time, fitted, approach.spacing_s)
     runs = cutting.pieces(on_time)
-    judged = {name: _judged(model, runs, approach) for name, model in models.items()}
+    judged = {name: _evaluated(model, runs, approach) for name, model in models.items()}
     first = next(iter(judged.values()))
     # a truth of positions alone is given headings, for it takes a pose to start from
     as_it_came = [piece for run in cutting.pieces([aligned(r, Clock()) for r in recordings]) for piece in run.all]
@@ -116,17 +115,17 @@ def _fitted_on(model: MotionModel) -> list[str]:
     return named if isinstance(named, list) else []
 
 
-def _judged(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Evaluation]:
+def _evaluated(model: MotionModel, runs: Sequence[Pieces], approach: Approach) -> list[Evaluation]:
     """Return a model on all that it is judged on; the halves of a run that it was fitted on by a fit of the other."""
     found = []
     for run in runs:
         known = not run.names.isdisjoint(_fitted_on(model))
         if not run.second:
-            found += [judge_stretch(piece, model, approach) for piece in run.first]
+            found += [evaluate_stretch(piece, model, approach) for piece in run.first]
             continue
         for half, other in ((run.first, run.second), (run.second, run.first)):
             own = _refit(model, other, approach) if known else model
-            found += [judge_stretch(piece, own, approach, refitted=known) for piece in half]
+            found += [evaluate_stretch(piece, own, approach, refitted=known) for piece in half]
     return found
 
 
@@ -142,7 +141,7 @@ def _judgement(
         name=name,
         refitted=any(piece.refitted for piece in pieces),
         ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
-        nats=nats_of(pieces, first),
+        nats=log_score_of(pieces, first),
         horizons=horizons,
         curve=tuple(h for h in every if h.distance_m in CURVE_M),
         pits=pits,
@@ -156,7 +155,7 @@ def _judgement(
 
 
 def _patterns(pieces: Sequence[Evaluation]) -> list[Failure]:
-    """Return failures of all pieces, each told with its recording where there are several."""
+    """Return failures of all pieces, each with its recording where there are several."""
     found = []
     for piece in pieces:
         name = piece.recording.name if len(pieces) > 1 else ""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Cutting", "Pieces", "cutting_of"]
 
 _LEAST_SHARE = 0.25
-"""A half that holds less of the way than this (the robot stood, or crept) tells too little of a model."""
+"""A half that has less of the distance than this (the robot stood, or crept) shows too little of a model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def _runs(recordings: Sequence[Recording]) -> list[list[Recording]]:
 
 
 def _middle(run: Sequence[Recording]) -> _Middle:
-    """Return the middle of a run's truth while there is odometry; of its way, where a half would hardly move."""
+    """Return the middle of a run's truth while there is odometry; of its distance, where a half would hardly move."""
     stamps, way_m = _way(run)
     if not len(stamps):
         raise RecordingError(f"{run[0].name}: odometry and truth have no time in common; check the two clocks")
@@ -144,7 +144,7 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
 
 
 def _way(run: Sequence[Recording]) -> tuple[NDArray[np.int64], Array]:
-    """Return the truth's stamps (n,) while there is odometry, in order, and the way driven until then (n,), metres."""
+    """Return the truth's stamps (n,) while there is odometry, in order, and the distance until then (n,), m."""
     stamps, gone = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     for recording in run:
         odometry, truth = recording.odometry, recording.truth

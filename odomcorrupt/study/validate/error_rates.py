@@ -1,4 +1,4 @@
-"""Rates of error: by how much the odometry goes wrong per metre in some part of a drive, and what chance would make.
+"""Rates of error: by how much odometry errs per metre in some part of a drive, and what chance would make.
 
 Everything here is odometry minus truth: a positive rate along means that the odometry ends too far ahead, across too
 far left, yaw that it turns too far left.
@@ -25,7 +25,7 @@ MOVING = 0.02
 """Slower than this, m/s, is at rest."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NodeMotion:
     """What each of K intervals between nodes was like, (K,) each.
 
@@ -66,7 +66,18 @@ def node_motion(problem: Problem) -> NodeMotion:
     per = 1.0 / np.maximum(seconds, 1e-9)
     distance = np.concatenate([np.cumsum(metres[problem.run == r]) for r in np.unique(problem.run)])
     x, y, heading = nodes.truth_xyt.T
-    return NodeMotion(nodes.end_s, metres, seconds, v * per, omega * per, a * per, x, y, heading, distance)
+    return NodeMotion(
+        t_s=nodes.end_s,
+        metres=metres,
+        seconds=seconds,
+        v=v * per,
+        omega=omega * per,
+        a=a * per,
+        x=x,
+        y=y,
+        heading=heading,
+        distance=distance,
+    )
 
 
 def unit_columns(problem: Problem, *, per_second: bool = False) -> Array:

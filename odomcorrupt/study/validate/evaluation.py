@@ -16,8 +16,8 @@ from odomcorrupt.study.estimate.whitener import Whitener, interval_covariance, w
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, headed_anew
 from odomcorrupt.study.validate.calibration import Horizon, horizon_of
-from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, doubt_of
-from odomcorrupt.study.validate.random_covariance import wandering_covariance
+from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
+from odomcorrupt.study.validate.random_covariance import random_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Evaluation", "horizons_of", "judge_stretch"]
+__all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
 _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Evaluation:
     """One stretch of a recording under one model.
 
@@ -46,7 +46,7 @@ class Evaluation:
     innovations : (3 K,) whitened residuals
     node_nats : (K,) log likelihood of each interval given the ones before
     node_metres : (K,) odometry's travel as it came, the same for all models
-    refitted : whether the model was fitted anew, to half of a drive, to be judged on this one
+    refitted : whether the model was fitted again, to the other half of the drive
     """
 
     recording: Recording
@@ -83,12 +83,14 @@ class Evaluation:
             return None
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
         count = errors.error.shape[1]
-        more = wandering_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
+        more = random_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
         errors = replace(errors, covariance=errors.covariance + more)
-        return errors, doubt_of(self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0)
+        return errors, uncertainty_of(
+            self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0
+        )
 
 
-def judge_stretch(
+def evaluate_stretch(
     recording: Recording, model: MotionModel, approach: Approach, *, refitted: bool = False
 ) -> Evaluation:
     """Take the model's effects out of a recording (its clock right) and whiten what is left by the model's noise."""
@@ -103,7 +105,7 @@ def judge_stretch(
     white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
-    # what wanders over all of a run belongs to no single interval
+    # a random coefficient acts over all of a run and belongs to no single interval
     own += (white.log_det - band.log_det) / own.size
     left = headed_anew(undo(recording, effects))
     as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
@@ -114,7 +116,7 @@ def judge_stretch(
         truth=truth if headed else replace(truth, yaw_rad=float(left.heading_error_rad or 0.0)),
         problem=problem,
         whitener=white,
-        q=q + wandering_covariance(_noisy(model), nodes, problem.motions[0]),
+        q=q + random_covariance(_noisy(model), nodes, problem.motions[0]),
         innovations=innovations,
         node_nats=-own.reshape(-1, 3).sum(axis=1),
         node_metres=as_it_came.distance_m,

@@ -1,26 +1,54 @@
-"""Whether a model is rejected: one level for all looks together."""
+"""Goodness of fit of a model: sizes of errors, distribution and whiteness of innovations, one level for all tests.
+
+Probability integral transform (PIT): under the right model the place of every innovation in its predicted distribution
+is uniform. What is drawn is the empirical distribution of these places less the uniform one, in a band that 95 % of
+right models stay inside of everywhere at once (Säilynoja, Bürkner & Vehtari, Statistics and Computing 32:32, 2022: the
+pointwise level is found by simulation). Whiteness: innovations of a right model do not depend on the ones before them;
+Ljung & Box 1978, Biometrika 65, 297-303, per channel.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.stats import binom, chi2, norm
 
 from odomcorrupt.study.validate.error_rates import CHANNELS
-from odomcorrupt.study.validate.pit import Pit, pit_of
-from odomcorrupt.study.validate.whiteness import Whiteness, ljung_box
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.calibration import Horizon
 
-__all__ = ["REJECTION_LEVEL", "Look", "Verdict", "pits_of", "verdict_of", "whiteness_of"]
+__all__ = [
+    "LAGS",
+    "PIT_LEVEL",
+    "REJECTION_LEVEL",
+    "Look",
+    "Pit",
+    "Verdict",
+    "Whiteness",
+    "ljung_box",
+    "pit_of",
+    "pits_of",
+    "verdict_of",
+    "whiteness_of",
+]
 
 REJECTION_LEVEL = 0.05
 """Probability of rejecting a right model, all looks together."""
+PIT_LEVEL = 0.95
+_GRID = 50
+_SIMULATIONS = 4000
+_SEED = 20_220_325
+"""The simulation is part of the method: the same data give the same band."""
+LAGS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,3 +99,80 @@ def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: 
     looks += [Look(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
     looks += [Look(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
     return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)))
+
+
+@dataclass(frozen=True, slots=True)
+class Pit:
+    """Places of one channel's n innovations.
+
+    at : (g,) the places looked at, inside (0, 1)
+    difference : (g,) part of the innovations below that place, less the place itself
+    low, high : (g,) the simultaneous band of the difference
+    p : probability that a right model leaves the uniform as far as this one, anywhere
+    """
+
+    at: Array
+    difference: Array
+    low: Array
+    high: Array
+    p: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the difference stays in its band everywhere."""
+        return bool(np.all((self.difference >= self.low) & (self.difference <= self.high)))
+
+
+def pit_of(innovations: Array) -> Pit:
+    """Return where standardised innovations (n,) fell in a standard normal."""
+    at = np.arange(1, _GRID) / _GRID
+    count = len(innovations)
+    below = np.searchsorted(np.sort(norm.cdf(innovations)), at, side="right")
+    simulated = _least_tails(count)
+    observed = _tail(np.asarray(below, dtype=np.int64)[None], at, count)[0]
+    # with the observation itself counted, p is valid and never zero
+    p = float((1 + np.sum(simulated <= observed)) / (1 + len(simulated)))
+    tail = float(np.quantile(simulated, 1.0 - PIT_LEVEL)) / 2.0
+    low, high = binom.ppf(tail, count, at) / count - at, binom.isf(tail, count, at) / count - at
+    return Pit(at, below / count - at, low, high, p)
+
+
+@lru_cache(maxsize=64)
+def _least_tails(count: int) -> Array:
+    """Return, per simulated right model, how unlikely its most unlikely point is by itself."""
+    rng = np.random.default_rng(_SEED)
+    below = np.cumsum(rng.multinomial(count, np.full(_GRID, 1.0 / _GRID), size=_SIMULATIONS), axis=1)[:, :-1]
+    return _tail(below, np.arange(1, _GRID) / _GRID, count)
+
+
+def _tail(below: NDArray[np.int64], at: Array, count: int) -> Array:
+    """Return the smallest two-sided pointwise probability (s,) of counts (s, g)."""
+    either = np.minimum(binom.cdf(below, count, at), binom.sf(below - 1, count, at))
+    least: Array = 2.0 * np.min(either, axis=1)
+    return least
+
+
+@dataclass(frozen=True, slots=True)
+class Whiteness:
+    """Autocorrelation of one channel.
+
+    correlation : (lags,) at lags 1, 2, ... intervals
+    statistic : Ljung and Box's Q, chi-square with as many degrees as lags where innovations are white
+    """
+
+    correlation: Array
+    statistic: float
+    p: float
+
+
+def ljung_box(chains: Sequence[Array], lags: int = LAGS) -> Whiteness:
+    """Test innovations (n,) of unbroken chains; no pair is made across a break."""
+    count = sum(len(chain) for chain in chains)
+    mean = sum(float(chain.sum()) for chain in chains) / max(count, 1)
+    centred = [chain - mean for chain in chains]
+    power = sum(float(chain @ chain) for chain in centred)
+    if count <= lags + 1 or power <= 0.0:
+        return Whiteness(np.full(lags, np.nan), float("nan"), 1.0)
+    rho = np.array([sum(float(c[k:] @ c[:-k]) for c in centred if len(c) > k) / power for k in range(1, lags + 1)])
+    statistic = float(count * (count + 2.0) * np.sum(rho**2 / (count - np.arange(1, lags + 1))))
+    return Whiteness(rho, statistic, float(chi2.sf(statistic, lags)))

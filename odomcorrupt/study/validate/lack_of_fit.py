@@ -1,7 +1,7 @@
 """Where a model fails, as findings that a person understands: in which motion, when, where, at what length of path.
 
 All patterns (kinds of motion, stretches of time, discs of the truth's plane) compete: the plainest is taken, its error
-is taken out, and the rest is looked at again, so one cause is not told ten times. Signs: odometry minus truth.
+is taken out, and the rest is searched again, so one cause is not reported ten times. Signs: odometry minus truth.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _LEFT = 0.3
 """A pattern that keeps less than this part of its length beside the ones found already says nothing new."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """One way in which the odometry is wrong beyond what the model expects; numbers are odometry minus truth.
+    """A part of a drive in which odometry errs beyond what the model expects; numbers are odometry minus truth.
 
     kind : "motion", "time", "place" (a rate of error), "moment" (a sudden error) or "drift" (too much after some path)
     channel : "along", "across" or "yaw"

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["LogScore", "nats_of"]
+__all__ = ["LogScore", "log_score_of"]
 
 BLOCK_S = 15.0
 """Errors of a robot remember for seconds; blocks this long hardly know of each other."""
@@ -30,7 +30,7 @@ class LogScore:
     blocks: int
 
 
-def nats_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
+def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
     """Return nats per metre of pieces, and the paired difference to those of the first model."""
     own, base = _blocks(pieces, pieces), _blocks(first, pieces)
     metres = _blocks(pieces, pieces, metres=True)

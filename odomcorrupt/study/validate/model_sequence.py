@@ -1,4 +1,4 @@
-"""The ladder of a search: every model on the way, judged on data that it was not fitted on."""
+"""Model sequence: the model before each inclusion and the final one, evaluated on data that they were not fitted on."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def ladder_comparison(learned: Learned, recordings: Sequence[Recording], first: 
     first : what the model is called that the search began with
     """
     steps = learned.steps
-    # what was tried on the way and left again is no step
+    # what was included and dropped again is no step
     before = [look.before for look in (*learned.rounds[:1], *steps[1:])] if steps else []
     fits = [*before, learned.fit]
-    names = [first, *(f"+ {look.step}" for look in steps)]
+    names = [first, *(f"+ {look.name}" for look in steps)]
     return compare(recordings, {name: model_of(fitted) for name, fitted in zip(names, fits, strict=True)})

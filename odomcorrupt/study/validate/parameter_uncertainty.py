@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.windows import WindowErrors
 
-__all__ = ["ParameterUncertainty", "doubt_of"]
+__all__ = ["ParameterUncertainty", "uncertainty_of"]
 
 _LEAST = 0.05
 """A variance cannot be drawn below this part of what the model says."""
@@ -51,7 +51,7 @@ class ParameterUncertainty:
         return Drawn(np.maximum(scale, _LEAST), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
 
 
-def doubt_of(
+def uncertainty_of(
     model: MotionModel, windows: Intervals, errors: WindowErrors, problem: Problem, *, inflate: float
 ) -> ParameterUncertainty:
     """Return how uncertain the model is about these windows; a model without standard errors is taken at its word.

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.stats import f as fisher_f
 
-from odomcorrupt.corrupt.path import NoisyPath
+from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
 from odomcorrupt.rng import stream
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["Replay", "replay"]
+__all__ = ["Replay", "overlapping", "replay", "smooth_truth"]
 
 _POSES = 1500
 """Poses kept of each path, for pictures and for judging."""
@@ -74,8 +74,8 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     if runs < _LEAST_RUNS:
         raise ValueError(f"runs: {runs}; it takes {_LEAST_RUNS} or more to tell a cloud's shape")
     model = piece.model
-    measured = _overlapping(undo(piece.recording, model.setup.effects))
-    smooth, truth = _smooth_truth(measured)
+    measured = overlapping(undo(piece.recording, model.setup.effects))
+    smooth, truth = smooth_truth(measured)
     stamps = measured.odometry.stamps_ns
     kept = np.unique(np.linspace(0, len(stamps) - 1, min(_POSES, len(stamps))).astype(np.int64))
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(smooth[:, :2], axis=0), axis=1))))
@@ -93,14 +93,14 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     return Replay(travelled[kept], truth[kept], own, poses)
 
 
-def _overlapping(recording: Recording) -> Recording:
+def overlapping(recording: Recording) -> Recording:
     """Return the recording with the odometry cut to where there is truth."""
     odometry, truth = recording.odometry, recording.truth
     inside = (odometry.stamps_ns >= truth.stamps_ns[0]) & (odometry.stamps_ns <= truth.stamps_ns[-1])
     return replace(recording, odometry=Trajectory(odometry.stamps_ns[inside], odometry.xyt[inside]))
 
 
-def _smooth_truth(recording: Recording) -> tuple[Array, Array]:
+def smooth_truth(recording: Recording) -> tuple[Array, Array]:
     """Return the truth at the odometry's stamps, smooth (n, 3) and as measured (n, 3)."""
     truth = recording.truth.at(recording.odometry_s, recording.origin_ns)
     m = driving_motion(recording, "truth")

@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
 
-__all__ = ["wandering_covariance"]
+__all__ = ["random_covariance"]
 
 
-def wandering_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
+def random_covariance(random: Sequence[Effect], windows: Intervals, motion: Motion) -> Array:
     """Return the covariance (K, 3, 3) that random gains put on each window of one run.
 
     A gain g is a Markov number, Cov(g_i, g_j) = Var(g_i) times what is kept from i to j, so that with c_i the effect

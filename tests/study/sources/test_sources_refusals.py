@@ -5,15 +5,13 @@ from __future__ import annotations
 import io
 from pathlib import Path
 
-import click
 import numpy as np
 import pytest
 from sourcebags import edges, topic, write
 from sourcedrive import START_NS, Rows, odometry, truth
 
 from odomcorrupt.cli import run
-from odomcorrupt.commands._recordings import _truth_bags, source_words
-from odomcorrupt.commands.learn import command as learn
+from odomcorrupt.commands._recordings import Reading
 from odomcorrupt.study.io import Source, read_runs
 
 
@@ -256,15 +254,20 @@ def test_truth_files_are_one_for_all_or_one_for_each(tmp_path, capsys):
     assert "2 --truth-bag for 3 recordings; name one for all, or one for each" in capsys.readouterr().err
 
 
-def test_each_recording_and_judge_has_the_truth_file_of_its_place():
-    """`learn` reads twice: its recordings, then its judges."""
-    context = click.Context(learn, info_name="learn")
-    words = [word for name in "abc" for word in ("--truth-bag", f"{name}.csv")]
-    with context.scope():
-        learn.parse_args(context, ["one.bag", "two.bag", "--judge", "three.bag", "--truth-shift", "2.5", *words])
-        assert _truth_bags(2) == [Path("a.csv"), Path("b.csv")]
-        assert _truth_bags(1) == [Path("c.csv")]
-        assert source_words("/odom", None, 0.3) == ["--odom", "/odom", *words, "--truth-shift", "2.5", "--track", "0.3"]
+def test_each_recording_and_each_held_out_one_has_the_truth_file_of_its_place(tmp_path):
+    """Of three truth files, two are those of the recordings and the last that of the held-out one."""
+    moved = csv_file(tmp_path / "odom.csv", odometry())
+    truths = [csv_file(tmp_path / f"{name}.csv", truth()) for name in "abc"]
+    reading = Reading(truth_bags=tuple(truths))
+    runs, held_out = reading.read_with_held_out([moved, moved], [moved])
+    assert [source.truth_path for source in runs.sources] == truths[:2]
+    assert [source.truth_path for source in held_out.sources] == truths[2:]
+
+
+def test_the_next_command_reads_the_same_recordings_again():
+    reading = Reading(odom="/odom", truth_bags=(Path("a.csv"),), truth_shift_s=2.5, track=0.3)
+    words = ["--odom", "/odom", "--truth-bag", "a.csv", "--truth-shift", "2.5", "--track", "0.3"]
+    assert reading.words() == words
 
 
 def test_a_model_is_fitted_to_two_text_files(tmp_path, capsys):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.geometry.se2 import wrap
-from odomcorrupt.simulate import simulate, write_mcap
+from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.validate.compare import compare

@@ -11,7 +11,7 @@ from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import Segment, Tracker, simulate, write_mcap
+from odomcorrupt.simulation import Segment, Tracker, simulate, write_mcap
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.same_run import check_together
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hidden import as_recording
 
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 
 MIXED = {"mount_yaw": {"yaw": -0.02}, "unequal_wheels": {"curvature": -0.01}}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden import as_recording, ten_second_error
@@ -9,14 +11,15 @@ from wandering import RATE_HZ
 
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.simulate import simulate, simulate_without
+from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.select.candidates import library, next_effect, price
-from odomcorrupt.study.select.score import score_tests
-from odomcorrupt.study.select.shape_search import Members
+from odomcorrupt.study.select.candidates import library, library_candidates
+from odomcorrupt.study.select.decisions import DECISIONS, penalty
+from odomcorrupt.study.select.score import score_columns
+from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.select.stepwise import learn
 
 
@@ -115,13 +118,15 @@ def test_8_who_scans_many_shapes_is_charged_for_them():
     run = as_recording(simulate(54, None, duration_s=300.0))
     fitted = fit([run], approach=choose_approach([run]))
     family = next(f for f in library(fitted) if f[0].name == "region_slip")
-    believed = np.zeros((len(fitted.problem.nodes), 3, 0))
-    alone = score_tests(fitted, [Members(fitted, believed).best(family)], believed)[0]
-    charged = next(c for c in next_effect(fitted, [(False, False)]) if c.score.effect.name == "region_slip")
+    best = ShapeSearch(fitted, DECISIONS).best(family)
+    (alone,) = score_columns(fitted, [best.columns(fitted.problem)])
+    charged = next(c for c in library_candidates(fitted, DECISIONS) if c.name == "region_slip")
     assert len(family) > 10
     assert charged.score.p >= min(1.0, len(family) * alone.p)
     assert charged.refused
-    assert price(family[0], len(family), 1000) == pytest.approx(price(family[0], 1, 1000) + np.log(len(family)))
+    one = replace(family[0], trials=1)
+    more = penalty(family[0], 1000, DECISIONS) - penalty(one, 1000, DECISIONS)
+    assert more == pytest.approx(np.log(len(family)))
 
 
 def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes():
@@ -135,7 +140,7 @@ def test_9_stamps_since_1970_keep_their_nanoseconds_and_a_truth_may_have_holes()
     holed = Recording("holed", run.odometry, Trajectory(run.truth.stamps_ns[keep], run.truth.xyt[keep]),
                       run.origin_ns, run.track_m)  # fmt: skip
     approach = choose_approach([run])
-    kind = next(f[0] for f in library(fit([run], approach=approach)) if f[0].name == "wheelbase")
+    kind = next(f[0].start for f in library(fit([run], approach=approach)) if f[0].name == "wheelbase")
     values = [fit([r], [kind], approach=approach).effects[0].e for r in (run, holed)]
     assert values == pytest.approx([0.04, 0.04], rel=0.1)
 

@@ -12,16 +12,18 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import Segment, simulate
+from odomcorrupt.simulation import Segment, simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.variance_components import NAMES
 from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.select.candidates import _objection, library, next_effect
-from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.candidates import library, library_candidates, objection
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.term import LibraryTerm
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 
@@ -34,7 +36,7 @@ def control():
 
 def scored(fitted, *names):
     kinds = [registry()[name]() for name in names]
-    return score_tests(fitted, kinds, believed_columns(fitted.problem, [(False, False)]))
+    return score_terms(fitted, [LibraryTerm(kind) for kind in kinds], DECISIONS)
 
 
 def test_1_what_drives_is_the_odometry_of_wheels_and_the_truth_of_noise_that_was_made(control):
@@ -58,12 +60,12 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     ahead = (Segment(0.0, 0.0, 1.0, 1.0), Segment(0.5, 0.0, 110.0, 1.0), Segment(0.0, 0.0, np.inf, 2.0))
     run = as_recording(simulate(61, None, duration_s=120.0, route=ahead))
     fitted = fit([run], approach=choose_approach([run]))
-    looked = {c.score.effect.name: c for c in next_effect(fitted, [(False, False)])}
+    looked = {c.score.effect.name: c for c in library_candidates(fitted, DECISIONS)}
     assert all(c.refused for c in looked.values())
     assert "not testable" in looked["turn_asymmetry"].refused
     known = looked["accel_slip"].score
     huge = replace(known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4)
-    assert "physically possible" in _objection(huge)
+    assert "physically possible" in objection(fitted, huge, DECISIONS, still=False)
 
 
 def test_3_a_cause_is_linearised_anew_where_it_was_found():
@@ -92,7 +94,7 @@ def test_6_the_law_has_a_noise_to_the_side_and_the_truth_may_wander(control):
     # breaks where the law that raised no false alarm is not the one that is searched with
     _, fitted = control
     assert fitted.problem.approach.law_name == "diffusion"
-    assert "across_trans" in {NAMES[i] for i in fitted.pieces.active}
+    assert "across_trans" in {NAMES[i] for i in fitted.components.active}
     assert fitted.noise.truth.xy_m == pytest.approx(0.002, rel=0.3)
     seen = as_recording(simulate(60, None, duration_s=300.0, truth="rtk"))
     assert fit([seen], approach=choose_approach([seen])).noise.truth.wander > 0.0
@@ -195,8 +197,8 @@ def test_11_what_has_two_numbers_is_tested_as_a_group(control):
     lever = scored(fitted, "lever_arm")[0]
     assert len(lever.estimate) == 2
     families = {family[0].name: family for family in library(fitted)}
-    assert len({f.direction for f in families["slope"]}) > 1
-    assert len({(f.x, f.y) for f in families["region_slip"]}) > 10
+    assert len({f.start.direction for f in families["slope"]}) > 1
+    assert len({(f.start.x, f.start.y) for f in families["region_slip"]}) > 10
 
 
 def test_12_a_flat_nees_proves_nothing_and_nats_and_drift_do():

@@ -12,15 +12,17 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import registry
 from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.simulate import simulate
+from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
-from odomcorrupt.study.estimate.gauss_newton import believed_columns, fit
+from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.windows import time_windows
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.select.score import score_tests
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.term import LibraryTerm
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 
@@ -50,7 +52,7 @@ def test_2_drivers_do_not_carry_the_noise_they_are_regressed_on():
         assert choose_approach([run]).side == "truth"
         for side, found in z.items():
             fitted = fit([run], approach=Approach(side))
-            scores = score_tests(fitted, [registry()[n]() for n in names], np.zeros((len(fitted.problem.nodes), 3, 0)))
+            scores = score_terms(fitted, [LibraryTerm(registry()[n]()) for n in names], DECISIONS)
             found.append([abs(float(s.estimate[0] / s.standard_error[0])) for s in scores])
     assert np.mean(z["truth"]) < 1.6
     assert np.max(z["truth"]) < 4.0
@@ -115,7 +117,7 @@ def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
     assert np.abs(windows.residual[:, 2]).max() < 0.3
     moving = noisy(32, Coefficients(0.05, 0.02, 0.05, 0.0))
     fitted = fit([moving], approach=Approach("truth"))
-    intervals = coefficient_intervals(fitted, believed_columns(fitted.problem, [(False, False)]))
+    intervals = coefficient_intervals(fitted, fitted.design_matrix())
     assert next(i for i in intervals if i.name == "trans_rot").low == 0.0
 
 

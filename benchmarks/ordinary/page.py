@@ -1,0 +1,189 @@
+"""The page of results: goals, a table by situation, the calibration, and every miss with what was planted."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from laboratory.tables import part, table
+
+from ordinary import verdicts as v
+from ordinary.cases import LENGTHS, SITUATIONS
+from ordinary.causes import CAUSES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+__all__ = ["page"]
+
+Rows = list[dict[str, Any]]
+Lines = list[str]
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0001)
+
+
+def page(rows: Rows) -> str:
+    """Return the page in markdown."""
+    order = list(SITUATIONS)
+    rows = sorted(rows, key=lambda row: (order.index(row["case"]["situation"]), row["case"]["number"]))
+    lines = [
+        "# The ordinary laboratory",
+        "",
+        "What `learn` says of recordings as users have them, written by `python benchmarks/ordinary.py page`; how it",
+        "is judged: [protocol.md](../benchmarks/ordinary/protocol.md).",
+        "",
+        "## Goals",
+        "",
+        *_goals(rows),
+        "## By situation",
+        "",
+        *_situations(rows),
+        "## How sure, how right",
+        "",
+        *_calibration(rows),
+        "## Wrong and sure",
+        "",
+        *_list(rows, lambda row: ", ".join(v.wrong_and_sure(row))),
+        "## False alarms",
+        "",
+        *_list(rows, lambda row: ", ".join(v.false_alarms(row))),
+        "## Models or commands that failed",
+        "",
+        *_list(rows, lambda row: "; ".join(v.refusals(row))),
+        "## Worse than no model",
+        "",
+        *_list(rows, lambda row: _error(row) if v.harmed(row) else ""),
+        "## Excited and not right",
+        "",
+        *_list(rows, _miss),
+        "## Every drive",
+        "",
+        *_every(rows),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _causes(rows: Rows) -> Rows:
+    return [row for row in rows if not v.is_control(row) and v.is_excited(row)]
+
+
+def _judged(rows: Rows, over: str = "floor_m") -> list[float]:
+    """Return error after over floor of excited causes that last."""
+    own = [v.ratio(row, over) for row in _causes(rows) if not CAUSES[row["case"]["cause"]].event]
+    return [one for one in own if one is not None]
+
+
+def _spread(ratios: list[float]) -> str:
+    return f"{np.median(ratios):.2f} / {np.quantile(ratios, 0.9):.2f}" if ratios else ""
+
+
+def _goals(rows: Rows) -> Lines:
+    controls = [row for row in rows if v.is_control(row)]
+    excited = _causes(rows)
+    named = [row for row in excited if not CAUSES[row["case"]["cause"]].event]
+    events = [row for row in excited if CAUSES[row["case"]["cause"]].event]
+    high = [
+        (v.grade(name, row) != "wrong") for row in rows for name, told in v.names(row)
+        if (told or 0.0) >= v.SURE and v.grade(name, row) != "equal"
+    ]  # fmt: skip
+    used = [row for row in rows if row.get("after_m") is not None]
+    return table(
+        ("asked", "found", "goal"),
+        [
+            ["drives", len(rows), f"at least 300 (of {sum(LENGTHS.values())} planned)"],
+            ["false alarms", part([bool(v.false_alarms(row)) for row in controls]), "at most 2 %"],
+            ["right name or driver first, excited", part([v.right(row) for row in named]), "at least 90 %"],
+            ["event found, excited", part([v.right(row) for row in events]), "at least 90 %"],
+            ["wrong and sure, drives", part([bool(v.wrong_and_sure(row)) for row in rows]), "at most 1 %"],
+            ["held-out error after over floor, excited, median / p90", _spread(_judged(rows)), "1.05 / 1.5"],
+            ["the same over what is attainable", _spread(_judged(rows, "attainable_m")), ""],
+            ["above the error without a model by more than 3 %", part([v.harmed(row) for row in used]), "none"],
+            ["a command failed or refused the model", part([bool(v.refusals(row)) for row in rows]), "none"],
+            ["names told with 0.9 or more that are right", part(high), "85 to 95 % at 0.9"],
+        ],
+    )
+
+
+def _situations(rows: Rows) -> Lines:
+    out = []
+    for situation in SITUATIONS:
+        own = [row for row in rows if row["case"]["situation"] == situation]
+        if not own:
+            continue
+        controls, excited = [row for row in own if v.is_control(row)], _causes(own)
+        out.append([
+            situation, len(own), f"{sum(bool(v.false_alarms(row)) for row in controls)} of {len(controls)}",
+            f"{sum(v.right(row) for row in excited)} of {len(excited)}",
+            sum(bool(v.wrong_and_sure(row)) for row in own),
+            _spread(_judged(own)), sum(v.harmed(row) for row in own), sum(bool(v.refusals(row)) for row in own),
+        ])  # fmt: skip
+    head = (
+        "situation", "drives", "false alarms", "right first (excited)", "wrong and sure", "after / floor, median / p90",
+        "harm", "failed",
+    )  # fmt: skip
+    return table(head, out)
+
+
+def _calibration(rows: Rows) -> Lines:
+    told = [
+        (confidence, v.grade(name, row) != "wrong") for row in rows for name, confidence in v.names(row)
+        if confidence is not None and v.grade(name, row) != "equal"
+    ]  # fmt: skip
+    out = []
+    for low, high in pairwise(BINS):
+        own = [(c, hit) for c, hit in told if low <= c < high]
+        if own:
+            mean = float(np.mean([c for c, _ in own]))
+            out.append([f"{low:g} to {min(high, 1.0):g}", f"{mean:.3f}", part([hit for _, hit in own])])
+    return table(("confidence", "mean", "right"), out)
+
+
+def _list(rows: Rows, what: Callable[[dict[str, Any]], str]) -> Lines:
+    lines = []
+    for row in rows:
+        said = what(row)
+        if said:
+            lines += [f"- **{row['key']}** {_planted(row)}: {said}. `{v.reproduce(row)}`"]
+    return [*(lines or ["None."]), ""]
+
+
+def _planted(row: dict[str, Any]) -> str:
+    how = SITUATIONS[row["case"]["situation"]][row["case"]["setting"]]
+    where = f"({how.platform}, {how.truth}, heading {how.rig.heading}, {how.route.kind})"
+    if not row.get("flaw"):
+        return f"{where} nothing planted"
+    name, sizes = row["flaw"]
+    shown = " ".join(f"{key}={value:.3g}" for key, value in sizes.items())
+    return f"{where} planted `{name}` {shown}{'' if v.is_excited(row) else ', not excited'}"
+
+
+def _miss(row: dict[str, Any]) -> str:
+    if v.is_control(row) or not v.is_excited(row) or v.right(row):
+        return ""
+    kind = v.grade(v.first(row), row) if not v.first(row).startswith(("unknown", "nothing", "no answer")) else ""
+    return f"{v.first(row)} first{' (equal here)' if kind == 'equal' else ''}; all: {_said(row)}; {_error(row)}"
+
+
+def _said(row: dict[str, Any]) -> str:
+    shown = [name if told is None else f"{name} {told:.2f}" for name, told in v.names(row)]
+    shown += [f"unknown {u['channel']} over {u['depends_on']}{' (in the model)' if u.get('in_model') else ''}"
+              for u in row.get("answer", {}).get("unknown", [])]  # fmt: skip
+    return ", ".join(shown) or "nothing"
+
+
+def _error(row: dict[str, Any]) -> str:
+    e, after = row["expected"], row.get("after_m")
+    shown = "none" if after is None else f"{1e3 * after:.1f}"
+    return f"10 s error {1e3 * e['before_m']:.1f} before, {shown} after, floor {1e3 * e['floor_m']:.1f} mm"
+
+
+def _every(rows: Rows) -> Lines:
+    out = []
+    for row in rows:
+        if "expected" not in row:
+            out.append([row["key"], "", "broke", "", ""])
+            continue
+        verdict = ("false alarm" if v.false_alarms(row) else "clean") if v.is_control(row) else (
+            "right" if v.right(row) else "missed" if v.is_excited(row) else "not excited")  # fmt: skip
+        out.append([row["key"], _planted(row), _said(row), verdict, _error(row)])
+    return table(("drive", "planted", "named", "verdict", "held-out error"), out)

@@ -1,0 +1,141 @@
+"""From an answer to right and wrong, drive by drive, as protocol.md says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ordinary.cases import FIRST_SEED, SITUATIONS
+from ordinary.causes import CAUSES, matches
+
+__all__ = [
+    "EVENT_S", "HARM", "SURE", "answered", "event_found", "false_alarms", "first", "grade", "harmed", "is_control",
+    "is_excited", "names", "ratio", "refusals", "reproduce", "right", "wrong_and_sure",
+]  # fmt: skip
+
+SURE = 0.9
+HARM = 1.03
+EVENT_S = 5.0
+"""An event is found where the time that is said of it is within so many seconds of the planted one."""
+
+Row = dict[str, Any]
+
+
+def is_control(row: Row) -> bool:
+    """Tell whether nothing was planted."""
+    return not row["case"]["cause"]
+
+
+def is_excited(row: Row) -> bool:
+    """Tell whether the generator expects the cause to be seen."""
+    return bool(row.get("expected", {}).get("excited", False))
+
+
+def answered(row: Row) -> bool:
+    """Tell whether `learn` gave an answer."""
+    return "answer" in row
+
+
+def names(row: Row) -> list[tuple[str, float | None]]:
+    """Return names with their confidences in the order in which they are given."""
+    return [(one["effect"], one["confidence"]) for one in row.get("answer", {}).get("found", [])]
+
+
+def grade(name: str, row: Row) -> str:
+    """Return "right", "equal" (the same effect on this robot by another physics), "present" or "wrong"."""
+    case = row["case"]
+    cause = CAUSES.get(case["cause"])
+    if cause is not None and matches(name, cause.accepted):
+        return "right"
+    if matches(name, SITUATIONS[case["situation"]][case["setting"]].present):
+        return "present"
+    return "equal" if cause is not None and matches(name, cause.equal) else "wrong"
+
+
+def first(row: Row) -> str:
+    """Return the first thing named that is not merely true of every such robot; else a law, else "nothing"."""
+    if not answered(row):
+        return "no answer"
+    left = [name for name, _ in names(row) if grade(name, row) != "present"]
+    if left:
+        return left[0]
+    unknown = _unknown(row)
+    return f"unknown ({unknown[0]['channel']} over {unknown[0]['depends_on']})" if unknown else "nothing"
+
+
+def _unknown(row: Row) -> list[Row]:
+    """Return unknown dependences whose driver is not merely true of every such robot."""
+    case = row["case"]
+    present = SITUATIONS[case["situation"]][case["setting"]].present
+    return [one for one in row.get("answer", {}).get("unknown", []) if not matches(one["depends_on"], present)]
+
+
+def right(row: Row) -> bool:
+    """Tell whether the first name, or driver of an unknown dependence, or the event, is that of the cause."""
+    cause = CAUSES[row["case"]["cause"]]
+    if cause.event:
+        return event_found(row)
+    said = first(row)
+    if said.startswith("unknown ("):
+        return matches(_unknown(row)[0]["depends_on"], cause.drivers)
+    return grade(said, row) == "right"
+
+
+def event_found(row: Row) -> bool:
+    """Tell whether an event is listed at about the time of the planted one."""
+    planted = row.get("event") or {}
+    for key, listed in row.get("answer", {}).items():
+        if "event" not in key or not isinstance(listed, list):
+            continue
+        for one in listed:
+            times = [
+                one[k] for k in ("time_s", "start_s", "begin_s", "t", "at_s") if isinstance(one.get(k), int | float)
+            ]
+            if any(planted["start_s"] - EVENT_S <= at <= planted["end_s"] + EVENT_S for at in times):
+                return True
+    return False
+
+
+def false_alarms(row: Row) -> list[str]:
+    """Return what was named of a robot without a flaw: names, and unknown dependences, in the model or offered."""
+    if not is_control(row):
+        return []
+    wrong = [_with(name, told) for name, told in names(row) if grade(name, row) == "wrong"]
+    unknown = [
+        f"unknown ({one['channel']} over {one['depends_on']}{', in the model' if one.get('in_model') else ''})"
+        for one in _unknown(row)
+    ]
+    return wrong + unknown
+
+
+def wrong_and_sure(row: Row) -> list[str]:
+    """Return wrong names with a confidence of 0.9 or more."""
+    return [_with(name, told) for name, told in names(row) if (told or 0.0) >= SURE and grade(name, row) == "wrong"]
+
+
+def _with(name: str, told: float | None) -> str:
+    return name if told is None else f"{name} {told:.3f}"
+
+
+def harmed(row: Row) -> bool:
+    """Tell whether the held-out error is above that without a model by more than 3 %."""
+    return row.get("after_m") is not None and row["after_m"] > HARM * row["expected"]["before_m"]
+
+
+def ratio(row: Row, over: str = "floor_m") -> float | None:
+    """Return the held-out error after, over the floor (or over what is attainable); None where there is none."""
+    return None if row.get("after_m") is None else row["after_m"] / row["expected"][over]
+
+
+def refusals(row: Row) -> list[str]:
+    """Return what the commands complained of."""
+    if "failed" in row:
+        return [f"the laboratory broke: {row['failed'].strip().splitlines()[-1]}"]
+    if "learn" in row:
+        return [f"learn: {row['learn']}"]
+    return [f"{name}: {why}" for name, why in row.get("uses", {}).items() if why]
+
+
+def reproduce(row: Row) -> str:
+    """Return the command that asks about this drive again."""
+    pilot = " --pilot" if row["case"]["seed"] < FIRST_SEED else ""
+    return f"python benchmarks/ordinary.py run again.jsonl{pilot} --key {row['key']} --keep again"

@@ -1,0 +1,193 @@
+"""Recordings of odometry and truth, read from bags, TUM and CSV files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.extras import require
+
+if TYPE_CHECKING:
+    from odomcorrupt.study.io.reader import Source
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings"]
+
+PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
+"""One path or several."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Recordings(Sequence["Recording"]):
+    """Runs of one robot: a sequence of `Recording`, several of a file where resets cut its run into stretches.
+
+    runs : the recordings
+    sources : the files that they were read from, and how
+    """
+
+    runs: tuple[Recording, ...]
+    sources: tuple[Source, ...]
+
+    @overload
+    def __getitem__(self, index: int) -> Recording: ...
+    @overload
+    def __getitem__(self, index: slice) -> Recordings: ...
+    def __getitem__(self, index: int | slice) -> Recording | Recordings:
+        """Return one recording, or some of them."""
+        return self.runs[index] if isinstance(index, int) else replace(self, runs=self.runs[index])
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __repr__(self) -> str:
+        return f"<Recordings: {', '.join(describe(run) for run in self.runs)}>"
+
+    @property
+    def track_m(self) -> float | None:
+        """Nominal distance between the wheels, metres; None where it is not known."""
+        return next((source.track_m for source in self.sources if source.track_m is not None), None)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What reading left out or noticed, in sentences, each with the name of its recording."""
+        return tuple(f"{run.name}: {note}" for run in self.runs for note in run.notes[1:])
+
+    def on_track(self, track_m: float | None) -> Recordings:
+        """Return the same recordings of a robot whose track is known, where they did not say it themselves."""
+        if track_m is None or self.track_m is not None:
+            return self
+        return Recordings(
+            tuple(replace(run, track_m=track_m) for run in self.runs),
+            tuple(replace(source, track_m=track_m) for source in self.sources),
+        )
+
+    def read_alike(self, paths: PathLikes) -> Recordings:
+        """Return other files, read with the topics, clock shift and track of the first of these."""
+        first = self.sources[0]
+        if first.truth_path is not None:
+            raise RecordingError(
+                f"{first.path}: its truth is in {first.truth_path}; read the other recordings with read_recordings"
+            )
+        return _read([replace(first, path=path, name="") for path in as_paths(paths)])
+
+
+def read_recordings(
+    paths: PathLikes,
+    *,
+    odom: str | None = None,
+    truth: str | None = None,
+    truth_bag: PathLikes = (),
+    truth_shift_s: float = 0.0,
+    track_m: float | None = None,
+    names: Sequence[str] = (),
+    scan: str | None = None,
+    laser_scale_accuracy: float = 0.003,
+    progress: Callable[[str, float], None] | None = None,
+) -> Recordings:
+    """Return recordings of odometry and truth, cleaned and checked for plausibility.
+
+    Parameters
+    ----------
+    paths : path or several
+        Bags, or TUM or CSV files with the odometry.
+    odom, truth : str, optional
+        Topics, or edges of TF as "/tf:map.base_link"; by default the only topic that can be meant.
+    truth_bag : path or several, optional
+        Bag, TUM or CSV file with the truth, where the recordings have none: one for all, or one for each.
+    truth_shift_s : float
+        Added to the stamps of the truth, seconds, where its clock is far off.
+    track_m : float, optional
+        Nominal distance between the wheels, metres; effects of single wheels need it.
+    names : sequence of str
+        What to call the recordings, where not by their files.
+    scan : str, optional
+        Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth.
+    laser_scale_accuracy : float
+        Standard deviation of the laser's own scale error: no scale is known better.
+    progress : callable, optional
+        Called with what takes long, and which part of it is done.
+
+    Returns
+    -------
+    Recordings
+        One recording of each file, or several where resets cut it into independent stretches.
+
+    Raises
+    ------
+    TopicError
+        Where a topic or frame is missing or several could be meant; the message lists them.
+    RecordingError
+        Where what is there cannot be odometry and truth of one run; the message says why.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> rec = oc.read_recordings("fixtures/mystery.mcap", truth="/ground_truth")
+    >>> rec[0].name
+    'mystery.mcap'
+
+    """
+    require("scipy", "the study needs it", "study")
+    from odomcorrupt.study.io.reader import Source
+
+    files, truths = as_paths(paths), as_paths(truth_bag)
+    if not files:
+        raise RecordingError("no recording given; name a bag with odometry and truth")
+    if len(truths) > 1 and len(truths) != len(files):
+        raise RecordingError(f"{len(truths)} truth bags for {len(files)} recordings; name one for all, or one for each")
+    each = truths if len(truths) > 1 else [*truths, None][:1] * len(files)
+    called = [*names, *[""] * (len(files) - len(names))]
+    return _read(
+        [
+            Source(
+                path=path,
+                odom=odom,
+                truth=truth,
+                truth_path=truth_path,
+                truth_shift_s=truth_shift_s,
+                track_m=track_m,
+                name=name,
+                scan=scan,
+                truth_scale_error=laser_scale_accuracy,
+            )
+            for path, truth_path, name in zip(files, each, called, strict=True)
+        ],
+        progress,
+    )
+
+
+def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
+    from odomcorrupt.study.io.reader import read_runs
+
+    return Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+
+
+def as_paths(paths: PathLikes) -> list[Path]:
+    """Return the paths of one path or several, each of them text or a path."""
+    if isinstance(paths, str | PathLike):
+        return [Path(fspath(paths))]
+    return [Path(fspath(path)) for path in paths]
+
+
+def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None) -> Recordings:
+    """Return recordings as they are, or read from paths: in the same way as others, where there are any."""
+    if isinstance(given, Recordings):
+        return given
+    return read_recordings(given) if like is None else like.read_alike(given)
+
+
+def describe(recording: Recording) -> str:
+    """Return one line about a recording: poses, seconds and metres of its odometry, poses and seconds of its truth."""
+    import numpy as np
+
+    odometry, truth = recording.odometry, recording.truth
+    spans = [(t.stamps_ns[-1] - t.stamps_ns[0]) * 1e-9 for t in (odometry, truth)]
+    travelled = np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1).sum()
+    return (
+        f"{recording.name}: odometry {len(odometry)} poses in {spans[0]:.1f} s ({travelled:.1f} m), "
+        f"truth {len(truth)} poses in {spans[1]:.1f} s"
+    )

@@ -1,0 +1,108 @@
+"""An overlay and its original put together: the bag that a full run would have been."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.batching.manifest import BatchError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import BagReader, Block
+    from odomcorrupt.corruption.run import Container
+
+__all__ = ["assemble"]
+
+
+def assemble(overlay: Path, source: Path, target: Path, container: Container) -> int:
+    """Write the original with the overlay's messages in the place of its own; return how many were replaced.
+
+    Raises
+    ------
+    BatchError
+        Where the overlay is not one of this original.
+
+    """
+    with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
+        writer = open_writer(
+            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+        )
+        topics = {(one.topic, one.msgtype) for one in changed.channels.values()}
+        wanted = {one.id for one in reader.channels.values() if (one.topic, one.msgtype) in topics}
+        if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
+            raise BatchError(f"{overlay}: has topics that {source} has not; name the input it was made from")
+        stream = _Messages(changed, overlay)
+        count = 0
+        with writer:
+            for block in reader.blocks():
+                count += _replace(block, reader, wanted, stream, source)
+                writer.write(block)
+            stream.require_end(source)
+            if stream.provenance is not None:
+                writer.provenance("odomcorrupt", stream.provenance)
+    return count
+
+
+def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> int:
+    rows = np.flatnonzero(np.isin(block.table["channel"], list(wanted)))
+    for row in block.table[rows]:
+        channel = reader.channels[int(row["channel"])]
+        topic, log_ns, data = stream.take()
+        start, stop = int(row["offset"]), int(row["offset"]) + int(row["length"])
+        if (topic, log_ns, len(data)) != (channel.topic, int(row["log_ns"]), stop - start):
+            raise BatchError(
+                f"{source}: has {channel.topic} at {row['log_ns']} ns where the overlay has {topic or 'nothing'} at "
+                f"{log_ns} ns; name the input the overlay was made from"
+            )
+        block.data[start:stop] = np.frombuffer(data, dtype=np.uint8)
+    return len(rows)
+
+
+class _Messages:
+    """An overlay's messages one by one: they stand in the order of the original's.
+
+    provenance : what the overlay says of how it came about, known at its end
+    """
+
+    def __init__(self, reader: BagReader, path: Path) -> None:
+        self.provenance: dict[str, str] | None = None
+        self._reader = reader
+        self._path = path
+        self._stream = self._messages()
+
+    def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
+        for block in self._reader.blocks():
+            if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
+                self.provenance = _mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
+            for channel, log_ns, offset, length in block.table.tolist():
+                yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]
+
+    def take(self) -> tuple[str, int, memoryview]:
+        """Return the next message: topic, log time, data; an empty one at the end."""
+        return next(self._stream, ("", 0, memoryview(b"")))
+
+    def require_end(self, source: Path) -> None:
+        """Refuse an overlay that has more than its original."""
+        left = sum(1 for _ in self._stream)
+        if left:
+            raise BatchError(f"{self._path}: has {left} messages more than {source}; name the input it was made from")
+
+
+def _mapping_of(content: bytes) -> dict[str, str]:
+    """Return the strings of a metadata record."""
+    words: list[str] = []
+    at = 4 + struct.unpack_from("<I", content)[0]
+    at += 4
+    while at < len(content):
+        (size,) = struct.unpack_from("<I", content, at)
+        words.append(content[at + 4 : at + 4 + size].decode())
+        at += 4 + size
+    return dict(zip(words[::2], words[1::2], strict=True))

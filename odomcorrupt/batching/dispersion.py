@@ -1,0 +1,158 @@
+"""How far the runs of a batch spread, against what the linearised model predicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.batching.manifest import BatchError, read_beginning, read_records
+from odomcorrupt.batching.parameter_draws import Spread
+from odomcorrupt.batching.tum import read_tum
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.errors import EffectError
+from odomcorrupt.model.model_file import parse_model
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.batching.tum import TumPath
+    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["SpreadReport", "SpreadRow", "measure"]
+
+SHOWN_RUNS, BAND_POINTS = 60, 120
+"""Paths, and points of the predicted band, that a picture shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadRow:
+    """The spread after a distance: root mean squares about the mean, metres and radians, of runs and as predicted."""
+
+    after_m: float
+    position_m: float
+    position_predicted_m: float
+    heading_rad: float
+    heading_predicted_rad: float
+    mean_m: float
+    mean_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadReport:
+    """A batch's spread.
+
+    random_effects : names of effects that draw, of which the prediction knows nothing
+    clean_xy (n, 2), runs_xy : paths for a picture; band : (m, 3) distance, predicted position and heading deviations
+    errors : (k, j, 3) metres gone, position and heading error of each run at each mark
+    """
+
+    directory: str
+    runs: int
+    rows: tuple[SpreadRow, ...]
+    random_effects: tuple[str, ...]
+    clean_xy: Array
+    runs_xy: tuple[Array, ...]
+    band: Array
+    errors: Array
+
+
+class _Quiet:
+    """Draws nothing but zeros."""
+
+    def standard_normal(self, shape: tuple[int, int]) -> Array:
+        return np.zeros(shape)
+
+
+def measure(directory: Path) -> SpreadReport:
+    """Read what a batch noted of its runs, and predict it from the clean path.
+
+    Raises
+    ------
+    BatchError
+        Where there is no batch of two runs.
+
+    """
+    begun = read_beginning(directory)
+    records = list(read_records(directory).values())
+    if len(records) < 2:
+        raise BatchError(f"{directory}: has {len(records)} runs; a spread needs at least two")
+    clean = read_tum(directory / "clean.tum")
+    model = parse_model(begun["model"]["text"])
+    spreads = tuple(Spread(effect, name, deviation) for effect, name, deviation in begun["robots"])
+    errors = np.array([record["errors"] for record in records])
+    centre = _quiet(model, clean)
+    covariance = _covariance(model, spreads, clean, centre)
+    rows = []
+    for mark in range(errors.shape[1]):
+        at_m = float(errors[0, mark, 0])
+        i = min(int(np.searchsorted(centre.travelled_m, at_m - 1e-6)), len(centre) - 1)
+        drawn = errors[:, mark, 1:]
+        mean = drawn.mean(axis=0)
+        spread = drawn.std(axis=0, ddof=1)
+        v = np.diagonal(covariance[i])
+        rows.append(
+            SpreadRow(
+                at_m, float(np.hypot(spread[0], spread[1])), float(np.sqrt(v[0] + v[1])), float(spread[2]),
+                float(np.sqrt(v[2])), float(np.hypot(mean[0], mean[1])), float(mean[2]),
+            )
+        )  # fmt: skip
+    shown = np.unique(np.linspace(0, len(centre) - 1, BAND_POINTS).astype(int))
+    v = np.diagonal(covariance, axis1=1, axis2=2)[shown]
+    band = np.column_stack((centre.travelled_m[shown], np.sqrt(v[:, 0] + v[:, 1]), np.sqrt(v[:, 2])))
+    distances = np.stack((errors[:, :, 0], np.hypot(errors[:, :, 1], errors[:, :, 2]), np.abs(errors[:, :, 3])), axis=2)
+    paths = tuple(_path(model, begun["seed"], record, directory, clean) for record in records[:SHOWN_RUNS])
+    random = tuple(sorted({effect.name for effect in model.effects if effect.kind == "noise"}))
+    return SpreadReport(
+        str(directory), len(records), tuple(rows), random, clean.xyt[:, :2], paths, band, distances
+    )  # fmt: skip
+
+
+def _quiet(model: MotionModel, clean: TumPath) -> Knots:
+    """Return the path that the effects alone make, with the sums of the noise's variances along it."""
+    # the same path with no luck, good or bad
+    path = NoisyPath(model, 0, 0, normals=_Quiet())
+    return path.feed(clean.stamps_ns, clean.xyt)
+
+
+def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: Knots) -> Array:
+    """Return covariances (n, 3, 3) of the error: of the noise, and of what differs from robot to robot."""
+    k = model.noise.coefficients
+    broad = {s.parameter: float(np.hypot(getattr(k, s.parameter), s.deviation)) for s in spreads if s.effect is None}
+    noise = _quiet(replace(model, noise=replace(model.noise, coefficients=replace(k, **broad))), clean)
+    noisy = (noise.clean_xyt[:, :2] + noise.error_xyt[:, :2] - noise.origin_xy).T
+    covariance = pose_covariance(noise.sums, noisy)
+    for spread in spreads:
+        if spread.effect is not None:
+            slope = _displaced(model, spread, clean, centre)
+            covariance += slope[:, :, None] * slope[:, None, :]
+    return covariance
+
+
+def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: Knots) -> Array:
+    """Return by how much (n, 3) one standard deviation of an effect's parameter moves the path."""
+    for part in (1.0, -1.0, 0.1, -0.1):
+        effects: list[Any] = list(model.effects)
+        i = spread.effect or 0
+        value = getattr(effects[i], spread.parameter) + part * spread.deviation
+        effects[i] = replace(effects[i], **{spread.parameter: value})
+        try:
+            moved = _quiet(replace(model, effects=tuple(effects)), clean)
+        except EffectError:
+            continue
+        slope: Array = (moved.error_xyt - centre.error_xyt) / part
+        return slope
+    return np.zeros_like(centre.error_xyt)
+
+
+def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path, clean: TumPath) -> Array:
+    """Return a run's path (n, 2): drawn again, as it is in the bag; its robot is read."""
+    if "robot" in record:
+        model = parse_model((directory / record["robot"]).read_text(encoding="utf8"))
+    knots = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
+    path: Array = knots.clean_xyt[:, :2] + knots.error_xyt[:, :2]
+    return path

@@ -1,0 +1,185 @@
+"""Who does the work: this process, a pool of processes, or the workers of a Dask cluster. The bytes are the same."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import signal
+import sys
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol
+
+from odomcorrupt.batching.job import Task
+from odomcorrupt.batching.manifest import BatchError, read_records, sweep_leftovers
+from odomcorrupt.batching.progress import PAUSE_S
+from odomcorrupt.batching.runner import attempt
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.batching.job import Job
+    from odomcorrupt.batching.runner import Failure
+
+__all__ = ["Audience", "Shard", "count_missing", "missing_runs", "run_local", "run_on_dask", "tasks_of"]
+
+GROUP = 32
+"""Runs of one pass at most: each holds an open file and a path of its own."""
+
+LARGE_BYTES = 2 << 30
+"""Of larger bags half as many: what a kill interrupts is made again."""
+
+RESTARTS = 3
+"""How often a pool whose worker died is begun anew."""
+
+
+class Shard:
+    """Every count-th run, from the number-th on, counted from 1: what one of `count` machines makes."""
+
+    __slots__ = ("count", "number")
+
+    def __init__(self, number: int, count: int) -> None:
+        self.number = number
+        self.count = count
+
+    def has(self, run: int) -> bool:
+        """Whether a run is one of this shard's."""
+        return run % self.count == self.number - 1
+
+
+def count_missing(job: Job, runs: range, shard: Shard) -> int:
+    """Return how many runs of a shard are not made yet, without a list of them."""
+    made = sum(run in runs and shard.has(run) for run in read_records(job.directory))
+    return len(runs[shard.number - 1 :: shard.count]) - made
+
+
+def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -> list[int]:
+    """Return the runs of a shard that are not made yet, leftovers of earlier attempts removed.
+
+    verify : whether a run counts as made only where its checksum is that noted, too
+    """
+    made = read_records(job.directory, verify=verify)
+    missing = [run for run in runs if shard.has(run) and run not in made]
+    sweep_leftovers(job, missing)
+    return missing
+
+
+def tasks_of(job: Job, runs: Sequence[int], workers: int) -> list[Task]:
+    """Cut runs into passes, so that every worker has some and none has too many at once."""
+    size = (
+        sum(file.stat().st_size for file in job.source.iterdir()) if job.source.is_dir() else job.source.stat().st_size
+    )
+    most = GROUP // 2 if size > LARGE_BYTES else GROUP
+    group = max(1, min(most, -(-len(runs) // workers)))
+    return [Task(job, tuple(runs[i : i + group])) for i in range(0, len(runs), group)]
+
+
+class Audience(Protocol):
+    """Whoever hears how tasks get on."""
+
+    shown: bool
+
+    def done(self, task: Task, failures: list[Failure]) -> None:
+        """Hear that a task is done."""
+
+    def under_way(self, task: Task, part: float | None, past_s: float) -> None:
+        """Hear how far a task's pass has got; only where `shown`."""
+
+
+def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
+    """Make tasks in this process, or in `jobs` others."""
+    if jobs == 1:
+        for task in tasks:
+            audience.done(task, attempt(task, partial(audience.under_way, task) if audience.shown else None))
+        return
+    left = dict(enumerate(tasks))
+    for _ in range(RESTARTS):
+        if left:
+            _run_in_pool(left, jobs, audience)
+    for task in left.values():
+        audience.done(task, [(run, "the process that made it died each time") for run in task.runs])
+
+
+def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
+    """Make tasks in processes, and take those that are done out of `left`; a worker that dies ends the pool."""
+    context = multiprocessing.get_context("spawn")
+    news = context.Queue() if audience.shown else None
+    with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
+        futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
+        try:
+            waiting = set(futures)
+            while waiting:
+                ready, waiting = wait(waiting, PAUSE_S if news is not None else None, FIRST_COMPLETED)
+                _pass_on(news, left, audience)
+                for future in ready:
+                    audience.done(left[futures[future]], future.result())
+                    del left[futures[future]]
+        except BrokenProcessPool:
+            return
+        except BaseException:
+            for child in multiprocessing.active_children():
+                child.terminate()
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+_news: Any = None
+"""In a worker: where to tell how far it has got, None where nobody listens."""
+
+
+def _prepare_worker(news: Any) -> None:
+    global _news  # noqa: PLW0603 - a worker's own, set once
+    _news = news
+    if news is not None:
+        # what nobody reads any more must not keep a worker alive
+        news.cancel_join_thread()
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+
+
+def _attempt_numbered(number: int, task: Task) -> list[Failure]:
+    """Make a task in a worker."""
+    if _news is None:
+        return attempt(task)
+    return attempt(task, lambda part, past_s: _news.put((number, part, past_s)))
+
+
+def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
+    while news is not None and not news.empty():
+        number, part, past_s = news.get()
+        if number in tasks:
+            audience.under_way(tasks[number], part, past_s)
+
+
+def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:
+    """Make runs on the workers of a Dask cluster, which see the same files; a task whose worker died goes to another.
+
+    Raises
+    ------
+    BatchError
+        Where dask is not installed, or the scheduler cannot be reached.
+
+    """
+    try:
+        distributed: Any = importlib.import_module("distributed")  # an optional extra
+    except ImportError as error:
+        raise BatchError(
+            'dask is not installed; --dask needs it: in a copy of the repository, pip install ".[dask]"'
+        ) from error
+    try:
+        client = distributed.Client(address, timeout="20s", set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BatchError(f"{address}: no Dask scheduler answers ({error}); start one with `dask scheduler`") from error
+    with client:
+        threads = max(1, sum(client.nthreads().values()))
+        # four rounds for each: what a lost worker had begun is little
+        tasks = [task for job, runs in job_runs for task in tasks_of(job, runs, 4 * threads)]
+        futures = {client.submit(attempt, task, pure=False, retries=2): task for task in tasks}
+        try:
+            for future in distributed.as_completed(futures, loop=client.loop):
+                task = futures[future]
+                failed = future.exception()
+                audience.done(task, future.result() if failed is None else [(run, str(failed)) for run in task.runs])
+        except BaseException:
+            client.cancel(list(futures))
+            raise

@@ -1,0 +1,145 @@
+"""What a batch will take, measured on the beginning of its bag."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from odomcorrupt.batching.job import Task
+from odomcorrupt.batching.manifest import PARTS, BatchError
+from odomcorrupt.batching.runner import make
+from odomcorrupt.corruption.run import Container
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from odomcorrupt.bags.block import BagReader, Block
+    from odomcorrupt.batching.job import Job, Output
+
+__all__ = ["Estimate", "Need", "bytes_of", "estimate", "free_bytes", "require_space"]
+
+TRIED_BYTES = 32 << 20
+"""How much of a bag is tried, decompressed."""
+
+TRIED_RUNS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What one run takes: bytes, seconds of one core; and its bytes as an overlay."""
+
+    bytes: int
+    seconds: float
+    overlay_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What many runs take, and the bytes that are free where they go."""
+
+    runs: int
+    bytes: int
+    core_seconds: float
+    overlay_bytes: int
+    free_bytes: int
+
+
+class _First:
+    """The beginning of a bag."""
+
+    def __init__(self, reader: BagReader, most_bytes: int) -> None:
+        self.kind, self.name, self.paths = reader.kind, reader.name, reader.paths
+        self.complete, self.channels = reader.complete, reader.channels
+        self.definition = reader.definition
+        self.losses: list[str] = []
+        self.read_bytes = 0
+        self.cut = False
+        self._reader = reader
+        self._most_bytes = most_bytes
+
+    def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
+        """Yield blocks until enough is read, and odometry may have come by."""
+        self.read_bytes = 0
+        for block in self._reader.blocks():
+            self.read_bytes += block.data.size
+            yield block
+            if self.read_bytes >= self._most_bytes:
+                self.cut = True
+                return
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def bytes_of(path: Path) -> int:
+    """Return the size of a bag, file or directory."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
+
+
+def estimate(job: Job) -> Estimate:
+    """Try a few runs on the beginning of the bag, beside nothing that anyone keeps."""
+    size = bytes_of(job.source)
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = _try(
+            replace(job, container=Container(recover=job.container.recover), split=False),
+            "full",
+            1,
+            Path(scratch) / "full",
+        )
+        chosen = _try(job, job.output, TRIED_RUNS, Path(scratch) / "chosen")
+        overlay = _try(job, "overlay", 1, Path(scratch) / "overlay")
+    part = 1.0
+    if whole.cut:
+        # sqlite3 files are copied whole, but are as large as what is read of them
+        read = whole.read_bytes if whole.copied else whole.bytes
+        part = min(1.0, read / size)
+    copied = whole.copied and job.output == "full"
+    return Estimate(size if copied else round(chosen.bytes / part), chosen.seconds / part, round(overlay.bytes / part))
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    bytes: float
+    seconds: float
+    read_bytes: int
+    cut: bool
+    copied: bool
+
+
+def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
+    (directory / PARTS).mkdir(parents=True)
+    tried = replace(job, output=output, directory=directory)
+    firsts: list[_First] = []
+
+    def first(reader: BagReader) -> Any:
+        firsts.append(_First(reader, TRIED_BYTES))
+        return firsts[-1]
+
+    begun = time.process_time()
+    make(Task(tried, tuple(range(runs))), first)
+    spent = time.process_time() - begun
+    written = sum(bytes_of(tried.path_of(run)) for run in range(runs))
+    last = firsts[-1]
+    return _Trial(written / runs, spent / runs, last.read_bytes, last.cut, last.kind == "sqlite3")
+
+
+def require_space(need: Need, where: str) -> None:
+    """Refuse what the disk cannot hold."""
+    if need.bytes > need.free_bytes:
+        raise BatchError(
+            f"{where}: {need.runs} runs need about {need.bytes / 1e9:.3g} GB, {need.free_bytes / 1e9:.3g} GB are free; "
+            f"--output overlay would need {need.overlay_bytes / 1e9:.3g} GB, or name a directory on another disk"
+        )
+
+
+def free_bytes(directory: Path) -> int:
+    """Return what is free where a directory is, or will be."""
+    there = next(one for one in (directory, *directory.parents) if one.exists())
+    return shutil.disk_usage(there).free

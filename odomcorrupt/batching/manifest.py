@@ -1,0 +1,320 @@
+"""What a batch keeps of itself: what it was begun with, which runs are made, and the manifest.
+
+A run is written in a hidden folder. Its record, with size and checksum, is on the disk before it appears under its
+name, so a file under its name is whole and noted, whenever a batch was killed. A record without such a file counts for
+nothing.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import socket
+import zlib
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import odomcorrupt
+from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.placement import sweep
+from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.model.model_file import format_model
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from odomcorrupt.batching.job import Job
+
+__all__ = [
+    "BatchError",
+    "Content",
+    "begin",
+    "content_of",
+    "fingerprint_of",
+    "locked",
+    "note",
+    "read_beginning",
+    "read_records",
+    "sweep_leftovers",
+    "write_manifest",
+    "write_whole",
+]
+
+BEGINNING = "batch.json"
+MANIFEST = "manifest.jsonl"
+PARTS = ".parts"
+ROBOTS = "robots"
+
+_LARGEST_BYTES = 1 << 30
+"""More than a manifest of a million runs has."""
+_PIECE_BYTES = 1 << 20
+_TEXTS = (("input", "path"), ("input", "hash"), ("model", "text"), ("model", "hash"))
+
+_WORDS = {
+    "input": "another input",
+    "model": "another model",
+    "robots": "other distributions",
+    "seed": "another seed",
+    "output": "another --output or --layout",
+    "options": "other options",
+    "version": "another version of odomcorrupt",
+}
+
+
+class BatchError(OdomCorruptError):
+    """A batch cannot be begun, gone on with or read."""
+
+
+def fingerprint_of(source: Path) -> str:
+    """Return a hash of every byte of a bag."""
+    digest = hashlib.blake2b(digest_size=16)
+    files = sorted(file for file in source.iterdir() if file.is_file()) if source.is_dir() else [source]
+    try:
+        for file in files:
+            digest.update(file.name.encode() if source.is_dir() else b"")
+            with file.open("rb") as stream:
+                while piece := stream.read(1 << 20):
+                    digest.update(piece)
+    except OSError as error:
+        raise BatchError(f"{source}: cannot be read: {error.strerror}") from error
+    return digest.hexdigest()
+
+
+def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
+    return {
+        "version": odomcorrupt.__version__,
+        "input": {"path": job.shown_source, "hash": fingerprint},
+        "model": {"text": format_model(job.model), "hash": hashlib.sha256(repr(job.model).encode()).hexdigest()[:32]},
+        "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
+        "seed": job.seed,
+        "output": [job.output, "split" if job.split else "as it was"],
+        "options": [repr(job.options), repr(job.container)],
+    }
+
+
+def read_beginning(directory: Path) -> dict[str, Any]:
+    """Return what a batch was begun with; BatchError where there is none, or it is not as a batch writes it."""
+    path = directory / BEGINNING
+    try:
+        table = _parsed(_read(path))
+        _require(isinstance(table, dict) and type(table["seed"]) is int and table["seed"] >= 0)
+        _require(all(isinstance(table[key], str) for key in ("version",)) and isinstance(table["robots"], list))
+        _require(all(isinstance(table[one][key], str) for one, key in _TEXTS))
+        _require(all(len(spread) == 3 for spread in table["robots"]))
+    except FileNotFoundError as error:
+        raise BatchError(f"{directory}: holds no batch (no {BEGINNING}); make one with batch") from error
+    except OSError as error:
+        raise BatchError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise BatchError(f"{path}: is not as batch writes it; restore it, or name another directory") from error
+    beginning: dict[str, Any] = table
+    return beginning
+
+
+def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
+    if not true:
+        raise ValueError
+
+
+def _read(path: Path) -> bytes:
+    """Return the bytes of a file that a batch wrote; ValueError where they are more than it ever writes."""
+    with path.open("rb") as stream:
+        data = stream.read(_LARGEST_BYTES + 1)
+    _require(len(data) <= _LARGEST_BYTES)
+    return data
+
+
+def _parsed(text: bytes) -> Any:
+    """Return what a JSON text says; ValueError where it is none, or nested more deeply than anybody means."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
+
+
+def begin(job: Job, fingerprint: str) -> None:
+    """Begin a batch in its directory, or go on with the one that is there.
+
+    Raises
+    ------
+    BatchError
+        Where that one was begun with something else, or the directory holds other things.
+
+    """
+    now = _beginning(job, fingerprint)
+    if not (job.directory / BEGINNING).exists():
+        if job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
+            raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
+        # whoever comes second finds the first one's
+        with suppress(BagError):
+            _make_room(job)
+            write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
+    then = read_beginning(job.directory)
+    changed = [words for key, words in _WORDS.items() if _compared(then, key) != _compared(now, key)]
+    if changed:
+        raise BatchError(
+            f"{job.shown_directory}: was begun with {' and '.join(changed)}; give what it was begun with (see "
+            f"{BEGINNING}), or name another directory"
+        )
+    _make_room(job)
+    write_whole(job.directory / "model.toml", job.model_text.encode())
+
+
+def _make_room(job: Job) -> None:
+    try:
+        (job.directory / PARTS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BatchError(f"{job.directory / PARTS}: cannot be made a directory: {error.strerror}") from error
+
+
+def _left_of_a_beginning(path: Path) -> bool:
+    """Whether a file is what a batch leaves that is killed before it has begun."""
+    return path.name == PARTS or (path.name.startswith(".") and path.name.endswith(".partial"))
+
+
+@contextmanager
+def locked(job: Job, *, shared: bool) -> Iterator[None]:
+    """Keep others out of a batch while its runs are made.
+
+    shared : shards let each other in
+
+    Raises
+    ------
+    BatchError
+        Where somebody else is at work in it.
+
+    """
+    with (job.directory / BEGINNING).open("rb") as stream:
+        try:
+            fcntl.flock(stream, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BatchError(
+                f"{job.shown_directory}: another batch is at work in it; wait for it, share the work with --shard, or "
+                "name another directory"
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        yield
+
+
+def _compared(table: Mapping[str, Any], key: str) -> Any:
+    value = table.get(key)
+    return value.get("hash") if isinstance(value, dict) else value
+
+
+def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
+    """Write a small file beside its name, and rename it."""
+    output = Output(path, overwrite=overwrite)
+    output.open()
+    try:
+        output.write(data)
+        output.commit()
+    finally:
+        output.discard()
+
+
+class Content(NamedTuple):
+    """How many bytes a run's file or directory has, and their CRC-32."""
+
+    size: int
+    crc: int
+
+
+def content_of(path: Path) -> Content:
+    """Return size and checksum of a run's file, or of a directory's files with their names."""
+    crc = 0
+    for file in _files(path):
+        crc = zlib.crc32(file.name.encode(), crc) if file != path else crc
+        with file.open("rb") as stream:
+            while piece := stream.read(_PIECE_BYTES):
+                crc = zlib.crc32(piece, crc)
+    return Content(_size(path), crc)
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+def _size(path: Path) -> int:
+    return sum(file.stat().st_size for file in _files(path))
+
+
+def note(job: Job, records: Iterable[Mapping[str, Any]]) -> None:
+    """Put the records of runs on the disk, in a file of this process alone."""
+    lines = "".join(json.dumps(record) + "\n" for record in records).encode()
+    path = job.directory / PARTS / f"{socket.gethostname()}-{os.getpid()}.jsonl"
+    with path.open("ab", buffering=0) as stream:
+        # a line that a kill cut short must not swallow the next one
+        stream.write(b"\n" + lines if stream.tell() else lines)
+        os.fsync(stream.fileno())
+
+
+def read_records(directory: Path, *, verify: bool = False) -> dict[int, dict[str, Any]]:
+    """Return the records of the runs whose files are there and as large as noted, by run.
+
+    verify : whether their checksums must be those noted, too
+    """
+    records: dict[int, dict[str, Any]] = {}
+    try:
+        for part in [directory / MANIFEST, *sorted((directory / PARTS).glob("*.jsonl"))]:
+            if part.exists():
+                for line in _read(part).splitlines():
+                    # a line that a kill cut short, or that somebody broke, tells of nothing
+                    with suppress(ValueError, KeyError, TypeError):
+                        record = _parsed(line)
+                        _require_record(record)
+                        records[record["run"]] = record
+    except (OSError, ValueError) as error:
+        raise BatchError(f"{directory}: what it notes of its runs cannot be read ({error}); remove {part}") from error
+    return {run: one for run, one in sorted(records.items()) if _is_as_noted(directory, one, verify=verify)}
+
+
+def _require_record(record: Any) -> None:
+    """Raise ValueError, KeyError or TypeError where a record is none; its names are those of its run, in the folder."""
+    run, errors = record["run"], record["errors"]
+    _require(type(run) is int and 0 <= run < 1 << 62)
+    _require(re.fullmatch(rf"run_{run:06d}(\.\w+)?", record["file"]) is not None)
+    _require(record.get("robot", f"{ROBOTS}/{run:06d}.toml") == f"{ROBOTS}/{run:06d}.toml")
+    _require(all(type(record[key]) is int for key in ("size", "crc32", "seed")))
+    _require(all(isinstance(loss, str) for loss in record.get("losses", [])))
+    _require(all(len(mark) == 4 and all(isinstance(one, float | int) for one in mark) for mark in errors))
+
+
+def _is_as_noted(directory: Path, record: Mapping[str, Any], *, verify: bool) -> bool:
+    path = directory / record["file"]
+    try:
+        if path.is_symlink() or _size(path) != record["size"]:
+            return False
+        return not verify or content_of(path).crc == record["crc32"]
+    except OSError:
+        return False
+
+
+def write_manifest(directory: Path) -> int:
+    """Put all records into the manifest, in the order of runs; return how many there are.
+
+    Shards may end at the same time: whoever wrote last looks once more whether it knew all parts.
+    """
+    while True:
+        seen = _parts(directory)
+        records = read_records(directory)
+        write_whole(directory / MANIFEST, "".join(json.dumps(one) + "\n" for one in records.values()).encode())
+        if _parts(directory) == seen:
+            return len(records)
+
+
+def _parts(directory: Path) -> list[tuple[str, int]]:
+    return sorted((part.name, part.stat().st_size) for part in (directory / PARTS).glob("*.jsonl"))
+
+
+def sweep_leftovers(job: Job, missing: Iterable[int]) -> None:
+    """Remove what killed processes of this machine had half written, and links in the place of runs to be made."""
+    for room in (job.directory, job.directory / ROBOTS):
+        sweep(room)
+    for run in missing:
+        if job.path_of(run).is_symlink():
+            job.path_of(run).unlink()

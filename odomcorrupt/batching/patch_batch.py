@@ -1,0 +1,248 @@
+"""Portions of a bag: the messages that may change, of several blocks, gathered into one small buffer.
+
+Numpy then works on hundreds of messages at a time, and a run patches a copy of the small buffer, never the whole bag.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Block, PartFraming
+from odomcorrupt.bags.gaps import windows
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.records import MESSAGE_HEADER_BYTES
+from odomcorrupt.bags.messages import Layout
+from odomcorrupt.bags.ros1.chunk import Ros1Framing
+from odomcorrupt.corruption.patch import Target
+from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, BagWriter
+    from odomcorrupt.batching.shared import SharedTransform
+    from odomcorrupt.corruption.reorder import Arrivals
+
+__all__ = ["LateTopic", "Portion", "portions"]
+
+PORTION_BYTES = 8 << 20
+"""Blocks that wait for all runs to be patched hold about this much together."""
+
+PORTION_MESSAGES = 2000
+"""Messages that are patched at once: more would save no more time."""
+
+
+class LateTopic(Exception):  # noqa: N818 - a signal, not an error: the pass begins again
+    """A topic changes of which earlier messages were passed over; `channel` is its id."""
+
+    def __init__(self, channel: int) -> None:
+        super().__init__(channel)
+        self.channel = channel
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a block's messages that may change lie: in the block, and among the portion's.
+
+    rows : (n,) in the block's table
+    begins, ends : (n,) of their records in the block's data, bytes, headers included
+    moves : for each length of record: the length, (m,) begins in the block, (m,) begins in the portion
+    """
+
+    rows: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    moves: list[tuple[int, NDArray[np.int64], NDArray[np.int64]]]
+
+
+@dataclass(slots=True)
+class Portion:
+    """Some blocks in a row, and what of them may change.
+
+    blocks, places : the blocks, kept where the output wants them, and where their messages lie
+    own_targets : of each block that is kept
+    growth : odometry that was put in order meanwhile; None where time began anew
+    table, data : the messages that may change; offsets into data, which holds their records with headers
+    targets : in `data`; first_ns : when time began, log time of the first of them in oldest_ns
+    """
+
+    blocks: list[Block] = field(default_factory=list)
+    places: list[Place | None] = field(default_factory=list)
+    own_targets: list[list[Target]] = field(default_factory=list)
+    growth: list[Arrivals | None] = field(default_factory=list)
+    table: NDArray[np.void] = field(default_factory=lambda: np.empty(0, dtype=TABLE))
+    data: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
+    targets: list[Target] = field(default_factory=list)
+    first_ns: int = 0
+
+    @property
+    def oldest_ns(self) -> int:
+        """Log time of the first target."""
+        return int(min(target.time_ns[0] for target in self.targets))
+
+    def put_back(self, number: int, patched: NDArray[np.uint8]) -> Block:
+        """Return a block with what a run has patched (the portion's data) in its place."""
+        place = self.places[number]
+        if place is not None:
+            for length, theirs, mine in place.moves:
+                windows(self.blocks[number].data, length)[theirs] = windows(patched, length)[mine]
+        return self.blocks[number]
+
+
+def portions(
+    shared: SharedTransform, reader: BagReader, *, keep: bool, whole: set[int] | None, writer: BagWriter | None = None
+) -> Iterator[Portion]:
+    """Read a bag and yield it in portions; the last one may have no messages.
+
+    writer : where channels are added that all runs share
+    keep : whether blocks are kept until every run has written them
+    whole : channels of which something changes, of which all messages are wanted; grows. None: targets' channels only
+
+    Raises
+    ------
+    LateTopic
+        Where a channel turns out to change after some of its messages were passed over.
+
+    """
+    gatherer = _Gatherer(reader, keep=keep, whole=whole)
+    for block in shared.blocks(reader, reader.name, writer):
+        gatherer.take(block, shared.taken)
+        if gatherer.full:
+            yield gatherer.done(shared)
+    yield gatherer.done(shared)
+
+
+class _Gatherer:
+    def __init__(self, reader: BagReader, *, keep: bool, whole: set[int] | None) -> None:
+        self._reader = reader
+        self._keep = keep
+        self._whole = whole
+        self._passed: set[int] = set()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._portion = Portion()
+        self._tables: list[NDArray[np.void]] = []
+        self._pieces: list[NDArray[np.uint8]] = []
+        self._held_bytes = self._bytes = self._rows = 0
+
+    @property
+    def full(self) -> bool:
+        kept_enough = self._held_bytes >= PORTION_BYTES or self._rows >= PORTION_MESSAGES
+        return kept_enough if self._keep else self._rows >= PORTION_MESSAGES or self._bytes >= PORTION_BYTES // 8
+
+    def take(self, block: Block, targets: list[Target]) -> None:
+        """Add a block."""
+        place = None
+        channels = {target.channel.id for target in targets}
+        if self._whole is not None:
+            self._notice(block, channels, self._whole)
+            channels = self._whole
+        rows = np.flatnonzero(np.isin(block.table["channel"], list(channels)))
+        if len(rows):
+            place = self._gather(block, rows)
+            self._move_targets(block, rows, targets)
+            self._rows += len(rows)
+        if self._keep:
+            self._held_bytes += block.data.size
+            self._portion.blocks.append(block)
+            self._portion.places.append(place)
+            self._portion.own_targets.append(targets)
+
+    def _notice(self, block: Block, changing: set[int], whole: set[int]) -> None:
+        # a topic may have several publishers: it is wanted whole
+        topics = {(self._reader.channels[one].topic, self._reader.channels[one].msgtype) for one in changing - whole}
+        if topics:
+            changing |= {one.id for one in self._reader.channels.values() if (one.topic, one.msgtype) in topics}
+        late = changing & self._passed
+        if late:
+            raise LateTopic(min(late))
+        whole |= changing
+        for number in set(np.unique(block.table["channel"]).tolist()) - whole:
+            channel = self._reader.channels[number]
+            if channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS):
+                self._passed.add(number)
+
+    def _gather(self, block: Block, rows: NDArray[np.int64]) -> Place:
+        """Copy the records of some rows behind the portion's."""
+        offsets = block.table["offset"][rows]
+        begins, ends = record_begins(block, rows), offsets + block.table["length"][rows]
+        lengths = ends - begins
+        after = np.cumsum(lengths)
+        table = block.table[rows].copy()
+        table["offset"] = self._bytes + after - table["length"]
+        data = np.empty(int(after[-1]), dtype=np.uint8)
+        moves = []
+        for length in np.unique(lengths).tolist():
+            own = np.flatnonzero(lengths == length)
+            mine = after[own] - length
+            windows(data, length)[mine] = windows(block.data, length)[begins[own]]
+            moves.append((length, begins[own], self._bytes + mine))
+        self._tables.append(table)
+        self._pieces.append(data)
+        self._bytes += data.size
+        return Place(rows, begins, ends, moves)
+
+    def _move_targets(self, block: Block, rows: NDArray[np.int64], targets: list[Target]) -> None:
+        """Say where targets lie in the portion, together with those of earlier blocks that are alike."""
+        starts = self._tables[-1]["offset"]
+        for target in targets:
+            layout = target.layout
+            places = np.searchsorted(rows, layout.rows)
+            inside = layout.starts - block.table["offset"][layout.rows]
+            moved = Layout(
+                self._rows + places, starts[places] + inside, layout.items, layout.big_endian, layout.unsigned_seconds
+            )
+            here = Target(target.channel, moved, target.item, target.side, target.stamps_ns, target.time_ns)
+            known = self._portion.targets
+            number = next((i for i, one in enumerate(known) if _alike(one, here)), None)
+            if number is None:
+                known.append(here)
+            else:
+                known[number] = _joined(known[number], here)
+
+    def done(self, shared: SharedTransform) -> Portion:
+        """Return the portion, and begin the next one."""
+        portion = self._portion
+        portion.growth, shared.growth = shared.growth, []
+        portion.first_ns = shared.first_ns
+        if self._tables:
+            portion.table, portion.data = np.concatenate(self._tables), np.concatenate(self._pieces)
+        self._begin()
+        return portion
+
+
+def record_begins(block: Block, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where the records (n,) of messages begin in the block's data, bytes, headers included."""
+    framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
+    if isinstance(framing, Ros1Framing):
+        return framing.starts[rows]
+    offsets: NDArray[np.int64] = block.table["offset"][rows]
+    return offsets - MESSAGE_HEADER_BYTES if isinstance(framing, McapFraming) else offsets
+
+
+def _alike(one: Target, other: Target) -> bool:
+    a, b = one.layout, other.layout
+    return (
+        one.channel.id == other.channel.id
+        and one.side == other.side
+        and (a.big_endian, a.unsigned_seconds) == (b.big_endian, b.unsigned_seconds)
+        and one.item == other.item
+    )
+
+
+def _joined(one: Target, other: Target) -> Target:
+    a, b = one.layout, other.layout
+    layout = Layout(
+        np.concatenate((a.rows, b.rows)), np.concatenate((a.starts, b.starts)), a.items, a.big_endian,
+        a.unsigned_seconds,
+    )  # fmt: skip
+    return Target(
+        one.channel, layout, one.item, one.side, np.concatenate((one.stamps_ns, other.stamps_ns)),
+        np.concatenate((one.time_ns, other.time_ns)),
+    )  # fmt: skip

@@ -1,0 +1,115 @@
+"""What each run of a batch has of its own: its noisy path, its curve, its patches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.block import Block
+from odomcorrupt.corruption.correction import Curve
+from odomcorrupt.corruption.drift import MARKS_M, DriftMeter
+from odomcorrupt.corruption.patch import Patcher
+from odomcorrupt.corruption.path import NoisyPath
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Message
+    from odomcorrupt.batching.patch_batch import Portion
+    from odomcorrupt.corruption.additions import CorrectionEdge
+    from odomcorrupt.corruption.drift import PathWatcher
+    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.reorder import Arrivals
+    from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["MarkMeter", "RunState"]
+
+
+class MarkMeter:
+    """Notes the error after round distances and at the end, of the last stretch.
+
+    marks : (metres gone, noisy minus clean x and y in metres, heading in radians) after each of `MARKS_M`
+    """
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin again: time did."""
+        self.marks: list[tuple[float, float, float, float]] = []
+        self._last: tuple[float, float, float, float] | None = None
+
+    def add(self, knots: Knots) -> None:
+        """Take the next part of the path."""
+        if not len(knots):
+            return
+        while len(self.marks) < len(MARKS_M) and knots.travelled_m[-1] >= MARKS_M[len(self.marks)]:
+            mark_m = MARKS_M[len(self.marks)]
+            self.marks.append((mark_m, *_error(knots, int(np.searchsorted(knots.travelled_m, mark_m)))))
+        self._last = (float(knots.travelled_m[-1]), *_error(knots, len(knots) - 1))
+
+    def result(self) -> list[tuple[float, float, float, float]]:
+        """Return the marks, and the end as the last of them."""
+        return [*self.marks, *([self._last] if self._last is not None else [])]
+
+
+def _error(knots: Knots, i: int) -> tuple[float, float, float]:
+    x, y, turn = knots.error_xyt[i].tolist()
+    return x, y, turn
+
+
+class RunState:
+    """One run over a drive that is read for many.
+
+    drift, marks : what to tell of it
+    """
+
+    def __init__(
+        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = ()
+    ) -> None:
+        self.model = model
+        self.run = run
+        self.drift = DriftMeter()
+        self.marks = MarkMeter()
+        self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
+        self._path = NoisyPath(model, seed, run)
+        self._curve = Curve()
+        self._new_frame = options.new_odom_frame is not None
+        self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
+
+    def grow(self, parts: Iterable[Arrivals | None]) -> None:
+        """Draw the next parts of the path; None is where time began anew."""
+        for part in parts:
+            if part is None:
+                self._path.restart()
+                self._curve.restart()
+            else:
+                knots = self._path.feed(part.stamps_ns, part.xyt)
+                self._curve.extend(knots, part.time_ns)
+            for watcher in self._watchers:
+                if part is None:
+                    watcher.restart()
+                else:
+                    watcher.add(knots)
+
+    def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
+        """Return, for each block of a portion, the transforms that say how this run's odometry is corrected."""
+        found = []
+        for block, targets in zip(portion.blocks, portion.own_targets, strict=True):
+            beside = Block(block.data, block.table)
+            edge.add(beside, targets, self._curve, odom)
+            found.append(beside.added)
+        return found
+
+    def patched(self, portion: Portion) -> NDArray[np.uint8]:
+        """Return a portion's data (size,) with its targets moved as this run moves them."""
+        self._curve.forget(portion.oldest_ns)
+        if self._new_frame:
+            return portion.data
+        block = Block(portion.data.copy(), portion.table)
+        self._patcher.patch(block, portion.targets, self._curve, portion.first_ns)
+        return block.data

@@ -1,0 +1,210 @@
+"""Runs of a batch made in one pass over the bag: read once, patched and written for each."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.placement import beside, place, remove
+from odomcorrupt.batching.job import Task
+from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
+from odomcorrupt.batching.parameter_draws import drawn_values
+from odomcorrupt.batching.patch_batch import LateTopic, portions
+from odomcorrupt.batching.progress import Watched
+from odomcorrupt.batching.run_state import RunState
+from odomcorrupt.batching.shared import SharedTransform
+from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink
+from odomcorrupt.batching.split_layout import Rests, SplitSink
+from odomcorrupt.batching.tum import TumSink
+from odomcorrupt.corruption.additions import CorrectionEdge
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.model.model_file import format_model
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.batching.job import Job
+    from odomcorrupt.batching.patch_batch import Portion
+    from odomcorrupt.batching.progress import ProgressCallback
+    from odomcorrupt.batching.sinks import Sink
+
+__all__ = ["Failure", "attempt", "make"]
+
+CLEAN = "clean.tum"
+"""The path without any noise, beside the runs."""
+
+_STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
+
+Failure = tuple[int, str]
+"""A run, and why it could not be made."""
+
+
+def attempt(task: Task, beat: ProgressCallback | None = None) -> list[Failure]:
+    """Make the runs of a task; where that fails, those that are missing once more, each alone.
+
+    beat : hears how far the pass has got
+    """
+    try:
+        if beat is None:
+            make(task)
+        else:
+            make(task, lambda reader: Watched(reader, beat))
+    except Exception:  # noqa: BLE001 - whatever ails one of many runs, the others are to be made
+        return [failure for run in task.runs if (failure := _alone(task.job, run)) is not None]
+    return []
+
+
+def _alone(job: Job, run: int) -> Failure | None:
+    if run in read_records(job.directory):
+        return None
+    try:
+        make(Task(job, (run,)))
+    except Exception as error:  # noqa: BLE001 - as above; it is told at the end
+        return run, str(error) or type(error).__name__
+    return None
+
+
+def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -> None:
+    """Make the runs of a task in one pass.
+
+    part : returns what is read of the input's reader, where that is not the whole
+    """
+    whole: set[int] = set()
+    while True:
+        try:
+            _make_staged(task, whole, part)
+        except LateTopic as late:
+            whole.add(late.channel)
+        else:
+            return
+
+
+def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) -> None:
+    """Make the runs in a hidden folder, note them, and give them their names."""
+    job, room = task.job, beside(task.job.directory / "making")
+    try:
+        room.mkdir()
+        with ExitStack() as stack:
+            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover))
+            records = _make(task, room, whole, stack, reader, part(reader))
+        contents = [content_of(room / record["file"]) for record in records]
+        note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
+        for record in records:
+            place(room / record["file"], job.directory / record["file"], overwrite=True)
+    finally:
+        remove(room)
+
+
+def _make(
+    task: Task, room: Path, whole: set[int], stack: ExitStack, reader: BagReader, part: BagReader
+) -> list[dict[str, Any]]:
+    """Make the runs in a folder; return their records."""
+    job = replace(task.job, directory=room)
+    home = task.job.directory
+    shared = SharedTransform(job.options)
+    shared.driver.prepare(reader, reader.name)
+    rests = Rests()
+    runs = [_begin(job, run, reader, rests) for run in task.runs]
+    every = list(runs)
+    if not (home / CLEAN).exists():
+        clean = TumSink(home / CLEAN, None)
+        every.append(_Run(RunState(_STILL, job.seed, 0, job.options, [clean]), clean, patches=False))
+    for one in every:
+        if one.sink is not None:
+            stack.enter_context(one.sink)
+    keep, paths = job.output == "full", job.output == "trajectories"
+    writers = [one.sink.writer for one in every if isinstance(one.sink, FullSink | SplitSink)]
+    fan: Any = MultiSink(writers)
+    for portion in portions(shared, part, keep=keep, whole=None if keep or paths else whole, writer=fan):
+        for one in every:
+            one.strand.grow(portion.growth)
+            data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
+            if one.sink is not None:
+                one.sink.put(portion, data, _edges(one, portion, shared))
+    for one in runs:
+        _put_beside(job, home, one)
+    return [_record(job, one.strand, part.losses) for one in runs]
+
+
+def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
+    """Return the transforms that a run adds to each block, None where it adds none."""
+    if one.edge is None or shared.driver.frames is None:
+        return None
+    return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """A run being made; its sink is None where the bag is copied as it is."""
+
+    strand: RunState
+    sink: Sink | None
+    patches: bool
+    edge: CorrectionEdge | None = None
+
+
+def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
+    model = job.model_of(run)
+    if job.output == "trajectories":
+        path = TumSink(job.path_of(run), model)
+        return _Run(RunState(model, job.seed, run, job.options, [path]), path, patches=False)
+    strand = RunState(model, job.seed, run, job.options)
+    if job.output == "overlay":
+        return _Run(strand, OverlaySink(job, run, reader), patches=True)
+    if _is_copy(job, model):
+        return _Run(strand, None, patches=False)
+    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
+    frame = job.options.new_odom_frame
+    edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
+    return _Run(strand, sink, patches=True, edge=edge)
+
+
+def _put_beside(job: Job, home: Path, one: _Run) -> None:
+    """Make what no sink makes: a copy of the bag where nothing moves, and the file of a drawn robot."""
+    run, model = one.strand.run, one.strand.model
+    if one.sink is None:
+        container = replace(job.container, overwrite=True)
+        corrupt_bag(
+            job.source, job.path_of(run), model, seed=job.seed, run=run, options=job.options, container=container
+        )
+    if job.spreads:
+        (home / "robots").mkdir(exist_ok=True)
+        write_whole(home / job.robot_of(run), format_model(model).encode())
+
+
+def _is_copy(job: Job, model: MotionModel) -> bool:
+    """Whether a run changes nothing, so that the file itself is copied."""
+    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+    return silent and job.output == "full"
+
+
+def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]:
+    drift = strand.drift.result()
+    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+    record: dict[str, Any] = {
+        "run": strand.run,
+        "file": job.name_of(strand.run),
+        "command": job.command_of(strand.run),
+        "input": job.shown_source,
+        "seed": job.seed,
+    }
+    if job.spreads:
+        record["robot"] = job.robot_of(strand.run)
+        record["drawn"] = drawn_values(strand.model, job.spreads)
+    record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
+    if events:
+        record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
+    if losses:
+        record["losses"] = list(losses)
+    record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]
+    return record

@@ -1,0 +1,187 @@
+"""Whole bags with the changed messages in chunks of their own: the rest is cut out and compressed once for all runs."""
+
+from __future__ import annotations
+
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.bags.block import TABLE, Block, PartFraming
+from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.codecs import compress_for_ros1
+from odomcorrupt.bags.gaps import gaps_between
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
+from odomcorrupt.bags.open import open_writer
+from odomcorrupt.bags.output import Shared
+from odomcorrupt.bags.ros1.chunk import Ros1Framing
+from odomcorrupt.bags.ros1.writer import Ros1Writer
+from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer
+from odomcorrupt.batching.sinks import BagSink
+
+if TYPE_CHECKING:
+    from typing import Self
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.batching.job import Job
+    from odomcorrupt.batching.patch_batch import Place, Portion
+    from odomcorrupt.batching.sinks import Added
+
+__all__ = ["Rests", "SplitSink"]
+
+
+class Rests:
+    """What is left of a portion's blocks without the messages that change, cut out and compressed once for all runs."""
+
+    def __init__(self) -> None:
+        self._portion: Portion | None = None
+        self._blocks: list[Block] = []
+        self._packed: dict[tuple[int, int, str], Any] = {}
+
+    def of(self, portion: Portion) -> list[Block]:
+        """Return the blocks of a portion."""
+        if self._portion is not portion:
+            self._portion = portion
+            self._packed.clear()
+            self._blocks = [
+                block if place is None else _without(block, place)
+                for block, place in zip(portion.blocks, portion.places, strict=True)
+            ]
+        return self._blocks
+
+    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+        """Compress and sum for an MCAP, what all runs share once."""
+        chunk: Packed = self._once(packed, codec, data, level)
+        return chunk
+
+    def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
+        """Compress for a ROS 1 bag, what all runs share once."""
+        chunk: bytes | memoryview = self._once(compress_for_ros1, codec, data, level)
+        return chunk
+
+    def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
+        # a block of several chunks is packed chunk by chunk
+        key = (data.__array_interface__["data"][0], data.size, codec)
+        if key in self._packed:
+            return self._packed[key]
+        chunk = how(codec, data, level)
+        if any(np.may_share_memory(block.data, data) for block in self._blocks):
+            if isinstance(chunk, Packed):
+                chunk = chunk._replace(shared=Shared(chunk.data, crc32(chunk.data)))
+            self._packed[key] = chunk
+        return chunk
+
+
+def _without(block: Block, place: Place) -> Block:
+    """Return a block without some of its messages; what is no message stays."""
+    order = np.argsort(place.begins, kind="stable")
+    begins, ends = place.begins[order], place.ends[order]
+    gaps = gaps_between(begins, ends, block.data.size)
+    if gaps is None:
+        # records that lie in each other: go through the bytes
+        gone = np.zeros(block.data.size, dtype=bool)
+        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+            gone[begin:end] = True
+        data, gone_before = block.data[~gone], np.concatenate(([0], np.cumsum(gone)))
+    else:
+        data = np.concatenate([block.data[:0], *(block.data[begin:end] for begin, end in gaps)])
+        gone_before = None
+    sizes = np.concatenate(([0], np.cumsum(ends - begins)))
+
+    def moved(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+        if gone_before is not None:
+            return offsets - gone_before[offsets]
+        return offsets - sizes[np.searchsorted(begins, offsets)]
+
+    rest = np.ones(len(block.table), dtype=bool)
+    rest[place.rows] = False
+    own = block.raw.own if isinstance(block.raw, PartFraming) else block
+    table = own.table[rest].copy()
+    table["offset"] = moved(table["offset"])
+    framing = own.raw
+    if isinstance(framing, Ros1Framing):
+        framing = Ros1Framing(framing.codec, moved(framing.starts[rest]))
+    # a chunk of which nothing is left is none
+    chunk_ends = tuple(np.unique(moved(np.array(own.ends, dtype=np.int64)))) if own.ends else ()
+    chunk_ends = tuple(int(end) for end in chunk_ends if end > 0)
+    left = Block(data, table, framing, ends=chunk_ends)
+    if not isinstance(block.raw, PartFraming):
+        return left
+    whole = block.table[rest].copy()
+    whole["offset"] = table["offset"]
+    return Block(data, whole, PartFraming(block.raw.part, left))
+
+
+class SplitSink(BagSink):
+    """A whole bag with the changed messages in chunks of their own."""
+
+    def __init__(self, job: Job, run: int, reader: BagReader, rests: Rests) -> None:
+        c = job.container
+        path = job.path_of(run)
+        super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
+        self._rests = rests
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        files = self._writer.files if isinstance(self._writer, Rosbag2Writer) else [self._writer]
+        for file in files:
+            if isinstance(file, McapWriter):
+                file.pack = self._rests.compress
+            elif isinstance(file, Ros1Writer):
+                file.pack = self._rests.compress_for_ros1
+        return self
+
+    def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
+        """Write what stays, and behind it what changed and what is added."""
+        blocks = self._rests.of(portion)
+        first_row = first_byte = 0
+        for _, numbers in groupby(range(len(blocks)), lambda number: _part(portion.blocks[number])):
+            own = list(numbers)
+            for number in own:
+                self._writer.write(blocks[number])
+            places = [place for number in own if (place := portion.places[number]) is not None]
+            if not places:
+                continue
+            rows = slice(first_row, first_row + sum(len(place.rows) for place in places))
+            size = sum(int((place.ends - place.begins).sum()) for place in places)
+            more = [one for number in own for one in portion.blocks[number].added]
+            more += [] if added is None else [one for number in own for one in added[number]]
+            changed = _Changed(portion, own, rows, slice(first_byte, first_byte + size), more)
+            self._writer.write(changed.block(data))
+            first_row, first_byte = rows.stop, first_byte + size
+
+
+class _Changed:
+    """The changed messages of some blocks of one file of a bag, as a chunk of their own.
+
+    rows, span : of the portion's table, and bytes of its data
+    """
+
+    def __init__(self, portion: Portion, numbers: list[int], rows: slice, span: slice, added: list[Message]) -> None:
+        self._portion, self._numbers, self._rows, self._span, self._added = portion, numbers, rows, span, added
+
+    def block(self, data: NDArray[np.uint8]) -> Block:
+        """Return the block, of the portion's data (size,) as a run has patched it."""
+        portion = self._portion
+        own = data[self._span]
+        table = portion.table[self._rows].copy()
+        table["offset"] -= self._span.start
+        held = [(portion.blocks[number], place) for number in self._numbers if (place := portion.places[number])]
+        first = held[0][0]
+        if isinstance(first.raw, Ros1Framing):
+            starts = np.concatenate([mine for _, place in held for _, _, mine in place.moves])
+            starts.sort()
+            return Block(own, table, Ros1Framing(first.raw.codec, starts - self._span.start), self._added)
+        if not isinstance(first.raw, PartFraming):
+            return Block(own, table, McapFraming("chunk", first.raw.codec), self._added)
+        theirs = np.concatenate([np.empty(0, dtype=TABLE), *(b.raw.own.table[place.rows] for b, place in held)])
+        theirs["offset"] = table["offset"]
+        chunk = Block(own, theirs, McapFraming("chunk", first.raw.own.raw.codec))
+        return Block(own, table, PartFraming(first.raw.part, chunk), self._added)
+
+
+def _part(block: Block) -> int:
+    return block.raw.part if isinstance(block.raw, PartFraming) else 0

@@ -1,0 +1,104 @@
+"""Sweeps: the same batch at several strengths, of several models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from odomcorrupt.batching.sobol import parse_range, sobol_points
+from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.effect import check_bounds, parameters
+from odomcorrupt.errors import ModelError
+from odomcorrupt.model.model_file import format_model, parse_model, read_model
+from odomcorrupt.model.motion_model import parse_alpha
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["Variant", "variants"]
+
+_VARIANCES = {"quadratic": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"}),
+              "velocity": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "end_trans", "end_rot"}),
+              "omni": frozenset({"rot_rot", "rot_trans", "trans_trans", "trans_rot", "across_trans"})}  # fmt: skip
+"""Coefficients that scale a variance: to double the noise they grow fourfold."""
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """A model of a sweep, and the directory its runs go to, "" where nothing is swept."""
+
+    name: str
+    model: MotionModel
+
+
+def variants(model: MotionModel, sweeps: Sequence[str], points: int = 0) -> list[Variant]:
+    """Return every combination of what is swept, written as NAME=VALUE,VALUE or as a range NAME=LOW..HIGH.
+
+    NAME is alpha-scale (all noise times a factor), model (files), a coefficient, or EFFECT.PARAMETER; an effect that
+    the model does not have is added. Ranges are covered together by `points` points of a Sobol sequence.
+
+    Raises
+    ------
+    ModelError
+        Where a name is not known, or a value makes no sense.
+
+    """
+    axes = []
+    ranges = [one for text in sweeps if (one := parse_range(text)) is not None]
+    if bool(ranges) != bool(points):
+        raise ModelError("--sweep NAME=LOW..HIGH and --points N go together; give both or neither")
+    for text in sweeps:
+        if parse_range(text) is not None:
+            continue
+        name, equals, rest = text.partition("=")
+        values = [value.strip() for value in rest.split(",")]
+        if not equals or not all(values) or len(set(values)) < len(values):
+            raise ModelError(f"--sweep {text}: write a name and different values, as in alpha-scale=0.5,1,2")
+        axes.append([(name.strip(), value) for value in values])
+    # a model comes first: what else is swept changes it
+    axes.sort(key=lambda axis: axis[0][0] != "model")
+    found = []
+    covered = sobol_points(ranges, points) if ranges else [[]]
+    for point in ((*one, *more) for one in product(*axes) for more in covered):
+        chosen = model
+        for name, value in point:
+            chosen = _changed(chosen, name, value)
+        label = ",".join(f"{name}={Path(value).stem if name == 'model' else value}" for name, value in point)
+        found.append(Variant(label.replace("/", "_"), parse_model(format_model(chosen)) if point else chosen))
+    names = [one.name for one in found]
+    if len(set(names)) < len(names):
+        raise ModelError(f"--sweep: two of {', '.join(names)} have the same name; give the files different ones")
+    return found
+
+
+def _changed(model: MotionModel, name: str, value: str) -> MotionModel:
+    if name == "model":
+        return read_model(Path(value))
+    number = parse_alpha(value)
+    k = model.noise.coefficients
+    known = [field.name for field in fields(k)]
+    if name == "alpha-scale":
+        if number < 0.0:
+            raise ModelError(f"--sweep alpha-scale: {value}; it must not be below 0")
+        squared = _VARIANCES.get(model.noise.law_name, frozenset())
+        factors = {one: number**2 if one in squared else number for one in known}
+        errors = {key: error * factors.get(key, 1.0) for key, error in model.standard_errors.items()}
+        scaled = replace(k, **{one: getattr(k, one) * factors[one] for one in known})
+        return replace(model, noise=replace(model.noise, coefficients=scaled), standard_errors=errors)
+    if name in known:
+        return replace(model, noise=replace(model.noise, coefficients=replace(k, **{name: number})))
+    effect, _, parameter = name.partition(".")
+    effects = list(model.effects)
+    for i, one in enumerate(effects):
+        if one.name == effect and parameter in {p.name for p in parameters(one)}:
+            effects[i] = replace(one, **{parameter: number})  # type: ignore[type-var]  # every effect is a dataclass
+            check_bounds(effects[i])
+            return replace(model, effects=tuple(effects))
+    if parameter and effect in registry() and parameter in {p.name for p in parameters(registry()[effect])}:
+        return replace(model, effects=(*effects, effect_from_values(effect, {parameter: number})))
+    own = [f"{one.name}.{p.name}" for one in effects for p in parameters(one)]
+    raise ModelError(f"--sweep {name}: is not known; there are alpha-scale, model, {', '.join([*known, *own])}")

@@ -1,0 +1,119 @@
+"""The systematic part of an odometry's errors taken out of its path: u = u' + f(u'), over the whole drive at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.geometry.se2 import compose, rotate
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Undone", "undo_effects"]
+
+PLACE_TOLERANCE = 1e-10
+"""Places that effects read are found when none moves by more between two rounds, metres or radians."""
+
+MAX_ROUNDS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Undone:
+    """n poses before and after.
+
+    error_xyt : (n, 3) corrected minus measured, in odom axes, metres and radians
+    driven : the n - 1 corrected increments; nothing where the pose jumped
+    driven_s : (n - 1,) their lengths in time, seconds
+    jump : (n - 1,) whether the measured pose was set there, and not driven
+    """
+
+    error_xyt: Array
+    driven: Increments
+    driven_s: Array
+    jump: NDArray[np.bool_]
+
+
+def undo_effects(
+    effects: Sequence[Effect],
+    t_s: Array,
+    measured_xyt: Array,
+    track_m: float | None,
+    *,
+    frame_xyt: Array | None = None,
+) -> Undone:
+    """Return the path of n poses with the effects taken out; the first pose stays.
+
+    Nothing is driven across a jump of the pose, so the correction is held there. What is carried is the error and not
+    the path itself: where no effect acts, it is zero to the last bit.
+
+    Parameters
+    ----------
+    effects : any order
+    t_s : (n,)
+        Ascending true times, seconds.
+    measured_xyt : (n, 3)
+        Measured poses in the odom frame, metres and radians.
+    track_m
+        Nominal distance between the wheels, where it is known.
+    frame_xyt : (3,)
+        Pose of the odom frame in the frame whose places effects read; None where that is the odom frame itself.
+
+    Raises
+    ------
+    EffectError
+        Where no true motion explains the odometry.
+
+    """
+    frame_xyt = np.zeros(3) if frame_xyt is None else frame_xyt
+    steps = increments(measured_xyt)
+    dt_s = np.diff(t_s)
+    world = np.diff(measured_xyt[:, :2], axis=0)
+    jump = np.hypot(world[:, 0], world[:, 1]) > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
+    raw = np.stack((steps.ds_m, steps.dl_m, steps.dtheta_rad), axis=1)
+    raw[jump] = 0.0
+    driven_s = np.where(jump, 0.0, dt_s)
+    smooth = accumulate(compose(frame_xyt, measured_xyt[0]), _increments(raw))
+    motion = replace(motion_of(t_s - t_s[0], smooth, track_m=track_m), dt_s=driven_s)
+    before = np.stack((motion.v, motion.vy, motion.omega), axis=1) * driven_s[:, None]
+
+    # a path without jumps finds the places by itself; across jumps they are found from round to round
+    place = (
+        compose(frame_xyt, measured_xyt[:-1]) if jump.any() and any(effect.reads_truth for effect in effects) else None
+    )
+    for _ in range(MAX_ROUNDS):
+        after = corrected_increments(effects, motion, place)
+        added = np.stack((after.ds_m, after.dl_m, after.dtheta_rad), axis=1) - before
+        error = _error(raw, added, world, measured_xyt)
+        found = compose(frame_xyt, (measured_xyt + error)[:-1])
+        if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
+            return Undone(error, _increments(raw + added), driven_s, jump)
+        place = found
+    raise EffectError("effects that read places: cannot be taken out of this odometry, its places do not settle")
+
+
+def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array:
+    """Return corrected minus measured poses (n, 3): the heading's error swings all that is driven or jumped after."""
+    heading = np.concatenate(([0.0], np.cumsum(added[:, 2])))
+    swing = heading[:-1] + added[:, 2] / 2.0
+    middle = measured_xyt[:-1, 2] + raw[:, 2] / 2.0
+    half = np.sin(swing / 2.0)
+    less, s = -2.0 * half * half, np.sin(swing)  # cos(swing) - 1 without cancellation
+    more = np.stack((less * world[:, 0] - s * world[:, 1], s * world[:, 0] + less * world[:, 1]), axis=1)
+    shift = np.cumsum(more + rotate(added[:, :2], middle + swing), axis=0)
+    return np.column_stack((np.concatenate((np.zeros((1, 2)), shift)), heading))
+
+
+def _increments(rows: Array) -> Increments:
+    return Increments(*np.ascontiguousarray(rows.T))

@@ -1,0 +1,175 @@
+"""The curve C(t): noisy pose composed with the inverse of the clean one, the rigid motion of the odom frame.
+
+It is known at odometry stamps, interpolated in SE(2) between them, held before and after. A message may use what the
+odometry had told `PATIENCE_NS` of log time after it, and no older than `MEMORY_NS`: so the curve is the same for a
+file, for a pipe and for any cut into blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corruption.covariance import SUMS
+from odomcorrupt.geometry.se2 import interpolate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["MEMORY_NS", "PATIENCE_NS", "Correction", "Curve"]
+
+PATIENCE_NS = 1_000_000_000
+"""How far the odometry may lag behind a message, log time; putting it in order takes as long again."""
+
+MEMORY_NS = 10_000_000_000
+"""How far back in log time the curve is remembered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """The correction at n stamps.
+
+    xyt : (n, 3) of the odom frame, metres and radians
+    sums : (SUMS or more, n) running sums for covariances
+    origin_xy : (2, n) where the sums began, metres
+    stretch : (n,) which stretch each belongs to, counted from 0
+    held : (n,) whether the curve ended before the stamp
+    """
+
+    xyt: Array
+    sums: Array
+    origin_xy: Array
+    stretch: NDArray[np.int64]
+    held: NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Stretch:
+    number: int
+    stamps_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    xyt: Array
+    sums: Array
+    origin_xy: Array
+    first_ns: int
+    began_ns: int
+
+    def extend(self, knots: Knots, time_ns: NDArray[np.int64]) -> None:
+        self.stamps_ns = np.concatenate((self.stamps_ns, knots.stamps_ns))
+        self.time_ns = np.concatenate((self.time_ns, time_ns))
+        self.xyt = np.concatenate((self.xyt, knots.correction_xyt))
+        self.sums = np.concatenate((self.sums, knots.sums), axis=1)
+
+    def forget(self, before_ns: int) -> None:
+        gone = min(int(np.searchsorted(self.time_ns, before_ns)), len(self.time_ns) - 1)
+        if gone > len(self.time_ns) // 2:
+            self.stamps_ns, self.time_ns = self.stamps_ns[gone:].copy(), self.time_ns[gone:].copy()
+            self.xyt, self.sums = self.xyt[gone:].copy(), self.sums[:, gone:].copy()
+
+    def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
+        exact = self._exactly_at(stamps_ns, time_ns)
+        if exact is not None:
+            return self._told(self.xyt[exact], self.sums[:, exact], np.zeros(len(exact), dtype=bool))
+        last = np.maximum(np.searchsorted(self.time_ns, time_ns + PATIENCE_NS, side="right") - 1, 0)
+        oldest = np.minimum(np.searchsorted(self.time_ns, time_ns - MEMORY_NS), last)
+        inside_ns = np.clip(stamps_ns, self.stamps_ns[oldest], self.stamps_ns[last])
+        i = np.minimum(np.searchsorted(self.stamps_ns, inside_ns, side="right") - 1, last)
+        xyt, sums = self.xyt[i], self.sums[:, i]
+        past_ns = inside_ns - self.stamps_ns[i]
+        between = np.flatnonzero(past_ns)
+        if len(between):
+            k = i[between]
+            fraction = past_ns[between] / (self.stamps_ns[k + 1] - self.stamps_ns[k])
+            xyt[between] = interpolate(self.xyt[k], self.xyt[k + 1], fraction)
+            sums[:, between] += fraction * (self.sums[:, k + 1] - self.sums[:, k])
+        return self._told(xyt, sums, stamps_ns > self.stamps_ns[last])
+
+    def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """Return the knots that have all these stamps, where each message may use its own; that is the usual case."""
+        i = np.maximum(np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1, 0)
+        ahead_ns = self.time_ns[i] - time_ns
+        exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
+        return i if exact.all() else None
+
+    def _told(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
+        origin = np.repeat(self.origin_xy[:, None], len(xyt), axis=1)
+        return Correction(xyt, sums, origin, np.full(len(xyt), self.number), held)
+
+
+class Curve:
+    """The curve as far as it is known."""
+
+    def __init__(self) -> None:
+        self._stretches: list[_Stretch] = []
+        self._count = 0
+        self._open = False
+
+    @property
+    def known_until_ns(self) -> int | None:
+        """The last stamp of the present stretch, None while it has none."""
+        return int(self._stretches[-1].stamps_ns[-1]) if self._open else None
+
+    def restart(self) -> None:
+        """End the present stretch."""
+        self._open = False
+
+    def extend(self, knots: Knots, time_ns: NDArray[np.int64]) -> None:
+        """Add knots to the present stretch; time_ns (n,) is the log time at which each was reached."""
+        if not len(knots):
+            return
+        if not self._open:
+            none = np.zeros(0, dtype=np.int64)
+            self._stretches.append(
+                _Stretch(
+                    self._count, none, none, np.zeros((0, 3)), knots.sums[:, :0], knots.origin_xy.copy(),
+                    int(knots.stamps_ns[0]), int(time_ns[0]),
+                )
+            )  # fmt: skip
+            self._count += 1
+            self._open = True
+        self._stretches[-1].extend(knots, time_ns)
+
+    def forget(self, before_ns: int) -> None:
+        """Drop what no message from log time `before_ns` on may use."""
+        limit_ns = before_ns - MEMORY_NS
+        while len(self._stretches) > 1 and self._stretches[1].began_ns < limit_ns:
+            del self._stretches[0]
+        for stretch in self._stretches:
+            stretch.forget(limit_ns)
+
+    def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
+        """Return the correction for n messages by header stamp and log time."""
+        if len(self._stretches) == 1:
+            return self._stretches[0].at(stamps_ns, time_ns)
+        n = len(stamps_ns)
+        out = Correction(
+            np.zeros((n, 3)),
+            np.zeros((self._stretches[0].sums.shape[0] if self._stretches else SUMS, n)),
+            np.zeros((2, n)),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n, dtype=bool),
+        )
+        owner = self._owner(stamps_ns, time_ns)
+        for number, stretch in enumerate(self._stretches):
+            rows = np.flatnonzero(owner == number)
+            if len(rows):
+                part = stretch.at(stamps_ns[rows], time_ns[rows])
+                out.xyt[rows], out.stretch[rows], out.held[rows] = part.xyt, part.stretch, part.held
+                out.sums[:, rows], out.origin_xy[:, rows] = part.sums, part.origin_xy
+        return out
+
+    def _owner(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return which stretch each message belongs to: by log time, and near a restart by the nearer stamp."""
+        began = np.array([s.began_ns for s in self._stretches], dtype=np.int64)
+        owner = np.maximum(np.searchsorted(began, time_ns, side="right") - 1, 0)
+        for new in range(1, len(self._stretches)):
+            near = np.abs(time_ns - began[new]) <= PATIENCE_NS
+            to_new = np.abs(stamps_ns - self._stretches[new].first_ns)
+            to_old = np.abs(stamps_ns - self._stretches[new - 1].stamps_ns[-1])
+            owner = np.where(near, np.where(to_new < to_old, new, new - 1), owner)
+        return owner

@@ -1,0 +1,235 @@
+"""What noise does to a path's uncertainty, to first order, as running sums.
+
+A heading error e made where the robot was at q turns everything after it about q: it moves a later point p by
+J (p - q) e, with J = [[0, -1], [1, 0]]. So all a covariance at p needs are the sums of the errors' variances times
+1, q and q q'; sums are taken along the noisy path, for that is what a filter linearises about.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Motion
+from odomcorrupt.effects.random_state import autoregression
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect, Gain
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.noise_laws import Variances
+
+__all__ = [
+    "BODY_SUMS",
+    "FLOOR",
+    "SUMS",
+    "WANDER",
+    "Grown",
+    "NoiseSteps",
+    "Wander",
+    "pose_covariance",
+    "sum_terms",
+    "twist_covariance",
+    "wandered_covariance",
+    "wanders",
+]
+
+_FIRST, _SECOND = np.triu_indices(5)
+
+WANDER = len(_FIRST)
+"""Rows of the running sums: covariances of the five, row by row of the upper triangle."""
+
+_BODY_FIRST, _BODY_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """Variance of a number now, and its covariance (5,) with the five sums."""
+
+    variance: float
+    with_sums: Array
+
+
+class Grown(NamedTuple):
+    """What n intervals add.
+
+    path : (WANDER, n) to the running sums
+    body : (6, n), of each interval's own error in the body: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
+    """
+
+    path: Array
+    body: Array
+
+
+def wanders(effect: Effect, track_m: float | None) -> bool:
+    """Whether an effect draws something whose variance it states."""
+    none = np.zeros(0)
+    still = Motion(
+        none, none, none, none, none, np.zeros((0, 3)), none, none, none, none, track_m=track_m
+    )  # fmt: skip
+    return effect.acts and bool(effect.gains(still))
+
+
+class Wander:
+    """Follows the numbers of all random effects from batch to batch; any cut gives the same bits."""
+
+    def __init__(self) -> None:
+        self._memories: list[_Memory] = []
+
+    def restart(self) -> None:
+        """Begin a new path; the numbers go on."""
+        self._memories = [_Memory(memory.variance, np.zeros(5)) for memory in self._memories]
+
+    def grow(self, gains: tuple[Gain, ...], dt_s: Array, middle_xy: Array, travel_rad: Array) -> Grown:
+        """Return what n intervals add.
+
+        Parameters
+        ----------
+        gains : tuple of Gain
+            The same ones, in the same order, at every call.
+        dt_s : (n,)
+            Lengths of the intervals, seconds.
+        middle_xy : (2, n)
+            Noisy positions half-way, metres from the path's start.
+        travel_rad : (n,)
+            Where the body's x axis points while it translates.
+
+        """
+        if not self._memories:
+            self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]
+        c, s = np.cos(travel_rad), np.sin(travel_rad)
+        path, body = np.zeros((WANDER, len(dt_s))), np.zeros((6, len(dt_s)))
+        memories = []
+        for gain, memory in zip(gains, self._memories, strict=True):
+            along, left, yaw = (gain.f * dt_s[:, None]).T
+            own = np.stack((c * along - s * left, s * along + c * left, yaw, yaw * middle_xy[0], yaw * middle_xy[1]))
+            variance = autoregression(memory.variance, gain.keep**2, gain.kick)
+            with_sums = np.stack([
+                np.concatenate(([before], autoregression(float(before), gain.keep, kick)))
+                for before, kick in zip(memory.with_sums, own * variance, strict=True)
+            ])  # fmt: skip
+            old = gain.keep * with_sums[:, :-1]
+            path += own[_FIRST] * old[_SECOND] + own[_SECOND] * old[_FIRST] + own[_FIRST] * own[_SECOND] * variance
+            error = np.stack((along, left, yaw))
+            body += error[_BODY_FIRST] * error[_BODY_SECOND] * variance
+            last = float(variance[-1]) if len(variance) else memory.variance
+            memories.append(_Memory(last, with_sums[:, -1].copy()))
+        self._memories = memories
+        return Grown(path, body)
+
+
+def wandered_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
+    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (WANDER, n) and positions (2, n)."""
+    n = sums.shape[1]
+    five = np.empty((n, 5, 5))
+    five[:, _FIRST, _SECOND] = five[:, _SECOND, _FIRST] = sums.T
+    reach = np.zeros((n, 3, 5))
+    reach[:, 0, 0] = reach[:, 1, 1] = reach[:, 2, 2] = reach[:, 0, 4] = 1.0
+    reach[:, 1, 3] = -1.0
+    reach[:, 0, 2], reach[:, 1, 2] = -xy_m[1], xy_m[0]
+    grown: Array = reach @ five @ reach.transpose(0, 2, 1)
+    return (grown + grown.transpose(0, 2, 1)) / 2.0
+
+
+SUMS = 15
+"""Rows of the running sums: nine for the pose (1, x, y, xx, xy, yy; translation xx, xy, yy), six for the body.
+
+Where effects draw, the rows of `wander` follow; the body's six hold both.
+"""
+
+BODY_SUMS = slice(9, SUMS)
+"""Those of the body."""
+
+FLOOR = 1e-9
+"""Added to every variance, m^2 or rad^2: filters invert covariances, and a robot that has not moved has none.
+
+Nor would one that turned once and then drove straight: there the floor alone keeps the matrix positive, so covariances
+are written with all their digits. Rounded to those of a float32 they would pack into 16 % less, though in no less time,
+and of such drives every second matrix would be none of a covariance.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseSteps:
+    """n noisy increments.
+
+    variances : of the four draws
+    start_xy, end_xy : (2, n) noisy positions, metres from the path's start
+    travel_rad : (n,) where the body's x axis points while it translates
+    bearing_rad : (n,) where trans acts, against the body's x axis; None along it
+    along_m, across_m : (n,) the noisy travel
+    arc : whether rot1 is spread evenly over the translation
+    """
+
+    variances: Variances
+    start_xy: Array
+    end_xy: Array
+    travel_rad: Array
+    bearing_rad: Array | None
+    along_m: Array
+    across_m: Array
+    arc: bool
+
+
+def sum_terms(steps: NoiseSteps) -> Array:
+    """Return what each increment adds to the running sums, (SUMS, n)."""
+    v = steps.variances
+    (x1, y1), (x2, y2) = (steps.start_xy + steps.end_xy) / 2.0 if steps.arc else steps.start_xy, steps.end_xy
+    body = 0.0 if steps.bearing_rad is None else steps.bearing_rad
+    world = steps.travel_rad + body
+    c, s, cb, sb = np.cos(world), np.sin(world), np.cos(body), np.sin(body)
+    heading = v.rot1 + v.rot2
+    # in the body at mid heading, the step swings by half of rot1 less half of rot2; an arc's rot1 swings nothing
+    first, last = 0.0 if steps.arc else 0.5, -0.5
+    shear, both = first**2 * v.rot1 + last**2 * v.rot2, first * v.rot1 + last * v.rot2
+    terms = np.empty((SUMS, len(c)))
+    terms[0] = heading
+    terms[1] = v.rot1 * x1 + v.rot2 * x2
+    terms[2] = v.rot1 * y1 + v.rot2 * y2
+    terms[3] = v.rot1 * x1 * x1 + v.rot2 * x2 * x2
+    terms[4] = v.rot1 * x1 * y1 + v.rot2 * x2 * y2
+    terms[5] = v.rot1 * y1 * y1 + v.rot2 * y2 * y2
+    terms[6] = v.trans * c * c + v.across * s * s
+    terms[7] = (v.trans - v.across) * c * s
+    terms[8] = v.trans * s * s + v.across * c * c
+    terms[9] = shear * steps.across_m * steps.across_m + v.trans * cb * cb + v.across * sb * sb
+    terms[10] = -shear * steps.along_m * steps.across_m + (v.trans - v.across) * cb * sb
+    terms[11] = shear * steps.along_m * steps.along_m + v.trans * sb * sb + v.across * cb * cb
+    terms[12] = -both * steps.across_m
+    terms[13] = both * steps.along_m
+    terms[14] = heading
+    return terms
+
+
+def pose_covariance(sums: Array, xy_m: Array) -> Array:
+    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (SUMS or more, n) and positions (2, n).
+
+    Positions are noisy and counted from where the sums began, metres.
+    """
+    s0, sx, sy, sxx, sxy, syy, txx, txy, tyy = sums[:9]
+    x, y = xy_m
+    noise = _symmetric(
+        y * y * s0 - 2.0 * y * sy + syy + txx,
+        txy - (x * y * s0 - x * sy - y * sx + sxy),
+        x * x * s0 - 2.0 * x * sx + sxx + tyy,
+        sy - y * s0,
+        x * s0 - sx,
+        s0,
+    )
+    return noise if len(sums) == SUMS else noise + wandered_covariance(sums[SUMS:], xy_m)
+
+
+def twist_covariance(grown: Array, dt_s: Array) -> Array:
+    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals in which the body's sums grew by (6, n)."""
+    return _symmetric(*grown / (dt_s * dt_s))
+
+
+def _symmetric(*upper: Array) -> Array:
+    """Return matrices (n, 3, 3) from xx, xy, yy, x-yaw, y-yaw, yaw-yaw (n,) each, the floor added."""
+    out = np.empty((len(upper[0]), 3, 3))
+    for values, (i, j) in zip(upper, ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
+        out[:, i, j] = out[:, j, i] = values + FLOOR if i == j else values
+    return out

@@ -1,0 +1,138 @@
+"""How far a run has drifted, and how far it was expected to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from odomcorrupt.corruption.covariance import SUMS, pose_covariance
+from odomcorrupt.geometry.se2 import between
+
+if TYPE_CHECKING:
+    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
+
+LEG_M = 10.0
+"""Drift is told per this many metres: of the pose after them as seen from the pose before them."""
+
+MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
+"""Distances after which the drift of many runs is told, besides the end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Position (m) and heading (rad) errors, expected and drawn; expected ones are the noise's standard deviations.
+
+    The leg values are root mean squares over legs of `LEG_M`, None where the robot went less far.
+    """
+
+    distance_m: float
+    duration_s: float
+    messages: int
+    jumps: int
+    sideways_m: float
+    end_expected_m: float
+    end_expected_rad: float
+    end_drawn_m: float
+    end_drawn_rad: float
+    leg_expected_m: float | None
+    leg_expected_rad: float | None
+    leg_drawn_m: float | None
+    leg_drawn_rad: float | None
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Mean message rate, None where it cannot be told."""
+        return (self.messages - 1) / self.duration_s if self.duration_s > 0.0 and self.messages > 1 else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    clean_xyt: Array
+    error_xyt: Array
+    sums: Array
+    origin_xy: Array
+    travelled_m: float
+    stamp_ns: int
+
+
+def _place(knots: Knots, i: int) -> _Place:
+    return _Place(
+        knots.clean_xyt[i].copy(), knots.error_xyt[i].copy(), knots.sums[:, i].copy(), knots.origin_xy,
+        float(knots.travelled_m[i]), int(knots.stamps_ns[i]),
+    )  # fmt: skip
+
+
+class PathWatcher(Protocol):
+    """Whoever wants to see the path go by."""
+
+    def restart(self) -> None:
+        """Learn that time began anew."""
+
+    def add(self, knots: Knots) -> None:
+        """Take the next part of the path."""
+
+
+class DriftMeter:
+    """Watches the noisy path go by; a restart of time begins a new stretch, of which the last one tells the end."""
+
+    def __init__(self) -> None:
+        self._messages = self._jumps = 0
+        self._sideways_m = 0.0
+        self._distance_m = self._duration_s = 0.0
+        self._legs: list[tuple[float, float, float, float]] = []
+        self._start: _Place | None = None
+        self._mark: _Place | None = None
+        self._end: _Place | None = None
+
+    def restart(self) -> None:
+        """Close a stretch."""
+        if self._start is not None and self._end is not None:
+            self._distance_m += self._end.travelled_m
+            self._duration_s += (self._end.stamp_ns - self._start.stamp_ns) * 1e-9
+        self._start = self._mark = None
+
+    def add(self, knots: Knots) -> None:
+        """Take the next part of the path."""
+        if not len(knots):
+            return
+        self._messages += len(knots)
+        self._jumps += knots.jumps
+        self._sideways_m += knots.sideways_m
+        if self._start is None or self._mark is None:
+            self._start = self._mark = _place(knots, 0)
+        while knots.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
+            here = _place(knots, int(np.searchsorted(knots.travelled_m, self._mark.travelled_m + LEG_M)))
+            self._legs.append(_leg(self._mark, here))
+            self._mark = here
+        self._end = _place(knots, len(knots) - 1)
+
+    def result(self) -> Drift | None:
+        """Return the drift so far; None where there was no odometry at all."""
+        if self._end is None:
+            return None
+        self.restart()
+        expected = _expected(self._end, np.zeros_like(self._end.sums))
+        legs = [float(x) for x in np.sqrt(np.mean(np.square(self._legs), axis=0))] if self._legs else [None] * 4
+        return Drift(
+            self._distance_m, self._duration_s, self._messages, self._jumps, self._sideways_m,
+            *expected, float(np.hypot(*self._end.error_xyt[:2])), abs(float(self._end.error_xyt[2])), *legs,
+        )  # fmt: skip
+
+
+def _expected(end: _Place, sums_before: Array) -> tuple[float, float]:
+    noisy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
+    grown = (end.sums - sums_before)[:SUMS, None]  # what wanders goes on from leg to leg: no sum of legs
+    variances = np.diagonal(pose_covariance(grown, noisy[:, None])[0])
+    return float(np.sqrt(max(variances[0] + variances[1], 0.0))), float(np.sqrt(max(variances[2], 0.0)))
+
+
+def _leg(start: _Place, end: _Place) -> tuple[float, float, float, float]:
+    clean = between(start.clean_xyt, end.clean_xyt)
+    noisy = between(start.clean_xyt + start.error_xyt, end.clean_xyt + end.error_xyt)
+    off = noisy - clean
+    return (*_expected(end, start.sums), float(np.hypot(off[0], off[1])), float(end.error_xyt[2] - start.error_xyt[2]))

@@ -1,0 +1,259 @@
+"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u'), as its driver reports it.
+
+The f of systematic effects add up. Random effects follow, one after the other, each on what those before it have made.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corruption.covariance import wanders
+from odomcorrupt.effects.effect import Motion
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.motion import accelerations
+from odomcorrupt.rng import stream
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect, Gain, State
+    from odomcorrupt.geometry.increments import Increments
+    from odomcorrupt.geometry.motion import Accelerations, SpeedMemory
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["Drive", "EffectInverse", "acts"]
+
+TOLERANCE = 1e-12
+"""An increment is solved when it moves by less than this between two rounds, metres or radians."""
+
+MAX_ROUNDS = 200
+_RUNAWAY = 1e6
+"""An increment that is changed by more than this many metres will not settle."""
+_SAME = 1e-6
+"""Two changes that differ by less than this part of them are the same."""
+_JUMP = 0.5
+"""A law that sets in all at once may change less than this part of a motion."""
+NEWTON_ROUNDS = 60
+_NUDGE = 1e-6
+"""By how much a speed is changed to see what that does to f, m/s and rad/s."""
+_FARTHEST, _JITTER = 20.0, 1e-3
+"""Odometry is not off by more than so many times the true motion, but where both are next to nothing, metres."""
+
+
+def acts(effect: Effect) -> bool:
+    """Whether an effect does anything: some amplitude is off its identity."""
+    return effect.acts
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """n clean increments and where they were made.
+
+    steps : the increments
+    dt_s : (n,) their lengths in time, seconds
+    t_s : (n,) since the first stamp, at the end of each, seconds
+    start_xyt : (n, 3) clean pose where each begins
+    """
+
+    steps: Increments
+    dt_s: Array
+    t_s: Array
+    start_xyt: Array
+
+
+class EffectInverse:
+    """The effects of a model acting on a stream of increments; their states pass from call to call.
+
+    wandering : the effects that draw something whose variance they state
+    gains : what these drew from in the last call of `error`
+    """
+
+    def __init__(self, model: MotionModel, seed: int, run: int) -> None:
+        ordinals: dict[str, int] = {}
+        started = []
+        for effect in model.effects:
+            if not effect.clock and acts(effect):
+                ordinal = ordinals.get(effect.name, 0)
+                ordinals[effect.name] = ordinal + 1
+                started.append((effect, effect.start(stream(seed, run, effect.name, ordinal))))
+        # the order in which effects are listed never matters: the f add up, and an encoder's flaws go by name
+        started.sort(key=lambda pair: pair[0].name)
+        motion = [pair for pair in started if pair[0].layer == "motion"]
+        motion.sort(key=lambda pair: pair[0].kind == "setup")
+        together = [pair for pair in motion if pair[0].kind != "noise"]
+        random = [[pair] for pair in motion if pair[0].kind == "noise"]
+        self._stages = [stage for stage in (together, *random) if stage]
+        self._recording = [pair for pair in started if pair[0].layer == "record"]
+        self._drawing = [pair for pair in started if pair[0].layer == "draws"]
+        self._track_m = model.track_m
+        self.wandering = tuple(effect for effect, _ in motion + self._recording if wanders(effect, model.track_m))
+        self.gains: tuple[Gain, ...] = ()
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the motion before: a new stretch begins. The effects' own states go on."""
+        self._speeds: SpeedMemory | None = None
+        self._distance_m = 0.0
+
+    def drawn(self, normals: Array) -> Array:
+        """Return what is drawn in place of standard normals (n, 4)."""
+        drawing: list[tuple[Effect, State]] = []
+        for effect, state in self._drawing:
+            normals, after = effect.drawn(normals, state)
+            drawing.append((effect, after))
+        self._drawing = drawing
+        return normals
+
+    def error(self, drive: Drive) -> Array:
+        """Return what the effects add to n increments: (n, 3) metres along, metres left, radians.
+
+        Raises
+        ------
+        EffectError
+            Where the effects are so strong that no motion of the odometry explains the clean one.
+
+        """
+        added = self._error(drive)
+        steps = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1) + added
+        recording: list[tuple[Effect, State]] = []
+        for effect, state in self._recording:
+            reported, after = effect.recorded(steps, drive.t_s, self._track_m, state)
+            added = added + (reported - steps)
+            steps = reported
+            recording.append((effect, after))
+        self._recording = recording
+        return added
+
+    def _error(self, drive: Drive) -> Array:
+        n = len(drive.steps)
+        if not (self._stages or self.wandering) or n == 0:
+            return np.zeros((n, 3))
+        dt, track_m = drive.dt_s[:, None], self._track_m
+        clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
+        clean = np.divide(clean, dt, out=np.zeros_like(clean), where=dt > 0.0)
+        faster = accelerations(clean, drive.dt_s, self._speeds)
+        travel = np.hypot(drive.steps.ds_m, drive.steps.dl_m)
+        distance = np.cumsum(np.concatenate(([self._distance_m], travel)))
+
+        # what is systematic acts at once, as it was fitted; each random effect on what those before it have made, so
+        # that a wheel which spins is not also beyond what a law was fitted to
+        gone, stages = np.zeros((n, 3)), []
+        for stage in self._stages:
+            f, states = _solved(
+                stage, clean - gone, lambda twist: _motion(twist, drive, faster, distance[1:], track_m), dt
+            )
+            stages.append(list(zip((effect for effect, _ in stage), states, strict=True)))
+            gone = gone + f
+        self._stages = stages
+        if self.wandering:
+            true = _motion(clean, drive, faster, distance[1:], track_m)
+            self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
+        self._speeds = faster.memory
+        self._distance_m = float(distance[-1])
+        return -gone * dt
+
+
+def _solved(
+    stage: Sequence[tuple[Effect, State]], clean: Array, motion_at: Callable[[Array], Motion], dt: Array
+) -> tuple[Array, list[State]]:
+    """Return the f (n, 3) of effects on the motion that is left of the clean one by f, and the states after it.
+
+    Plain rounds settle wherever effects change less than the whole of a motion. Newton's follow for the rest: for
+    errors as large as the motion, as of a robot that turns several times as far as its odometry says.
+    """
+
+    def error_at(f: Array) -> tuple[Array, list[State]]:
+        motion = motion_at(clean - f)
+        total, states = np.zeros_like(clean), []
+        for effect, state in stage:
+            if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
+                motion = motion_at(clean - f + total)
+            # an effect may draw from its state: every round must see the same draws
+            with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+                answer = effect.twist_error(motion, copy.deepcopy(state))
+            total += answer.f
+            states.append(answer.state)
+        return total, states
+
+    f = np.zeros_like(clean)
+    open_ = np.ones(len(clean), dtype=bool)
+    was, last = f, np.zeros(len(clean))
+    for _ in range(MAX_ROUNDS):
+        f_next, states = error_at(f)
+        # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
+        # runs away take them along
+        change = np.abs((f_next - f) * dt).max(axis=1)
+        settling = open_ & (change < _RUNAWAY)
+        was, f = f, np.where(settling[:, None], f_next, f)
+        open_ &= ~(change <= TOLERANCE)
+        if not open_.any():
+            return f, states
+        swinging, last = np.abs(change - last) <= _SAME * change, change
+    # a law that sets in at a speed may take the odometry below it, where it is off: no speed is reported for such a
+    # true one, and of the two that it swings between the one nearer to the truth stands; what takes all of a motion
+    # away in one round and puts it back in the next is no such law
+    swinging &= open_ & (change < _JUMP * np.abs(clean * dt).max(axis=1))
+    nearer = swinging & (np.linalg.norm(was, axis=1) < np.linalg.norm(f, axis=1))
+    f = np.where(nearer[:, None], was, f)
+    open_ &= ~swinging
+    if open_.any() and not _by_newton(lambda f: error_at(f)[0], f, open_, clean, dt):
+        names = ", ".join(effect.name for effect, _ in stage)
+        raise EffectError(
+            f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle; make "
+            "them weaker, or delete them from the model"
+        )
+    return f, error_at(f)[1]
+
+
+def _by_newton(error_at: Callable[[Array], Array], f: Array, open_: NDArray[np.bool_], clean: Array, dt: Array) -> bool:
+    """Solve the open rows of f (n, 3) in place by Newton's method, each from where the effects do nothing.
+
+    Returns whether all have a solution in which the robot still moves the more, the more its odometry does.
+    """
+    rows = np.flatnonzero(open_)
+    f[rows] = 0.0
+    for _ in range(NEWTON_ROUNDS):
+        miss = (error_at(f) - f)[rows]
+        settled = np.abs(miss * dt[rows]).max(axis=1) <= TOLERANCE
+        slope = np.empty((len(rows), 3, 3))
+        for i in range(3):
+            nudge = np.zeros(3)
+            nudge[i] = _NUDGE
+            slope[:, :, i] = (error_at(f - nudge) - error_at(f + nudge))[rows] / (2.0 * _NUDGE)
+        slope += np.eye(3)  # of the true motion by the odometry's
+        if not np.isfinite(slope).all() or (np.linalg.eigvals(slope[settled]).real <= 0.0).any():
+            return False
+        rows, miss, slope = rows[~settled], miss[~settled], slope[~settled]
+        if not len(rows):
+            far = np.abs(f[open_]).max(axis=1) > _FARTHEST * np.abs(clean[open_]).max(axis=1)
+            return not bool((far & (np.abs(f[open_] * dt[open_]).max(axis=1) > _JITTER)).any())
+        try:
+            f[rows] += np.linalg.solve(slope, miss[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:
+            return False
+    return False
+
+
+def _motion(twist: Array, drive: Drive, faster: Accelerations, distance_m: Array, track_m: float | None) -> Motion:
+    return Motion(
+        t_s=drive.t_s,
+        dt_s=drive.dt_s,
+        v=np.ascontiguousarray(twist[:, 0]),
+        vy=np.ascontiguousarray(twist[:, 1]),
+        omega=np.ascontiguousarray(twist[:, 2]),
+        acceleration=faster.rate,
+        trail=faster.trail,
+        before=faster.before,
+        x=np.ascontiguousarray(drive.start_xyt[:, 0]),
+        y=np.ascontiguousarray(drive.start_xyt[:, 1]),
+        theta=np.ascontiguousarray(drive.start_xyt[:, 2]),
+        distance=distance_m,
+        track_m=track_m,
+    )

@@ -1,0 +1,218 @@
+"""Numbers of messages replaced in place: poses, twists, covariances, stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
+from odomcorrupt.corruption.correction import Correction
+from odomcorrupt.corruption.covariance import pose_covariance, wanders
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
+from odomcorrupt.corruption.targets import ODOMETRY, plain
+from odomcorrupt.corruption.twist import TopicTwist, TwistChange
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corruption.correction import Curve
+    from odomcorrupt.corruption.targets import Side
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["Changes", "Patcher", "Target"]
+
+PLANAR = np.array([0, 1, 5])
+"""Where x, y and yaw stand among x, y, z, roll, pitch, yaw."""
+
+PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
+"""Where their covariances stand in a row-major 6 x 6 matrix."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """n messages of one layout of which one item is moved.
+
+    side : from which the correction acts
+    stamps_ns, time_ns : (n,) header stamps, and log times as running maxima
+    """
+
+    channel: Channel
+    layout: Layout
+    item: Item
+    side: Side
+    stamps_ns: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+
+
+@dataclass(slots=True)
+class Changes:
+    """Counts of what was moved: messages by topic, edges by "parent -> child", how many beyond the curve's end.
+
+    static : edges that are published once for all time, and cannot follow a drift
+    """
+
+    odometry: Counter[str] = field(default_factory=Counter)
+    edges: Counter[str] = field(default_factory=Counter)
+    static: set[str] = field(default_factory=set)
+    held: int = 0
+
+
+class Patcher:
+    """Puts a correction into messages, one topic after the other."""
+
+    def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
+        self.changes = Changes()
+        self._clocks = tuple(e for e in model.effects if e.clock and acts(e))
+        self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
+        self._restores = any(e.restorable for e in model.effects)
+        self._twist = not keep_twist
+        drawn = any(wanders(e, model.track_m) for e in model.effects)
+        self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
+        self._twists: dict[str, TopicTwist] = {}
+
+    @np.errstate(over="ignore", invalid="ignore")  # poses that are no numbers stay none
+    def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
+        """Patch a block's targets in place; first_ns is when time began."""
+        at = curve.at(
+            np.concatenate([target.stamps_ns for target in targets]),
+            np.concatenate([target.time_ns for target in targets]),
+        )
+        self.changes.held += int(np.count_nonzero(at.held))
+        start = 0
+        odometry: dict[str, list[tuple[Target, Correction]]] = {}
+        for target in targets:
+            stop = start + len(target.stamps_ns)
+            part = _rows(at, slice(start, stop))
+            start = stop
+            if target.channel.msgtype == ODOMETRY:
+                self.changes.odometry[target.channel.topic] += len(target.stamps_ns)
+                odometry.setdefault(target.channel.topic, []).append((target, part))
+            else:
+                item = target.item
+                edge = f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}"
+                self.changes.edges[edge] += len(target.stamps_ns)
+                if target.channel.topic.endswith("tf_static"):
+                    self.changes.static.add(edge)
+                if self._moves:
+                    _move(block, target, part.xyt, _poses(block, target))
+            if self._clocks:
+                self._shift_stamps(block, target, first_ns)
+        if self._moves:
+            for topic, parts in odometry.items():
+                self._patch_odometry(block, topic, parts)
+
+    def _patch_odometry(self, block: Block, topic: str, parts: list[tuple[Target, Correction]]) -> None:
+        clean = []
+        for target, at in parts:
+            poses = _poses(block, target)
+            clean.append(np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw))))
+            noisy = _move(block, target, at.xyt, poses)
+            if self._covariance:
+                covariance = pose_covariance(at.sums, noisy.position[:, :2].T - at.origin_xy)
+                _set_planar(block, target, "pose_covariance", covariance, slice(None))
+        if not self._twist:
+            return
+        # one topic's messages may have several layouts: its twists follow each other in the order of arrival
+        follower = self._twists.setdefault(topic, TopicTwist())
+        if len(parts) == 1:
+            (target, at), change = parts[0], follower.change(parts[0][0].stamps_ns, clean[0], parts[0][1])
+            self._patch_twist(block, target, change)
+            return
+        order = np.argsort(np.concatenate([target.layout.rows for target, _ in parts]))
+        back = np.argsort(order)
+        every = _rows(_together([at for _, at in parts]), order)
+        stamps = np.concatenate([target.stamps_ns for target, _ in parts])[order]
+        change = follower.change(stamps, np.concatenate(clean)[order], every)
+        start = 0
+        for target, _ in parts:
+            own = back[start : start + len(target.stamps_ns)]
+            start += len(own)
+            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.stood[own])
+            self._patch_twist(block, target, part)
+
+    def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
+        added = change.added
+        moved = change.known & _nonzero(added) & finite_rows(added)
+        if moved.any():
+            twist = gather(block, target.layout, target.item, "twist")
+            if self._restores:
+                moved &= ~(change.stood & _has_already(twist[:, PLANAR], added))
+            rows = slice(None) if moved.all() else np.flatnonzero(moved)
+            for column, place in enumerate(PLANAR):
+                twist[rows, place] += added[rows, column]
+            scatter(block, target.layout, target.item, "twist", twist)
+        if self._covariance:
+            _set_planar(block, target, "twist_covariance", change.covariance, change.known)
+
+    def _shift_stamps(self, block: Block, target: Target, first_ns: int) -> None:
+        t_s = (target.stamps_ns - first_ns) * np.float64(1e-9)
+        shift_s = sum(effect.stamp_shift_s(t_s) for effect in self._clocks)
+        shift_ns = np.rint(np.asarray(shift_s) * 1e9).astype(np.int64)
+        written = gather_stamps_ns(block, target.layout, target.item)
+        # a stamp of zero says "no stamp", and goes on saying so
+        scatter_stamps_ns(block, target.layout, target.item, written + np.where(written == 0, 0, shift_ns))
+
+
+def _rows(at: Correction, rows: slice | NDArray[np.int64]) -> Correction:
+    return Correction(at.xyt[rows], at.sums[:, rows], at.origin_xy[:, rows], at.stretch[rows], at.held[rows])
+
+
+def _together(parts: list[Correction]) -> Correction:
+    return Correction(
+        np.concatenate([at.xyt for at in parts]),
+        np.concatenate([at.sums for at in parts], axis=1),
+        np.concatenate([at.origin_xy for at in parts], axis=1),
+        np.concatenate([at.stretch for at in parts]),
+        np.concatenate([at.held for at in parts]),
+    )
+
+
+def _poses(block: Block, target: Target) -> SpatialPoses:
+    layout, item = target.layout, target.item
+    return SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+
+
+def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
+    """Move poses, those alone that the correction does move and that are numbers; return what they become.
+
+    The others keep their bits.
+    """
+    moved = _nonzero(correction_xyt) & finite_rows(poses.position) & finite_rows(poses.quat_xyzw)
+    if not moved.any():
+        return poses
+    act = from_left if target.side == "left" else from_right
+    if moved.all():
+        out = act(correction_xyt, poses)
+    else:
+        out = SpatialPoses(poses.position.copy(), poses.quat_xyzw.copy())
+        some = act(correction_xyt[moved], SpatialPoses(poses.position[moved], poses.quat_xyzw[moved]))
+        out.position[moved], out.quat_xyzw[moved] = some.position, some.quat_xyzw
+    scatter(block, target.layout, target.item, "position", out.position)
+    scatter(block, target.layout, target.item, "orientation", out.quat_xyzw)
+    return out
+
+
+def _nonzero(xyt: Array) -> NDArray[np.bool_]:
+    """Tell which rows (n,) of (n, 3) are not all zero."""
+    moved: NDArray[np.bool_] = (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
+    return moved
+
+
+def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
+    """Tell which twists (n, 3) tell of the motion that a pose, which lost an increment, gets back."""
+    has: NDArray[np.bool_] = np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
+    return has
+
+
+def _set_planar(block: Block, target: Target, name: str, covariance: Array, which: slice | NDArray[np.bool_]) -> None:
+    """Replace the entries of x, y and yaw in a 6 x 6 covariance."""
+    planar = covariance.reshape(-1, 9)[which]
+    scatter_columns(block, target.layout, target.item, name, PLANAR_BLOCK, planar, which)

@@ -1,0 +1,205 @@
+"""The noisy path of a stretch: clean poses in, in time order and batch by batch; noisy poses out.
+
+Noise is accumulated from the previous noisy pose with the noisy heading. What is carried along is the error, noisy
+minus clean, not the noisy pose itself: where nothing is drawn it stays zero to the last bit. All running sums start
+from the value carried, inside the cumulative sum, and normals are drawn row by row, so any cut of a path into
+batches gives the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from odomcorrupt.corruption.covariance import SUMS, WANDER, NoiseSteps, Wander, sum_terms
+from odomcorrupt.corruption.inverse import Drive, EffectInverse
+from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.se2 import rotate, wrap
+from odomcorrupt.rng import stream
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "Normals", "PathSource"]
+
+JUMP_SPEED = 20.0
+"""A clean pose that moves faster than this, m/s, was set and not driven: no noise is drawn across it."""
+
+JUMP_MIN_S = 0.05
+"""Stamps may bunch: an increment counts as at least this long, seconds, when it is asked whether it is a jump."""
+
+
+@dataclass(frozen=True, slots=True)
+class Knots:
+    """n stamps of a path, clean and noisy.
+
+    stamps_ns : (n,) header stamps
+    clean_xyt : (n, 3) metres, radians; headings as they came
+    error_xyt : (n, 3) noisy minus clean, in odom axes
+    sums : (SUMS, n) running sums for covariances, see `covariance`; more rows where effects draw, see `wander`
+    origin_xy : (2,) where these sums began, metres
+    travelled_m : (n,) clean distance since the path began, metres; jumps do not count
+    jumps : how many of the increments that end here were jumps
+    sideways_m : how far these increments went to the left or right, metres
+    """
+
+    stamps_ns: NDArray[np.int64]
+    clean_xyt: Array
+    error_xyt: Array
+    sums: Array
+    origin_xy: Array
+    travelled_m: Array
+    jumps: int
+    sideways_m: float
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    @property
+    def correction_xyt(self) -> Array:
+        """C, noisy composed with the inverse of clean (n, 3): the rigid motion of the odom frame."""
+        turn, x, y = self.error_xyt[:, 2].copy(), self.clean_xyt[:, 0], self.clean_xyt[:, 1]
+        less, s = _cos_less_one(turn), np.sin(turn)
+        shift_x = self.error_xyt[:, 0] - (less * x - s * y)
+        shift_y = self.error_xyt[:, 1] - (s * x + less * y)
+        return np.stack((shift_x, shift_y, turn), axis=1)
+
+
+class PathSource(Protocol):
+    """Whoever says where odometry is moved to: clean poses in, in time order and batch by batch; knots out."""
+
+    def restart(self) -> None:
+        """Begin a new path."""
+
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+        """Return where the next n poses go."""
+
+
+class Normals(Protocol):
+    """Whoever has standard normals: a generator of numpy, or one that replays some."""
+
+    def standard_normal(self, size: tuple[int, int]) -> Array:
+        """Return (n, 4) for n increments: of rot1, trans, across, rot2."""
+
+
+class NoisyPath:
+    """Draws the noisy path of one run; a restart of time begins a new one with the same streams of numbers.
+
+    normals : where the noise's numbers come from, in place of the run's own stream
+    """
+
+    def __init__(self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None) -> None:
+        self._noise, self._law = model.noise, model.noise.law
+        self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
+        self._effects = EffectInverse(model, seed, run)
+        self._wander = Wander()
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new path: the next pose is a first pose, and unchanged."""
+        self._effects.restart()
+        self._wander.restart()
+        self._growth = StepGrowth()
+        self._last: tuple[int, Array] | None = None
+        self._first_ns = 0
+        self._error = np.zeros(3)
+        self._sums = np.zeros((SUMS + (WANDER if self._effects.wandering else 0), 1))
+        self._travelled_m = 0.0
+        self._origin = np.zeros(2)
+
+    def push(self, shift_xy: Array) -> None:
+        """Move the noisy robot by (2,) metres where it stands; the path goes on from there."""
+        self._error = self._error + np.append(shift_xy, 0.0)
+
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+        """Return the noisy path at the next n poses.
+
+        Parameters
+        ----------
+        stamps_ns : (n,)
+            Ascending, and not before the last one fed.
+        clean_xyt : (n, 3)
+            Clean poses, metres and radians, finite.
+
+        """
+        n = len(stamps_ns)
+        if n and self._last is None:
+            self._first_ns, self._origin = int(stamps_ns[0]), clean_xyt[0, :2].copy()
+            self._last = (int(stamps_ns[0]), clean_xyt[0])
+        if n == 0 or self._last is None:
+            nothing, none = np.zeros((0, 3)), np.zeros(0)
+            return Knots(stamps_ns, clean_xyt, nothing, self._sums[:, :0], self._origin, none, jumps=0, sideways_m=0.0)
+        before_ns, before_xyt = self._last
+        poses: Array = np.concatenate((before_xyt[None], clean_xyt))
+        dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
+        world = np.diff(poses[:, :2], axis=0)
+        length = np.hypot(world[:, 0], world[:, 1])
+        jump = length > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
+
+        # across a jump nothing is driven: no turn, no travel, but the odom frame's correction is held
+        turn = np.where(jump, 0.0, wrap(np.diff(poses[:, 2])))
+        middle = poses[:-1, 2] + turn / 2.0
+        body = rotate(np.where(jump[:, None], 0.0, world), -middle)
+        steps = Increments(np.ascontiguousarray(body[:, 0]), np.ascontiguousarray(body[:, 1]), turn)
+        t_s = (stamps_ns - self._first_ns) * np.float64(1e-9)
+        driven_s = np.where(jump, 0.0, dt_s)
+        added = self._effects.error(Drive(steps, driven_s, t_s, poses[:-1]))
+        driven = Increments(steps.ds_m + added[:, 0], steps.dl_m + added[:, 1], turn + added[:, 2])
+        grown = noise_variances(self._noise, driven, driven_s, self._growth)
+        v = grown.variances
+        normals = self._effects.drawn(self._rng.standard_normal((n, 4)))
+        draws = normals * np.sqrt(np.stack((v.rot1, v.trans, v.across, v.rot2), axis=1))
+
+        rot1, rot2 = draws[:, 0], draws[:, 3]
+        heading = np.cumsum(np.concatenate((self._error[2:], rot1 + added[:, 2] + rot2)))
+        # the translation happens after rot1, at the middle of what the effects turn
+        swing = heading[:-1] + (rot1 / 2.0 if self._law.arc else rot1) + added[:, 2] / 2.0
+        bearing, shift = None, draws[:, 1:3]
+        if self._law.along_travel:
+            bearing = np.arctan2(driven.dl_m, driven.ds_m)
+            shift = rotate(shift, bearing)
+        along, across = added[:, 0] + shift[:, 0], added[:, 1] + shift[:, 1]
+        less, s = _cos_less_one(swing), np.sin(swing)
+        travel = middle + swing
+        ct, st = np.cos(travel), np.sin(travel)
+        x = self._error[0:1], less * world[:, 0] - s * world[:, 1] + (ct * along - st * across)
+        y = self._error[1:2], s * world[:, 0] + less * world[:, 1] + (st * along + ct * across)
+        error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading), axis=1)
+
+        noisy = (poses[:, :2] + error[:, :2] - self._origin).T
+        moved = (steps.ds_m + along, steps.dl_m + across)
+        stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
+        terms = self._sum_terms(stepped, driven_s)
+        sums = np.cumsum(np.concatenate((self._sums, terms), axis=1), axis=1)
+        travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
+
+        self._last = (int(stamps_ns[-1]), clean_xyt[-1].copy())
+        self._error, self._sums, self._growth = error[-1], sums[:, -1:], grown.growth
+        self._travelled_m = float(travelled[-1])
+        return Knots(
+            stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:],
+            int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()),
+        )  # fmt: skip
+
+    def _sum_terms(self, stepped: NoiseSteps, driven_s: Array) -> Array:
+        """Return what n intervals add to the running sums: of the noise, and of what effects draw."""
+        terms = sum_terms(stepped)
+        if not self._effects.wandering:
+            return terms
+        middle_xy = (stepped.start_xy + stepped.end_xy) / 2.0
+        grown = self._wander.grow(self._effects.gains, driven_s, middle_xy, stepped.travel_rad)
+        terms[9:] += grown.body
+        return np.concatenate((terms, grown.path))
+
+
+def _cos_less_one(angle_rad: Array) -> Array:
+    """Return cos(angle) - 1 without cancellation, exactly zero at zero."""
+    half = np.sin(angle_rad / 2.0)
+    less: Array = -2.0 * half * half
+    return less

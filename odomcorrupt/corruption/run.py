@@ -1,0 +1,173 @@
+"""One bag corrupted from end to end: reader, transform, writer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, BinaryIO, cast
+
+import odomcorrupt
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.pipeline import Workers, default_threads
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
+from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.model.model_file import format_model
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.patch import Changes
+    from odomcorrupt.corruption.path import PathSource
+    from odomcorrupt.corruption.targets import Frames
+    from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["Container", "Outcome", "corrupt_bag"]
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """How bags are read and written.
+
+    overwrite : replace an existing output
+    compression, level : of the output, None for those of the input
+    recover : read what is whole of a damaged input
+    threads : that read, compute and compress side by side, None for one a core, at most four
+    """
+
+    overwrite: bool = False
+    compression: str | None = None
+    level: int | None = None
+    recover: bool = False
+    threads: int | None = None
+
+    @property
+    def as_it_was(self) -> bool:
+        """Whether an output of unchanged messages is to be the input itself."""
+        return self.compression is None and self.level is None and not self.recover
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one run did.
+
+    channels : those that carried messages
+    restarts : how often time jumped back
+    late : odometry messages too late to be put in order
+    leaps : odometry messages whose stamp lies far ahead of their neighbours'
+    unusable : odometry poses that are not numbers
+    added : how many messages were added, by what they are
+    losses : what could not be read of a damaged input, in sentences
+    swapped : odometry messages that came behind later ones, and were put in order
+    zero_stamps : odometry stamps that are zero, for which log times stood in
+    placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
+    stayed : edges of TF that are not moved, "parent -> child"
+    """
+
+    model: MotionModel
+    seed: int
+    run: int
+    driver: str
+    frames: Frames
+    changes: Changes
+    drift: Drift
+    channels: tuple[Channel, ...]
+    restarts: int
+    late: int
+    leaps: int
+    unusable: int
+    added: Mapping[str, int]
+    losses: tuple[str, ...]
+    swapped: int
+    zero_stamps: int
+    placed: Mapping[int, str]
+    stayed: frozenset[str] = frozenset()
+
+
+def corrupt_bag(
+    source: Path | None,
+    target: Path | None,
+    model: MotionModel,
+    *,
+    seed: int,
+    run: int,
+    options: Options,
+    container: Container,
+    watch: Callable[[Block], None] = lambda _: None,
+    path: PathSource | None = None,
+    told: Mapping[str, str] | None = None,
+) -> Outcome:
+    """Corrupt a bag; None is a pipe. The output appears when it is complete, or not at all.
+
+    watch : told of every block written
+    path : where the odometry is moved to, in place of the noisy path that the model draws
+    told : what is noted in the output besides model, seed, run and version
+
+    Raises
+    ------
+    BagError
+        Where the input cannot be read or the output not be written.
+    TopicError
+        Where no odometry drives the model.
+    EffectError
+        Where an effect is too strong for this drive.
+
+    """
+    transform = Transform(model, seed, run, options, path=path)
+    silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+    adds = options.keep_truth is not None or options.new_odom_frame is not None
+    tape = TeeReader() if source is None and silent and not adds and container.as_it_was else None
+    threads = default_threads() if container.threads is None else container.threads
+    with (
+        Workers(threads) as workers,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
+    ):
+        transform.driver.prepare(reader, reader.name)
+        writer = open_writer(
+            target,
+            reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            workers=workers,
+        )
+        if silent and not adds and container.as_it_was and may_stay(source, target, reader):
+            blocks = transform.blocks(reader, reader.name)
+            write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
+        else:
+            if tape is not None:
+                tape.stop()
+            with writer:
+                for block in transform.blocks(reader, reader.name, writer):
+                    writer.write(block)
+                    watch(block)
+                if not silent:
+                    writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
+        drift = transform.drift.result()
+        assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+        frames = transform.driver.frames
+        assert frames is not None  # noqa: S101 - as above
+        losses = tuple(reader.losses)
+        channels = tuple(reader.channels[number] for number in sorted(transform.seen))
+    return Outcome(
+        model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
+        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
+        _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
+        frozenset(transform.stayed),
+    )  # fmt: skip
+
+
+def _added(transform: Transform) -> Mapping[str, int]:
+    added = {}
+    if transform.truth is not None:
+        added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
+    if transform.edge is not None and transform.driver.frames is not None:
+        added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
+    return added
+
+
+def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:
+    return {"version": odomcorrupt.__version__, "seed": str(seed), "run": str(run), "model": format_model(model)}

@@ -1,0 +1,170 @@
+"""What a run did, in one paragraph."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+from odomcorrupt.corruption.drift import LEG_M
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.unmodified_topics import truth_tellers
+from odomcorrupt.effects.effect import choices, parameters
+
+if TYPE_CHECKING:
+    from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.run import Outcome
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model.motion_model import MotionModel, Noise
+
+__all__ = ["SIDEWAYS", "holonomic_words", "model_words", "per_message", "summary"]
+
+SIDEWAYS = 0.1
+"""A robot that goes this part of its way to the left or right is holonomic."""
+
+STRAIGHT = 0.001
+"""One that goes less than this part of its way so is not."""
+
+MOST_EDGES = 6
+"""More need not be named."""
+
+LOST_RAD = 1.0
+"""Beyond this deviation of the heading a forecast to first order says nothing about positions."""
+
+
+def summary(outcome: Outcome, origin: str) -> str:
+    """Return one paragraph: what was changed, by which model, how far it drifted, and what it left true."""
+    silent = _is_silent(outcome.model)
+    drive = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
+    parts = [
+        f"{'Nothing to change' if silent else 'Moved'}: {_moved(outcome)}, driven by {outcome.driver} ({drive}).",
+        f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
+    ]
+    if not silent:
+        parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
+    parts += _oddities(outcome)
+    true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    if true and not silent:
+        parts.append(f"Still telling the truth, and hiding the drift from a filter that reads them: {', '.join(true)}.")
+    return " ".join(parts)
+
+
+def _is_silent(model: MotionModel) -> bool:
+    return model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
+
+
+def _moved(outcome: Outcome) -> str:
+    topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
+    edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
+    none = [] if edges else [f"no transform from {outcome.frames.odom}{_stayed(outcome)}"]
+    added = [f"{count} {what} added" for what, count in outcome.added.items()]
+    return ", ".join([*topics, *edges, *([] if outcome.added and not topics else none), *added])
+
+
+def _stayed(outcome: Outcome) -> str:
+    """Say which edges there are where none was moved: the frame may have been meant otherwise."""
+    edges = sorted(outcome.stayed)
+    more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
+    return f" (TF has {', '.join(edges[:MOST_EDGES])}{more})" if edges else ""
+
+
+def model_words(model: MotionModel, origin: str) -> str:
+    """Return law, coefficients, where they come from, and effects."""
+    noise = model.noise
+    values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
+    numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)
+    words = "No noise" if noise.coefficients.silent else f"Law {noise.law_name}, {numbers}"
+    if noise.step is not None:
+        words += f", once per {noise.step}"
+    if origin:
+        words += f" ({origin})"
+    effects = [_effect(effect) for effect in model.effects if acts(effect)]
+    return words + (f"; effects {', '.join(effects)}" if effects else "")
+
+
+def _effect(effect: Effect) -> str:
+    values = [f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect)]
+    # a heading from the wheels goes without saying
+    said = ((word, getattr(effect, word), options[0]) for word, options in choices(effect).items())
+    values += [f"{word} {value}" for word, value, usual in said if value != usual]
+    return f"{effect.name} ({', '.join(values)})"
+
+
+def _drift(drift: Drift, *, noisy: bool) -> str:
+    end = f"at the end {_size(drift.end_drawn_m, drift.end_drawn_rad)}"
+    if noisy:
+        end += f" (noise alone is expected to make {_expected(drift.end_expected_m, drift.end_expected_rad)})"
+    if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
+        return f"Drift: {end}."
+    leg = f", per {LEG_M:.0f} m {_size(drift.leg_drawn_m, drift.leg_drawn_rad)}"
+    return f"Drift: {end}{leg}{f' ({_leg(drift)})' if noisy else ''}."
+
+
+def _leg(drift: Drift) -> str:
+    return _expected(drift.leg_expected_m or 0.0, drift.leg_expected_rad or 0.0)
+
+
+def _expected(metres: float, radians: float) -> str:
+    """Return a forecast to first order; where the heading is lost it has nothing to say about the place."""
+    return _size(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
+
+
+def _size(metres: float, radians: float) -> str:
+    return f"{metres:.3g} m, {math.degrees(radians):.3g} deg"
+
+
+def per_message(noise: Noise) -> list[str]:
+    """Return what of a noise acts once per message, so that its drift depends on the message rate."""
+    k = noise.coefficients
+    stepwise = noise.law.per_step and noise.step is None and any(getattr(k, name) for name in noise.law.alphas)
+    return [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
+
+
+def _rate(outcome: Outcome) -> list[str]:
+    """Say it where the drift depends on the message rate."""
+    drift = outcome.drift
+    what = per_message(outcome.model.noise)
+    if not what or drift.rate_hz is None:
+        return []
+    means = f"a drift of {_leg(drift)} per {LEG_M:.0f} m" if drift.leg_expected_m is not None else "the drift above"
+    here = f"these numbers mean {means} at this bag's {drift.rate_hz:.3g} Hz, and something else at another rate"
+    way_out = "; --step 0.25m,0.2rad or --law diffusion do not depend on it" * what[0].startswith("the law")
+    return [f"Once per message acts {' and '.join(what)}: {here}{way_out}."]
+
+
+def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
+    """Return what is to be said where a law and a robot do not fit: sideways motion, and the lack of it."""
+    law = model.noise.law
+    if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:
+        return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
+    if law.along_travel or sideways_m <= SIDEWAYS * distance_m:
+        return []
+    way = f"{sideways_m:.3g} m of {distance_m:.3g} m"
+    return [f"The robot moves sideways ({way}), which the law {law.name} does not know; --law omni does."]
+
+
+def _oddities(outcome: Outcome) -> list[str]:
+    said = [
+        f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
+        for edge in sorted(outcome.changes.static)
+    ]
+    said += [f"Lost: {loss}." for loss in outcome.losses]
+    drift = outcome.drift
+    said += holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
+    if outcome.zero_stamps:
+        said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times stood in for them.")
+    if outcome.swapped:
+        said.append(f"{outcome.swapped} odometry messages came behind later ones: they were put in order.")
+    if outcome.changes.held:
+        said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
+    if outcome.restarts:
+        said.append(f"Time jumped back {outcome.restarts} times: each time the drift began anew.")
+    if outcome.drift.jumps:
+        said.append(f"The pose jumped {outcome.drift.jumps} times: the correction was held across.")
+    if outcome.late:
+        said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
+    if outcome.leaps:
+        said.append(f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': no noise of their own.")
+    if outcome.unusable:
+        said.append(f"{outcome.unusable} odometry poses are not numbers: left alone.")
+    return said

@@ -1,0 +1,278 @@
+"""Blocks in, blocks out: the correction of the odom frame drawn from the odometry and put into every message it moves.
+
+A block waits until the correction is known at its messages, at most `WAIT_NS` of log time; then the correction is
+held, and counted. What is decided depends on stamps and log times, never on where blocks end.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.coalesce import joined
+from odomcorrupt.bags.messages import locate
+from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
+from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
+from odomcorrupt.corruption.drift import DriftMeter
+from odomcorrupt.corruption.odometry_source import Driver, stamps_or_log_ns
+from odomcorrupt.corruption.patch import Patcher, Target
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
+from odomcorrupt.corruption.targets import (
+    ENCODINGS,
+    ODOMETRY,
+    TRANSFORMS,
+    find_driver,
+    localisation_side_of,
+    plain,
+    says_truth,
+    side_of,
+)  # fmt: skip
+from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
+from odomcorrupt.errors import TopicError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
+    from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.corruption.drift import PathWatcher
+    from odomcorrupt.corruption.patch import Changes
+    from odomcorrupt.corruption.path import PathSource
+    from odomcorrupt.corruption.targets import Frames, Side
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["WAIT_NS", "Options", "Transform"]
+
+WAIT_NS = PATIENCE_NS + WINDOW_NS
+"""The longest that a block waits, log time."""
+
+FAR_M = 1e9
+"""Where no robot is: a pose so far away is no number of use."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What to move, and how.
+
+    odom_topic : the odometry that drives the model, None to find it
+    odom_frame, base_frame : frames, where the odometry's own are not the ones of TF
+    keep_twist, keep_covariance : leave twists or covariances as they are
+    keep_truth : a topic on which the clean odometry stays
+    keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
+    new_odom_frame : leave everything alone and publish the correction as the edge from this frame to odom
+    """
+
+    odom_topic: str | None = None
+    odom_frame: str | None = None
+    base_frame: str | None = None
+    keep_twist: bool = False
+    keep_covariance: bool = False
+    keep_truth: str | None = None
+    keep_localisation: bool = False
+    new_odom_frame: str | None = None
+
+
+@dataclass(slots=True)
+class _Held:
+    block: Block
+    parts: list[tuple[Channel, Layout]]
+    time_ns: NDArray[np.int64]
+    targets: list[Target] | None = None
+
+    @property
+    def seen_ns(self) -> int:
+        return int(self.time_ns[-1]) if len(self.time_ns) else -(2**62)
+
+
+class Transform:
+    """One run of one model over one bag.
+
+    path : where the odometry is moved to, in place of the noisy path that the model draws
+
+    seen : channels that carried messages; placed : frames of those that are drawn in one, see `unmodified_topics`
+    stayed : edges of TF that are not moved
+    """
+
+    def __init__(
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int = 0,
+        options: Options | None = None,
+        *,
+        path: PathSource | None = None,
+    ) -> None:
+        self.options = Options() if options is None else options
+        self.model = model
+        self.order = TimeOrder()
+        self.drift = DriftMeter()
+        self.watchers: list[PathWatcher] = [self.drift]
+        self.driver = Driver(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
+        self.unusable = 0
+        self.seen: set[int] = set()
+        self.placed: dict[int, str] = {}
+        self.stayed: set[str] = set()
+        self.truth: TruthTopic | None = None
+        self.edge: CorrectionEdge | None = None
+        self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
+        self._curve = Curve()
+        self._now_ns = -(2**62)
+        self._first_ns: int | None = None
+        self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
+
+    @property
+    def changes(self) -> Changes:
+        """What has been changed so far."""
+        return self._patcher.changes
+
+    def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
+        """Yield the blocks of a bag, patched, in their order.
+
+        writer : where channels are added, if options ask for some
+
+        Raises
+        ------
+        TopicError
+            Where no odometry drives the model, or what is to be added is there already.
+
+        """
+        self.driver.prepare(reader, name)
+        if self.options.keep_truth is not None and writer is not None:
+            self.truth = TruthTopic(self.options.keep_truth, reader, writer)
+        if self.options.new_odom_frame is not None and writer is not None:
+            self.edge = CorrectionEdge(self.options.new_odom_frame, reader, writer)
+        waiting: deque[_Held] = deque()
+        only = None
+        if writer is not None and writer.keeps_rest:
+            only = {
+                number for number, channel in reader.channels.items() if _may_move(channel) or may_be_placed(channel)
+            }
+        for block in joined(reader.blocks(only)):
+            waiting.append(self._take(block, reader))
+            while waiting and self._ready(waiting[0]):
+                yield self._patch(waiting.popleft())
+        self._extend(self.order.flush())
+        while waiting:
+            yield self._patch(waiting.popleft())
+        if self._first_ns is None:
+            if not self.driver.by_edge:
+                find_driver(reader.channels.values(), self.driver.topic, name)
+            raise TopicError(f"{name}: {self.driver.name} has no message with a pose{self.driver.elsewhere}")
+
+    def _take(self, block: Block, reader: BagReader) -> _Held:
+        """Read what a block tells about the odometry, and let the curve grow."""
+        time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
+        present = block.present()
+        for number in present - self.seen:
+            frame = frame_of(block, reader.channels[number])
+            if frame is not None:
+                self.placed[number] = frame
+        self.seen |= present
+        parts = []
+        for number in sorted(present):
+            channel = reader.channels[number]
+            if _may_move(channel):
+                parts += [(channel, layout) for layout in locate(block, channel)]
+        if parts:
+            self._add(self.driver.read(block, parts, time_ns))
+        if len(time_ns):
+            self._now_ns = int(time_ns[-1])
+        self._extend(self.order.release(self._now_ns))
+        return _Held(block, parts, time_ns)
+
+    def _add(self, new: Arrivals) -> None:
+        # of a heading that only asks whether it is a number
+        if not (np.abs(new.xyt) < FAR_M).all():
+            usable = np.flatnonzero((np.abs(new.xyt) < FAR_M).all(axis=1))
+            self.unusable += len(new) - len(usable)
+            new = new.take(usable)
+        if self._first_ns is None and len(new):
+            self._first_ns = int(new.stamps_ns[0])
+        for ended in self.order.add(new):
+            self._extend(ended)
+            self._path.restart()
+            self._curve.restart()
+            for watcher in self.watchers:
+                watcher.restart()
+
+    def _extend(self, ordered: Arrivals) -> None:
+        if len(ordered):
+            knots = self._path.feed(ordered.stamps_ns, ordered.xyt)
+            self._curve.extend(knots, ordered.time_ns)
+            for watcher in self.watchers:
+                watcher.add(knots)
+
+    def _ready(self, held: _Held) -> bool:
+        """Whether nothing more can be learnt for a block."""
+        age_ns = self._now_ns - held.seen_ns
+        if age_ns >= WAIT_NS or not held.parts or (self.driver.frames is not None and not self._targets(held)):
+            return True
+        until_ns = self._curve.known_until_ns
+        if until_ns is None:
+            return False
+        ahead_ns = until_ns - max((int(target.stamps_ns.max()) for target in self._targets(held)), default=until_ns)
+        # a log clock that stands still must not fill the memory
+        return ahead_ns >= (0 if age_ns >= PATIENCE_NS else 2 * WAIT_NS)
+
+    def _targets(self, held: _Held) -> list[Target]:
+        if held.targets is None:
+            held.targets = [] if self.driver.frames is None else self._find_targets(held, self.driver.frames)
+        return held.targets
+
+    def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
+        found = []
+        for channel, layout in held.parts:
+            for number, item in enumerate(layout.items):
+                side = self._side(channel, item, frames)
+                if side is None and channel.msgtype in TRANSFORMS:
+                    self.stayed.add(f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}")
+                if side is not None:
+                    stamps_ns = stamps_or_log_ns(held.block, layout, number)
+                    found.append(Target(channel, layout, item, side, stamps_ns, held.time_ns[layout.rows]))
+        return found
+
+    def _side(self, channel: Channel, item: Item, frames: Frames) -> Side | None:
+        """Return from which side the correction acts on an item; None where it stays."""
+        driving = self.driver.is_odometry(channel)
+        if self.options.new_odom_frame is not None:
+            if channel.msgtype in TRANSFORMS:
+                self._refuse_parent(channel, item, frames)
+            return "left" if driving else None
+        if channel.msgtype == ODOMETRY:
+            here = plain(item.frame_id) == frames.odom and not says_truth(channel.topic)
+            return "left" if driving or here else None
+        side = side_of(item.frame_id, item.child_frame_id, frames)
+        if side is None and self.options.keep_localisation:
+            side = localisation_side_of(item.frame_id, item.child_frame_id, frames)
+        return side
+
+    def _refuse_parent(self, channel: Channel, item: Item, frames: Frames) -> None:
+        if localisation_side_of(item.frame_id, item.child_frame_id, frames) == "right":
+            raise TopicError(
+                f"{channel.topic}: {frames.odom} already has a parent, {item.frame_id}, and a frame has but one; "
+                "correct the odometry itself, with --tf odometry"
+            )
+
+    def _patch(self, held: _Held) -> Block:
+        targets = self._targets(held)
+        if not targets or self._first_ns is None:
+            return held.block
+        self._curve.forget(int(min(target.time_ns[0] for target in targets)))
+        driving = [target for target in targets if self.driver.is_odometry(target.channel)]
+        if self.truth is not None:
+            self.truth.add(held.block, driving)
+        if self.options.new_odom_frame is None:
+            self._patcher.patch(held.block, targets, self._curve, self._first_ns)
+        elif self.edge is not None and self.driver.frames is not None:
+            self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
+        return held.block
+
+
+def _may_move(channel: Channel) -> bool:
+    return channel.encoding in ENCODINGS and (channel.msgtype == ODOMETRY or channel.msgtype in TRANSFORMS)

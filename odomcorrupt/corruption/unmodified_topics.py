@@ -1,0 +1,93 @@
+"""Topics that still tell where the robot really is: motion and poses that nobody moves, by type and by frame."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.corruption.targets import ENCODINGS, plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from odomcorrupt.bags.block import Block, Channel
+
+__all__ = ["frame_of", "may_be_placed", "truth_tellers"]
+
+TELLING = frozenset({
+    "DynamicJointState", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates", "NavSatFix",
+    "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
+    "PoseWithCovariance", "PoseWithCovarianceStamped", "TransformStamped", "TwistStamped", "TwistWithCovariance",
+    "TwistWithCovarianceStamped",
+})  # fmt: skip
+"""Messages that carry motion or poses, of whatever package: last part of the type."""
+
+ASKING = frozenset({"clicked_point", "cmd_vel", "goal", "goal_pose", "initialpose"})
+"""Topics that say where a robot should be, not where it is: last part of the name."""
+
+PLACED = {
+    "sensor_msgs/msg/PointCloud2": 0,
+    "nav_msgs/msg/GridCells": 0,
+    "nav_msgs/msg/OccupancyGrid": 0,
+    "map_msgs/msg/OccupancyGridUpdate": 0,
+    "nav2_msgs/msg/Costmap": 0,
+    "nav2_msgs/msg/VoxelGrid": 0,
+    "geometry_msgs/msg/PolygonStamped": 0,
+    "visualization_msgs/msg/Marker": 0,
+    "visualization_msgs/msg/MarkerArray": 4,
+}
+"""Messages that tell the truth where they are placed in the odom frame, and at which byte their (first) header is."""
+
+
+LARGE = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})
+"""Messages that are not read for their frame's sake alone."""
+
+
+def may_be_placed(channel: Channel) -> bool:
+    """Whether a channel's messages are worth reading where only those that may move would be."""
+    return channel.msgtype in PLACED and channel.msgtype not in LARGE
+
+
+def truth_tellers(
+    channels: Iterable[Channel], moved: Iterable[str], frames: Mapping[int, str], odom_frame: str
+) -> list[str]:
+    """Return the topics, of those that carry messages, that still tell where the robot really is.
+
+    moved : topics that do not, for they are moved
+    frames : by channel, those of `frame_of`
+    """
+    moved = set(moved)
+    return sorted({
+        c.topic
+        for c in channels
+        if c.topic not in moved
+        and c.topic.rsplit("/", 1)[-1] not in ASKING
+        and (c.msgtype.rsplit("/", 1)[-1] in TELLING or frames.get(c.id) == plain(odom_frame) or _is_costmap(c))
+    })  # fmt: skip
+
+
+def _is_costmap(channel: Channel) -> bool:
+    """Whether it is a costmap: drawn about the robot, in the map's frame as well."""
+    return channel.msgtype in PLACED and "costmap" in channel.topic
+
+
+def frame_of(block: Block, channel: Channel) -> str | None:
+    """Return in which frame a channel's first message of a block is placed, without leading slashes.
+
+    None where its type does not say, or the message is too short to.
+    """
+    offset = PLACED.get(channel.msgtype)
+    rows = np.flatnonzero(block.table["channel"] == channel.id)
+    if offset is None or channel.encoding not in ENCODINGS or not len(rows):
+        return None
+    row = block.table[rows[0]]
+    data = block.data[int(row["offset"]) : int(row["offset"]) + min(int(row["length"]), 1 << 12)].tobytes()
+    # behind the header's stamp, and its number in ROS 1; a serialised ROS 2 message has four bytes of its own
+    start = offset + 12
+    order = "<" if channel.encoding == "ros1" or data[1:2] == b"\1" else ">"
+    if len(data) < start + 4:
+        return None
+    (length,) = struct.unpack_from(f"{order}I", data, start)
+    return plain(data[start + 4 : start + 4 + length].rstrip(b"\0").decode(errors="replace"))

@@ -1,0 +1,131 @@
+"""YAML that a user pastes, with what it leaves out said in comments."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from odomcorrupt.export.ros2_control import WHEEL_EFFECTS
+from odomcorrupt.sampling.text import law_words
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+
+    from odomcorrupt.export.nav2 import AmclAlphas
+    from odomcorrupt.export.robot_localization import Steady, TwistVariances
+    from odomcorrupt.export.ros2_control import WheelMultipliers
+    from odomcorrupt.model.motion_model import MotionModel
+
+__all__ = ["amcl_text", "twists_text", "wheels_text"]
+
+_UNKNOWN = 1e6
+"""Variance of what a planar robot's odometry does not measure."""
+
+
+def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: str) -> str:
+    """Return the multipliers of diff_drive_controller."""
+    lines = _comment(
+        "True over nominal wheel radii and track. They replace multipliers of 1; multiply them with others that were "
+        "there when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
+    )
+    if any(effect.name == "gyro_scale" and effect.acts for effect in model.effects):
+        lines += _comment(
+            "gyro_scale is left out: it is the gain of a heading sensor. Where the heading comes from the wheels it "
+            "is wheelbase under another name; call it so in the model file, then it is exported."
+        )
+    lines += _left_out(model, WHEEL_EFFECTS | {"gyro_scale"}, "the controller's parameters are constants of the wheels")
+    return _yaml(
+        lines,
+        f"{controller}:",
+        "  ros__parameters:",
+        f"    wheel_separation_multiplier: {_number(multipliers.separation)}",
+        f"    left_wheel_radius_multiplier: {_number(multipliers.left_radius)}",
+        f"    right_wheel_radius_multiplier: {_number(multipliers.right_radius)}",
+    )
+
+
+def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, update_min_a: float, turn: str) -> str:
+    """Return the alphas of amcl and the update distances at which they hold."""
+    reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
+    lines = _comment(
+        f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {law_words(model.noise)}; "
+        f"matched after one update on a straight drive of {update_min_d:g} m and on a turn of {update_min_a:g} rad "
+        f"{reference}. They hold at these update distances alone. Derived in docs/export.md."
+    )
+    if alphas.depends_on is not None:
+        drive = alphas.depends_on
+        lines += _comment(
+            f"The model's noise depends on the message rate: assumed are {drive.speed:g} m/s, "
+            f"{drive.yaw_rate:g} rad/s and {drive.rate_hz:g} Hz (--speed, --turn-rate, --rate)."
+        )
+    if alphas.alpha5 and "Differential" in alphas.motion_model:
+        lines += _comment("Noise across the travel is left out: amcl's differential model does not read alpha5.")
+    lines += _left_out(model, frozenset(), "amcl takes odometry for unbiased and its noise for independent")
+    values = (alphas.alpha1, alphas.alpha2, alphas.alpha3, alphas.alpha4, alphas.alpha5)
+    return _yaml(
+        lines,
+        "amcl:",
+        "  ros__parameters:",
+        f'    robot_model_type: "{alphas.motion_model}"',
+        *(f"    alpha{i}: {_number(value)}" for i, value in enumerate(values, start=1)),
+        f"    update_min_d: {_number(update_min_d)}",
+        f"    update_min_a: {_number(update_min_a)}",
+    )
+
+
+def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, controller: str) -> str:
+    """Return covariances for the node that publishes odometry, and the filter's input that reads them."""
+    unknown = _number(_UNKNOWN)
+    diagonal = (variances.forward, variances.leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, variances.yaw)
+    lines = _comment(
+        f"Variances of the velocities in one message at {drive.speed:g} m/s, {drive.yaw_rate:g} rad/s and "
+        f"{drive.rate_hz:g} Hz, of {law_words(model.noise)}. robot_localization reads them from the odometry's "
+        f"messages, so they go to the node that publishes these; {unknown} stands for what is not measured. They are "
+        "right at this speed and rate alone. Derived in docs/export.md."
+    )
+    lines += _left_out(model, frozenset(), "the filter takes odometry for unbiased and its noise for independent")
+    return _yaml(
+        lines,
+        f"{controller}:",
+        "  ros__parameters:",
+        f"    twist_covariance_diagonal: [{', '.join(_number(value) for value in diagonal)}]",
+        "ekf_filter_node:",
+        "  ros__parameters:",
+        "    # velocities, not poses: the errors of poses add up, and a filter takes every message for a new witness",
+        "    odom0_config: [false, false, false, false, false, false,",
+        "                   true, true, false, false, false, true,",
+        "                   false, false, false]",
+    )
+
+
+def _left_out(model: MotionModel, said: Collection[str], why: str) -> list[str]:
+    """Return comments on effects that cannot be said with these parameters."""
+    left = [effect for effect in model.effects if effect.acts and effect.name not in said]
+    systematic = [effect.name for effect in left if effect.kind != "noise"]
+    random = [effect.name for effect in left if effect.kind == "noise"]
+    lines = []
+    if systematic:
+        lines += _comment(
+            f"Cannot be expressed here ({why}): {', '.join(systematic)}. `odomcorrupt correct` takes it out of a "
+            "recording."
+        )
+    if random:
+        lines += _comment(f"Cannot be expressed here, nor be corrected, because it is random: {', '.join(random)}.")
+    return lines
+
+
+def _comment(sentence: str) -> list[str]:
+    return textwrap.wrap(sentence, 100, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
+
+
+def _yaml(comments: list[str], *lines: str) -> str:
+    return "\n".join([*comments, *lines])
+
+
+def _number(value: float) -> str:
+    """Return a YAML float: ROS tells 1 from 1.0, and a YAML 1.1 reader takes 1e-6 for text."""
+    text = f"{value:.6g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
+    return text if "." in text else f"{text}.0"

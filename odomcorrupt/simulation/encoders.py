@@ -1,0 +1,101 @@
+"""What the robot itself reports: ticks, perhaps a gyro, and the driver's dead reckoning with nominal numbers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from odomcorrupt.simulation.kinematics import Drive
+from odomcorrupt.simulation.planar import add_up_steps, sample
+from odomcorrupt.simulation.robot import Robot
+from odomcorrupt.simulation.streams import Streams
+
+
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """The robot's electronics and its floor, whichever flaw it has."""
+
+    odom_hz: float = 50.0
+    sampling_jitter_s: float = 0.001
+    stamp_jitter_s: float = 0.0001
+    ticks_per_turn: int | None = 4096
+    """None for encoders of infinite resolution."""
+    gyro_noise_rad_per_sqrt_s: float = 2e-4
+    motor_ripple: float = 0.01
+    creep: float = 1.0
+    """Multiplies the robot's random wheel travel."""
+
+
+@dataclass(frozen=True, slots=True)
+class Odometry:
+    """The driver's output: true sampling times (s), stamps (s, odometry clock), poses (n, 3) and body twists (n, 3)."""
+
+    stamps_s: np.ndarray
+    xyt: np.ndarray
+    twist: np.ndarray
+
+
+def jittered_times(duration_s: float, rate_hz: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
+    """Return increasing sampling times in [0, duration], with a random phase; s."""
+    period_s = 1.0 / rate_hz
+    times_s = np.arange(rng.uniform(0.1, 0.9) * period_s, duration_s - period_s, period_s)
+    return times_s + np.clip(jitter_s * rng.normal(size=times_s.size), -0.1 * period_s, 0.1 * period_s)
+
+
+def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generator) -> np.ndarray:
+    """Return the wheel angle an encoder knows of: the last edge passed; rad."""
+    phase = rng.uniform(size=2)
+    if tick_rad is None:
+        return angle_rad
+    return np.floor(angle_rad / tick_rad + phase).astype(np.int64) * tick_rad
+
+
+def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams) -> Odometry:
+    """Run the driver over a drive.
+
+    Parameters
+    ----------
+    drive : Drive
+        What truly happened; the motors show their angle, and only the heading sensor feels the body, and only its
+        heading.
+    yaw_from : {"encoders", "gyro"}
+        Where the driver takes the turn of each interval from.
+    """
+    clock = streams.open("odom_clock")
+    times_s = jittered_times(drive.grid_s[-1], rig.odom_hz, rig.sampling_jitter_s, clock)
+    stamp_noise_s = np.clip(rig.stamp_jitter_s * clock.normal(size=times_s.size), -0.001, 0.001)
+    shown_rad = sample(drive.grid_s, drive.angle_rad, times_s)
+    rim_m = np.diff(count(shown_rad, _tick_rad(robot, rig), streams.open("encoders")), axis=0) * robot.nominal_radius_m
+    forward_m = 0.5 * rim_m.sum(axis=1)
+    interval_s = np.diff(times_s)
+    if yaw_from == "gyro":
+        turn_rad = _felt(drive, times_s, robot, rig, streams)
+    else:
+        turn_rad = (rim_m[:, 0] - rim_m[:, 1]) / robot.nominal_track_m
+    if robot.lost_cycles > 0.0:
+        heard = streams.open("lost cycles").random(interval_s.size) >= robot.lost_cycles
+        forward_m, turn_rad = forward_m * heard, turn_rad * heard
+    xyt = add_up_steps(forward_m, np.zeros_like(forward_m), turn_rad)
+    rate = np.column_stack((forward_m, np.zeros_like(forward_m), turn_rad)) / interval_s[:, None]
+    stamps_s = times_s * (1.0 + robot.odom_clock_rate) + robot.odom_clock_offset_s + stamp_noise_s
+    return Odometry(stamps_s, xyt, np.vstack((np.zeros(3), rate)))
+
+
+def _tick_rad(robot: Robot, rig: Rig) -> float | None:
+    if robot.tick_travel_m > 0.0:
+        return robot.tick_travel_m / robot.nominal_radius_m
+    return None if rig.ticks_per_turn is None else 2 * np.pi / rig.ticks_per_turn
+
+
+def _felt(drive: Drive, times_s: np.ndarray, robot: Robot, rig: Rig, streams: Streams) -> np.ndarray:
+    """Return the turn of each interval by the heading sensor, rad."""
+    interval_s = np.diff(times_s)
+    noise_rad = rig.gyro_noise_rad_per_sqrt_s * np.sqrt(interval_s) * streams.open("gyro").normal(size=interval_s.size)
+    heading_rad = np.interp(times_s, drive.grid_s, drive.true_xyt[:, 2])
+    turn_rad = np.diff(heading_rad) * (1.0 + robot.gyro_scale) + robot.gyro_bias_radps * interval_s + noise_rad
+    if robot.gyro_walk_radps_per_sqrt_s > 0.0:
+        steps = np.sqrt(interval_s) * streams.open("gyro walk").normal(size=interval_s.size)
+        turn_rad = turn_rad + robot.gyro_walk_radps_per_sqrt_s * np.cumsum(steps) * interval_s
+    if robot.hard_iron_rad != 0.0:
+        compass_rad = heading_rad + drive.start_xyt[2] - robot.hard_iron_from_rad
+        turn_rad = turn_rad + robot.hard_iron_rad * np.diff(np.sin(compass_rad))
+    return np.asarray(turn_rad)

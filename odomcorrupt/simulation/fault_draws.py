@@ -1,0 +1,148 @@
+"""Which flaws a robot has: drawn by name and size, given, or left to chance."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from odomcorrupt.errors import EffectError
+from odomcorrupt.simulation.faults import CAUSES, OUTSIDE, Drawn, Parameters
+from odomcorrupt.simulation.robot import Robot
+from odomcorrupt.simulation.streams import stream
+
+EVERY = {**CAUSES, **OUTSIDE}
+"""All causes, those of the table and those of no library."""
+SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
+TWINS = {"lever_arm", "icr_shift"}
+"""Causes that no recording can tell apart: a mixture of them would be one cause."""
+_LOT = {"none": 0.2, "one": 0.5, "two": 0.15, "outside": 0.15}
+
+
+def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
+    """Draw the parameters of a cause: magnitude log-uniform over its range times `size`, sign at random.
+
+    Where the cause sits on the floor is not among them.
+
+    Parameters
+    ----------
+    cause : str
+        A key of `EVERY`.
+    size : float
+        Multiplies the magnitude; 1 is the realistic medium.
+    """
+    flaw = EVERY[cause]
+    magnitude = size * float(np.exp(rng.uniform(np.log(flaw.low), np.log(flaw.high))))
+    return _plain(flaw.draw(magnitude, rng))
+
+
+def draw_flaw(
+    cause: str, size: float, robot_seed: int, path: np.ndarray | None, given: Parameters | None = None
+) -> Drawn:
+    """Return all parameters of a cause: the given ones, the others drawn.
+
+    Parameters
+    ----------
+    path : ndarray of complex, or None
+        Where the robot is about to go in the truth frame, m; for causes that have a place.
+
+    Raises
+    ------
+    EffectError
+        If a given parameter is none of the cause's, or of the wrong kind or sign.
+    """
+    flaw = EVERY[cause]
+    drawn = draw_parameters(cause, size, stream(robot_seed, f"cause {cause}"))
+    if flaw.place is not None and path is not None:
+        drawn |= _plain(flaw.place(path, stream(robot_seed, f"place {cause}")))
+    for name, value in (given or {}).items():
+        if name not in drawn:
+            raise EffectError(f"{cause}: has no parameter {name}; it has {', '.join(drawn)}")
+        if isinstance(drawn[name], str) and value not in {"along", "yaw"}:
+            raise EffectError(f"{cause}: {name} {value}; it can be along or yaw")
+        if not isinstance(drawn[name], str) and isinstance(value, str):
+            raise EffectError(f"{cause}: {name} {value} is no number")
+    drawn |= given or {}
+    first = next(iter(drawn.values()))
+    if flaw.one_signed and not isinstance(first, str) and first < 0:
+        raise EffectError(f"{cause}: {next(iter(drawn))} {first}; this has no negative")
+    return drawn
+
+
+def spoil(robot: Robot, flaws: Mapping[str, Parameters]) -> Robot:
+    """Return the robot with these flaws."""
+    for cause, parameters in flaws.items():
+        robot = EVERY[cause].spoil(robot, parameters)
+    return robot
+
+
+def source_of_turns(causes: Sequence[str]) -> str:
+    """Return what the driver must take its turns from for these causes to show.
+
+    Raises
+    ------
+    EffectError
+        If no source shows them all.
+    """
+    for source in ("encoders", "gyro"):
+        if all(source in EVERY[cause].shows_with for cause in causes):
+            return source
+    raise EffectError(f"{' and '.join(causes)}: need different sources of heading; choose causes that share one")
+
+
+def names_of(cause: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Return the names of one, several or no causes.
+
+    Raises
+    ------
+    EffectError
+        If one is unknown or comes twice.
+    """
+    causes = (cause,) if isinstance(cause, str) else tuple(cause or ())
+    for name in causes:
+        if name not in EVERY:
+            raise EffectError(f"{name}: is no cause; there are {', '.join(sorted(EVERY))}")
+        if causes.count(name) > 1:
+            raise EffectError(f"{name}: is there twice; name each cause once")
+    return causes
+
+
+def is_placed(causes: Sequence[str]) -> bool:
+    """Tell whether one of these causes sits somewhere on the floor."""
+    return any(EVERY[name].place is not None for name in causes)
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """What was drawn in secret: names of causes, and where the driver takes its turns from."""
+
+    causes: tuple[str, ...]
+    yaw_from: str
+
+
+def draw_causes(seed: int, yaw_from: str | None = None) -> Hidden:
+    """Draw what is wrong: nothing, one known cause, two of them, or one that is in no library.
+
+    Parameters
+    ----------
+    yaw_from : {"encoders", "gyro"}, optional
+        Draw only what shows with this source of turns; by default the source is drawn too, and first, so that it
+        does not tell the cause.
+    """
+    rng = stream(seed, "hidden")
+    kind = rng.choice(list(_LOT), p=list(_LOT.values()))
+    fair = str(rng.choice(("encoders", "gyro")))
+    source = yaw_from or fair
+    known = [name for name, flaw in CAUSES.items() if source in flaw.shows_with]
+    if kind == "none":
+        return Hidden((), source)
+    if kind == "outside":
+        foreign = [name for name, flaw in OUTSIDE.items() if source in flaw.shows_with]
+        return Hidden((str(rng.choice(foreign)),), source)
+    while True:
+        causes = tuple(str(name) for name in rng.choice(known, size=1 + (kind == "two"), replace=False))
+        if set(causes) != TWINS:
+            return Hidden(causes, source)
+
+
+def _plain(drawn: Drawn) -> Drawn:
+    return {name: str(value) if isinstance(value, str) else float(value) for name, value in drawn.items()}

@@ -1,0 +1,317 @@
+"""Faults: changes of the machine or its floor, by the names of the effects library, and others that are in no library.
+
+To add one, write a function that turns parameters into a changed `Robot` and enter it in `CAUSES` or `OUTSIDE`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from odomcorrupt.simulation.robot import Bursts, Disc, Robot, Slippery, Strip
+
+Parameters: TypeAlias = Mapping[str, float | str]
+Drawn: TypeAlias = dict[str, float | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """One flaw: the range of its magnitude, how a magnitude becomes parameters, and what it does to the machine.
+
+    Attributes
+    ----------
+    low, high : float
+        Range of the magnitude at medium size.
+    draw : callable
+        Magnitude and generator in, parameters out.
+    spoil : callable
+        Robot and parameters in, flawed robot out.
+    yaw_from : {"encoders", "gyro"}
+        The driver's source of turns unless one is asked for.
+    shows_with : tuple of str
+        Sources of turns with which the flaw is an error of the odometry.
+    place : callable or None
+        Where on the floor it is, drawn along a path (complex, m) of the truth frame.
+    depends_on : str
+        What the odometry's error depends on, for causes that are in no library.
+    one_signed : bool
+        Whether its magnitude (the first parameter) must not be negative.
+    """
+
+    low: float
+    high: float
+    draw: Callable[[float, np.random.Generator], Drawn]
+    spoil: Callable[[Robot, Mapping[str, Any]], Robot]
+    yaw_from: str = "encoders"
+    shows_with: tuple[str, ...] = ("encoders", "gyro")
+    place: Callable[[np.ndarray, np.random.Generator], Drawn] | None = None
+    depends_on: str = ""
+    one_signed: bool = False
+
+
+def either_sign(name: str) -> Callable[[float, np.random.Generator], Drawn]:
+    """Draw the sign of the only parameter."""
+    return lambda magnitude, rng: {name: magnitude * rng.choice((-1.0, 1.0))}
+
+
+def positive(name: str) -> Callable[[float, np.random.Generator], Drawn]:
+    """Have one parameter that knows no sign."""
+    return lambda magnitude, _: {name: magnitude}
+
+
+def with_angle(name: str, angle: str) -> Callable[[float, np.random.Generator], Drawn]:
+    """Draw a direction, rad, beside the magnitude."""
+    return lambda magnitude, rng: {name: magnitude, angle: rng.uniform(-np.pi, np.pi)}
+
+
+def spot_on(path: np.ndarray, rng: np.random.Generator) -> tuple[complex, float]:
+    """Draw a centre and a radius, m, of a part of the floor that a drive crosses often without living there.
+
+    Parameters
+    ----------
+    path : ndarray of complex, shape (n,)
+        Evenly timed places of the truth frame, m.
+    """
+    moved = np.abs(np.diff(path, append=path[-1:]))
+    way_m = max(float(moved.sum()), 1e-9)
+    best, best_merit = (complex(path[0]), 1.0), -np.inf
+    for _ in range(40):
+        centre, radius_m = complex(path[rng.choice(len(path), p=(moved + 1e-12) / (moved + 1e-12).sum())]), 1.0
+        radius_m = float(rng.uniform(0.8, 1.8))
+        centre += radius_m * rng.uniform(0.0, 0.6) * np.exp(1j * rng.uniform(-np.pi, np.pi))
+        inside = np.abs(path - centre) < radius_m
+        share = float(moved[inside].sum()) / way_m
+        visits = int(np.count_nonzero(np.diff(inside.astype(np.int8)) == 1))
+        from_home = abs(centre - path[0])
+        merit = min(visits, 6) - 30.0 * max(0.08 - share, share - 0.35, 0.0) - 0.5 * max(from_home - 4.0, 0.0)
+        if merit > best_merit:
+            best, best_merit = (centre, radius_m), merit
+    return best
+
+
+WHEELS, GYRO = ("encoders",), ("gyro",)
+
+
+def _any_direction(magnitude: float, rng: np.random.Generator) -> Drawn:
+    angle_rad = rng.uniform(-np.pi, np.pi)
+    return {"x": magnitude * np.cos(angle_rad), "y": magnitude * np.sin(angle_rad)}
+
+
+def _grow_both(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(
+        robot,
+        radius_right_m=robot.radius_right_m * (1 + p["e"]),
+        radius_left_m=robot.radius_left_m * (1 + p["e"]),
+    )
+
+
+def _grow_right_shrink_left(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    """Make wheels that turn equally fast roll on a circle of the wanted curvature, the mean radius being nominal."""
+    half = 0.5 * p["curvature"] * robot.nominal_track_m
+    return replace(
+        robot,
+        radius_right_m=robot.radius_right_m * (1 + half),
+        radius_left_m=robot.radius_left_m * (1 - half),
+    )
+
+
+def _mark(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    x, y, yaw = robot.marker_xyt
+    return replace(robot, marker_xyt=(x + p.get("x", 0.0), y + p.get("y", 0.0), yaw + p.get("yaw", 0.0)))
+
+
+def _wet(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=False)
+    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+
+
+def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
+    """Draw a disc that a drive along `path` (complex, m) crosses often."""
+    centre, radius_m = spot_on(path, rng)
+    return {"x": centre.real, "y": centre.imag, "radius": radius_m}
+
+
+def _tilt(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    pull = p["creep"] * complex(np.cos(p["direction"]), np.sin(p["direction"]))
+    return replace(robot, floor=replace(robot.floor, downhill=(*robot.floor.downhill, pull)))
+
+
+def _burst(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    bursts = Bursts(p["rate"], p["slip"], p["duration"])
+    return replace(robot, floor=replace(robot.floor, bursts=(*robot.floor.bursts, bursts)))
+
+
+def _roughen(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, floor=replace(robot.floor, jolts_inverse_dof=p["inverse_dof"]))
+
+
+def _between(low: float, high: float, rng: np.random.Generator) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _wobble(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    wobble = (float(p["sigma"]), float(p["tau"]))
+    if wobble[0] == 0.0:
+        return robot
+    if p["channel"] == "yaw":
+        return replace(robot, play_of_track=(*robot.play_of_track, wobble))
+    return replace(robot, floor=replace(robot.floor, uneven=(*robot.floor.uneven, wobble)))
+
+
+def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
+    """Return how a cause spoils one field of the machine, to which its parameter adds."""
+
+    def spoil(robot: Robot, p: Mapping[str, Any]) -> Robot:
+        return replace(robot, **{name: getattr(robot, name) + p[parameter]})
+
+    return spoil
+
+
+CAUSES: dict[str, Cause] = {
+    "wheel_scale": Cause(0.005, 0.02, either_sign("e"), _grow_both),
+    "unequal_wheels": Cause(0.003, 0.015, either_sign("curvature"), _grow_right_shrink_left, shows_with=WHEELS),
+    "wheelbase": Cause(
+        0.01,
+        0.04,
+        either_sign("e"),
+        lambda robot, p: replace(robot, track_m=robot.track_m * (1 + p["e"])),
+        shows_with=WHEELS,
+    ),
+    "lever_arm": Cause(0.02, 0.08, _any_direction, _mark),
+    "mount_yaw": Cause(np.radians(1.0), np.radians(4.0), either_sign("yaw"), _mark),
+    "icr_shift": Cause(0.02, 0.08, either_sign("x"), _adds("x", "rotation_centre_behind_m")),
+    "gyro_bias": Cause(
+        0.002, 0.01, either_sign("bias"), _adds("bias", "gyro_bias_radps"), yaw_from="gyro", shows_with=GYRO
+    ),
+    "gyro_bias_walk": Cause(
+        1e-4,
+        5e-4,
+        positive("density"),
+        _adds("density", "gyro_walk_radps_per_sqrt_s"),
+        yaw_from="gyro",
+        shows_with=GYRO,
+        one_signed=True,
+    ),
+    "gyro_scale": Cause(0.005, 0.03, either_sign("e"), _adds("e", "gyro_scale"), yaw_from="gyro", shows_with=GYRO),
+    # A tyre can only yield to the side it is pushed to: these two have no negative.
+    "side_slip": Cause(0.01, 0.05, positive("k"), _adds("k", "lateral_creep_s"), one_signed=True),
+    "accel_slip": Cause(0.02, 0.06, positive("k"), _adds("k", "traction_s2_per_m"), one_signed=True),
+    "speed_scale": Cause(0.008, 0.03, either_sign("k"), _adds("k", "growth_s_per_m")),
+    "region_slip": Cause(0.03, 0.1, positive("slip"), _wet, place=on_path),
+    "slope": Cause(0.008, 0.03, with_angle("creep", "direction"), _tilt),
+    "turn_asymmetry": Cause(0.008, 0.03, either_sign("k"), _adds("k", "lean"), shows_with=WHEELS),
+    "scale_drift": Cause(1e-5, 4e-5, either_sign("rate"), _adds("rate", "warming_per_s")),
+    "backlash": Cause(0.003, 0.012, positive("travel"), _adds("travel", "gear_play_m"), one_signed=True),
+    "slip_burst": Cause(
+        0.02,
+        0.08,
+        lambda rate, rng: {"rate": rate, "slip": rng.uniform(0.3, 0.6), "duration": rng.uniform(0.1, 0.3)},
+        _burst,
+        one_signed=True,
+    ),
+    "gauss_markov": Cause(
+        0.01,
+        0.05,
+        lambda sigma, rng: {"sigma": sigma, "tau": _between(2.0, 30.0, rng), "channel": rng.choice(("along", "yaw"))},
+        _wobble,
+        one_signed=True,
+    ),
+    "heavy_tails": Cause(
+        0.2, 0.45, lambda magnitude, _: {"inverse_dof": min(magnitude, 0.7)}, _roughen, one_signed=True
+    ),
+    "quantization": Cause(0.002, 0.01, positive("step"), _adds("step", "tick_travel_m"), one_signed=True),
+    "lost_increments": Cause(0.005, 0.03, positive("fraction"), _adds("fraction", "lost_cycles"), one_signed=True),
+    "time_offset": Cause(0.02, 0.1, either_sign("offset"), _adds("offset", "odom_clock_offset_s")),
+    "clock_skew": Cause(5e-5, 3e-4, either_sign("rate"), _adds("rate", "odom_clock_rate")),
+}
+
+
+def _off_centre(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, eccentricity=p["e"], eccentric_from_rad=p["phase"])
+
+
+def _magnetise(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, hard_iron_rad=p["amplitude"], hard_iron_from_rad=p["direction"])
+
+
+def _let_go_when_fast(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, floor=replace(robot.floor, grip_mps=p["speed"], grip_slip=p["slip"]))
+
+
+def _drag_when_braking(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, floor=replace(robot.floor, braking_mps2=p["deceleration"], braking_slip=p["slip"]))
+
+
+def _slide_the_load(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, load_squeeze=p["squeeze"], load_shift_s=p["time"])
+
+
+def _lay_carpet(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, floor=replace(robot.floor, grain=p["creep"], grain_from_rad=p["direction"]))
+
+
+def _scrub(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    return replace(robot, scrub_s=p["k"])
+
+
+def _wet_patch(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    """Lay a patch at whose edge one wheel slips before the other: it kicks the robot round."""
+    patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
+    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+
+
+def _wet_strip(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    patch = Slippery(Strip(p["x"], p["y"], p["direction"], 0.5 * p["width"]), p["slip"], by_wheel=True)
+    return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
+
+
+def _across(path: np.ndarray, rng: np.random.Generator) -> Drawn:
+    centre, radius_m = spot_on(path, rng)
+    direction_rad = float(rng.uniform(-np.pi, np.pi))
+    return {"x": centre.real, "y": centre.imag, "direction": direction_rad, "width": radius_m}
+
+
+OUTSIDE: dict[str, Cause] = {
+    "eccentric_wheel": Cause(
+        0.02, 0.06, with_angle("e", "phase"), _off_centre, shows_with=WHEELS, depends_on="distance", one_signed=True
+    ),
+    "magnetic_heading": Cause(
+        0.02,
+        0.08,
+        with_angle("amplitude", "direction"),
+        _magnetise,
+        yaw_from="gyro",
+        shows_with=GYRO,
+        depends_on="heading",
+        one_signed=True,
+    ),
+    "floor_grain": Cause(
+        0.01, 0.03, with_angle("creep", "direction"), _lay_carpet, depends_on="heading", one_signed=True
+    ),
+    "overspeed_slip": Cause(
+        0.02,
+        0.06,
+        lambda slip, rng: {"slip": slip, "speed": rng.uniform(0.5, 0.7)},
+        _let_go_when_fast,
+        depends_on="speed",
+    ),
+    "braking_drag": Cause(
+        0.05,
+        0.15,
+        lambda slip, rng: {"slip": slip, "deceleration": rng.uniform(0.2, 0.4)},
+        _drag_when_braking,
+        depends_on="acceleration",
+    ),
+    "load_shift": Cause(
+        0.0008,
+        0.003,
+        lambda squeeze, rng: {"squeeze": squeeze * rng.choice((-1.0, 1.0)), "time": rng.uniform(120.0, 360.0)},
+        _slide_the_load,
+        shows_with=WHEELS,
+        depends_on="time",
+    ),
+    "turn_scrub": Cause(0.02, 0.06, either_sign("k"), _scrub, shows_with=WHEELS, depends_on="yaw_rate"),
+    "wet_patch": Cause(0.03, 0.1, positive("slip"), _wet_patch, place=on_path, depends_on="position"),
+    "wet_strip": Cause(0.03, 0.1, positive("slip"), _wet_strip, place=_across, depends_on="position"),
+}

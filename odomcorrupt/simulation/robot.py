@@ -1,0 +1,179 @@
+"""The machine and the floor under it: nominal and true dimensions, sensors, tyres; patches, slopes and grip."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A round patch, m."""
+
+    x_m: float
+    y_m: float
+    radius_m: float
+
+    def holds(self, place: complex) -> bool:
+        """Tell whether a point (x + iy, m) lies in it."""
+        return abs(place - complex(self.x_m, self.y_m)) < self.radius_m
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A band without ends, as wide as twice `half_m`, whose middle line runs in `direction_rad` through (x, y)."""
+
+    x_m: float
+    y_m: float
+    direction_rad: float
+    half_m: float
+
+    def holds(self, place: complex) -> bool:
+        """Tell whether a point (x + iy, m) lies in it."""
+        along = (place - complex(self.x_m, self.y_m)) * np.exp(-1j * self.direction_rad)
+        return bool(abs(along.imag) < self.half_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Slippery:
+    """A place where the part `slip` of the way rolled is lost: by each wheel that is in it, or by the whole axle."""
+
+    place: Disc | Strip
+    slip: float
+    by_wheel: bool
+    """Whether each wheel is asked where it is; else the middle of the axle speaks for both."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bursts:
+    """Short losses of grip: how many per second, the mean part of the way lost, and how long, s."""
+
+    rate_hz: float
+    slip: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """What the wheels roll on; the default is level, dry and the same everywhere."""
+
+    slippery: tuple[Slippery, ...] = ()
+    bursts: tuple[Bursts, ...] = ()
+    downhill: tuple[complex, ...] = ()
+    """Creep per metre rolled, as vectors x + iy: a tyre pulled aside yields only while it rolls."""
+    grain: float = 0.0
+    """Sideways creep per metre rolled at 45 degrees to the carpet's ribs: wheels prefer to roll along them."""
+    grain_from_rad: float = 0.0
+    """Direction of the ribs."""
+    uneven: tuple[tuple[float, float], ...] = ()
+    """Random wander of the way made per metre rolled: (sigma, correlation time in s)."""
+    jolts_inverse_dof: float = 0.0
+    """How heavy the tails of the random creep are: 1 / degrees of freedom of Student's t."""
+    grip_mps: float = np.inf
+    """Rim speed above which the floor no longer holds a wheel."""
+    grip_slip: float = 0.0
+    """Part of the way lost above `grip_mps`."""
+    braking_mps2: float = np.inf
+    """Deceleration above which a braking wheel is dragged."""
+    braking_slip: float = 0.0
+    """Part of the way gained while dragged."""
+
+
+DRIVE_TYPES = ("differential", "skid")
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """A machine with one driven wheel, or one driven row of wheels, on each side. The driver knows the nominal only.
+
+    New physics is a new field whose default does nothing, read by the layer it belongs to.
+    """
+
+    nominal_radius_m: float
+    nominal_track_m: float
+    motor_lag_s: float
+    travel_noise_m_per_sqrt_m: float
+    radius_right_m: float
+    radius_left_m: float
+    track_m: float
+    scrub_arm_m: float = 0.0
+    """Way the tread is dragged sideways per radian of turn: wheels in rows scrub, and creep at random for it."""
+
+    # tyres
+    lateral_creep_s: float = 0.0
+    """Mass over lateral creep coefficient of the tyres (N per m/s of sideways speed); 0 is a tyre that never gives."""
+    traction_s2_per_m: float = 0.0
+    """Mass over longitudinal slip stiffness (N per unit of slip ratio); 0 is a tyre that never gives."""
+    growth_s_per_m: float = 0.0
+    """Relative growth of a wheel's radius per m/s of rim speed."""
+    warming_per_s: float = 0.0
+    """Relative growth of both radii per second since the start."""
+    eccentricity: float = 0.0
+    """Right axle's distance from the middle of its wheel, over the radius."""
+    eccentric_from_rad: float = 0.0
+    load_shift_s: float = np.inf
+    """When the load slides to one side, s after the start."""
+    load_squeeze: float = 0.0
+    """Relative loss of the right radius from then on (and gain of the left)."""
+
+    # where the body turns
+    rotation_centre_behind_m: float = 0.0
+    """How far behind the base frame the body turns about."""
+    lean: float = 0.0
+    """Relative loss of effective track in left turns, and gain in right ones (contact patches move under the load)."""
+    scrub_s: float = 0.0
+    """Relative growth of the effective track per rad/s of turn rate."""
+    play_of_track: tuple[tuple[float, float], ...] = ()
+    """Random wander of the effective track: (sigma, correlation time in s)."""
+
+    # gear, encoders and heading sensor
+    gear_play_m: float = 0.0
+    """Play between motor (where the encoder sits) and wheel, at the rim."""
+    tick_travel_m: float = 0.0
+    """Way per tick at the rim instead of the rig's resolution."""
+    lost_cycles: float = 0.0
+    """Fraction of the driver's cycles whose ticks (and turn) are lost on the wire."""
+    gyro_bias_radps: float = 0.0
+    gyro_scale: float = 0.0
+    gyro_walk_radps_per_sqrt_s: float = 0.0
+    hard_iron_rad: float = 0.0
+    """Amplitude of the compass error of a heading sensor that leans on a magnetometer."""
+    hard_iron_from_rad: float = 0.0
+    """World heading at which this error vanishes on its way up."""
+
+    # what the outside sees of it, and when
+    marker_xyt: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Tracked frame as seen from the base; m, m, rad."""
+    odom_clock_offset_s: float = 0.0
+    odom_clock_rate: float = 0.0
+    """Odometry clock's seconds per true second, minus 1."""
+
+    floor: Floor = field(default_factory=Floor)
+    """What it drives on."""
+
+
+def build_robot(rng: np.random.Generator, drive_type: str = "differential") -> Robot:
+    """Draw a flawless robot: its true wheels and track are the nominal ones.
+
+    A skid-steered one turns as if its wheels stood farther apart than they do; its maker has measured how far, and
+    that is its nominal track. What is left is that its tread is dragged in turns.
+
+    Parameters
+    ----------
+    drive_type : {"differential", "skid"}
+        One wheel on each side and castors, or a row of wheels on each side.
+    """
+    radius_m = round(rng.uniform(0.07, 0.12), 3)
+    track_m = round(rng.uniform(0.32, 0.5), 3)
+    robot = Robot(
+        nominal_radius_m=radius_m,
+        nominal_track_m=track_m,
+        motor_lag_s=rng.uniform(0.06, 0.15),
+        travel_noise_m_per_sqrt_m=rng.uniform(0.001, 0.003),
+        radius_right_m=radius_m,
+        radius_left_m=radius_m,
+        track_m=track_m,
+    )
+    if drive_type == "differential":
+        return robot
+    wider_m = round(track_m * rng.uniform(1.3, 2.0), 3)
+    return replace(robot, nominal_track_m=wider_m, track_m=wider_m, scrub_arm_m=rng.uniform(0.1, 0.25))

@@ -1,0 +1,244 @@
+"""Routes: segments of speed and turn rate, planned for an office or named; nothing steers on the truth."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import cycle
+
+import numpy as np
+
+SIDEWAYS_LIMIT_MPS2 = 0.9
+ROOM_RADIUS_M = 7.0
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Ease from the speeds before to these within `ramp_s`, then hold them."""
+
+    v_mps: float
+    omega_radps: float
+    hold_s: float
+    ramp_s: float = 1.0
+
+
+@dataclass(slots=True)
+class _Planner:
+    """Dead reckoning on paper: where the plan itself would lead, so that it stays in the room."""
+
+    rng: np.random.Generator
+    place: complex = 0j
+    heading_rad: float = 0.0
+    v_mps: float = 0.0
+    omega_radps: float = 0.0
+
+    def to(self, v_mps: float, omega_radps: float, hold_s: float) -> Segment:
+        accel_mps2, accel_radps2 = self.rng.uniform(0.25, 0.9), self.rng.uniform(0.8, 2.0)
+        gentlest_s = max(abs(v_mps - self.v_mps) / accel_mps2, abs(omega_radps - self.omega_radps) / accel_radps2)
+        ramp_s = max(0.2, 1.5 * gentlest_s)
+        for v, omega, t in (
+            (0.5 * (self.v_mps + v_mps), 0.5 * (self.omega_radps + omega_radps), ramp_s),
+            (v_mps, omega_radps, hold_s),
+        ):
+            self.heading_rad += 0.5 * omega * t
+            self.place += v * t * np.sinc(omega * t / (2 * np.pi)) * np.exp(1j * self.heading_rad)
+            self.heading_rad += 0.5 * omega * t
+        self.v_mps, self.omega_radps = v_mps, omega_radps
+        return Segment(v_mps, omega_radps, hold_s, ramp_s)
+
+    def stand(self, low_s: float, high_s: float) -> Segment:
+        return self.to(0.0, 0.0, self.rng.uniform(low_s, high_s))
+
+    def side(self) -> float:
+        """+1 left, -1 right: a coin that leans towards the middle of the room the farther out the plan is."""
+        home_is_left = (-self.place * np.exp(-1j * self.heading_rad)).imag > 0
+        lean = 0.25 * min(1.0, abs(self.place) / ROOM_RADIUS_M)
+        return 1.0 if self.rng.random() < 0.5 + (lean if home_is_left else -lean) else -1.0
+
+    def straight(self) -> Iterator[Segment]:
+        v_mps = float(np.exp(self.rng.uniform(np.log(0.15), np.log(1.2))))
+        yield self.to(v_mps, 0.0, self.rng.uniform(1.0, 5.0) / max(v_mps, 0.5))
+
+    def bend(self) -> Iterator[Segment]:
+        radius_m = float(np.exp(self.rng.uniform(np.log(0.4), np.log(3.0))))
+        fastest_mps = min(1.2, float(np.sqrt(SIDEWAYS_LIMIT_MPS2 * radius_m)))
+        v_mps = fastest_mps * self.rng.uniform(0.3, 1.0)
+        turn_rad = np.radians(self.rng.uniform(30.0, 150.0))
+        yield self.to(v_mps, self.side() * v_mps / radius_m, turn_rad * radius_m / v_mps)
+
+    def spot_turn(self) -> Iterator[Segment]:
+        yield self.stand(0.1, 0.5)
+        omega_radps = self.rng.uniform(0.3, 1.2)
+        yield self.to(0.0, self.side() * omega_radps, np.radians(self.rng.uniform(30.0, 150.0)) / omega_radps)
+        yield self.stand(0.1, 0.5)
+
+    def reverse(self) -> Iterator[Segment]:
+        yield self.stand(0.2, 0.8)
+        v_mps = self.rng.uniform(0.15, 0.4)
+        curvature_radpm = self.rng.choice((0.0, 0.6, -0.6))
+        yield self.to(-v_mps, v_mps * curvature_radpm, self.rng.uniform(0.3, 1.2) / v_mps)
+        yield self.stand(0.2, 0.8)
+
+    def pause(self) -> Iterator[Segment]:
+        yield self.stand(1.5, 5.0)
+
+    def next_move(self) -> Iterator[Segment]:
+        outward = abs(self.place) > ROOM_RADIUS_M and (self.place * np.exp(-1j * self.heading_rad)).real > 0
+        weights = np.array([0.1 if outward else 0.4, 0.4, 0.08, 0.05, 0.07])
+        moves = (self.straight, self.bend, self.spot_turn, self.reverse, self.pause)
+        return moves[self.rng.choice(len(moves), p=weights / weights.sum())]()
+
+
+def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ...]:
+    """Draw an office drive that starts from and ends at rest.
+
+    Parameters
+    ----------
+    duration_s : float
+        The plan is cut so that the robot stands before this time, s.
+    """
+    planner = _Planner(rng)
+    route = [planner.stand(1.5, 2.5)]
+    left_s = duration_s - 4.0
+    while True:
+        for segment in planner.next_move():
+            left_s -= segment.ramp_s + segment.hold_s
+            if left_s < 0:
+                return (*route, Segment(0.0, 0.0, np.inf, 2.0))
+            route.append(segment)
+
+
+def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
+    """Return the commanded speeds: S-shaped ramps (bounded jerk), level between them, from rest.
+
+    Parameters
+    ----------
+    route : sequence of Segment
+        After the last one its speeds are kept.
+    grid_s : ndarray, shape (n,)
+        Times, s.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Forward speed in m/s, turn rate in rad/s.
+    """
+    starts_s = np.concatenate(([0.0], np.cumsum([s.ramp_s + s.hold_s for s in route[:-1]])))
+    ramps_s = np.array([s.ramp_s for s in route])
+    speeds = np.array([(0.0, 0.0), *((s.v_mps, s.omega_radps) for s in route)])
+    now = np.searchsorted(starts_s, grid_s, side="right") - 1
+    part = np.clip((grid_s - starts_s[now]) / ramps_s[now], 0.0, 1.0)
+    eased = part * part * (3.0 - 2.0 * part)
+    return np.asarray(speeds[now] + (speeds[now + 1] - speeds[now]) * eased[:, None])
+
+
+SQUARE_M = 4.0
+EASY_MPS2 = 0.5
+EASY_RADPS2 = 1.2
+
+
+def _stand(hold_s: float) -> Segment:
+    return Segment(0.0, 0.0, hold_s, 0.6)
+
+
+def _ahead(way_m: float, v_mps: float) -> Iterator[Segment]:
+    """Drive so far (negative: backwards), from rest to rest."""
+    ramp_s = 1.5 * v_mps / EASY_MPS2
+    if abs(way_m) < v_mps * ramp_s:
+        v_mps = float(np.sqrt(abs(way_m) * EASY_MPS2 / 1.5))
+        ramp_s = 1.5 * v_mps / EASY_MPS2
+    yield Segment(float(np.copysign(v_mps, way_m)), 0.0, max(abs(way_m) / v_mps - ramp_s, 0.0), ramp_s)
+    yield Segment(0.0, 0.0, 0.3, ramp_s)
+
+
+def _spin(angle_rad: float, omega_radps: float) -> Iterator[Segment]:
+    """Turn on the spot by so much, from rest to rest."""
+    ramp_s = 1.5 * omega_radps / EASY_RADPS2
+    if abs(angle_rad) < omega_radps * ramp_s:
+        omega_radps = float(np.sqrt(abs(angle_rad) * EASY_RADPS2 / 1.5))
+        ramp_s = 1.5 * omega_radps / EASY_RADPS2
+    hold_s = max(abs(angle_rad) / omega_radps - ramp_s, 0.0)
+    yield Segment(0.0, float(np.copysign(omega_radps, angle_rad)), hold_s, ramp_s)
+    yield Segment(0.0, 0.0, 0.3, ramp_s)
+
+
+def _loops(rng: np.random.Generator) -> Iterator[Segment]:
+    """Drive rounded rectangles, two laps to the left, two to the right, each lap at a speed of its own."""
+    long_m, short_m, bend_m = rng.uniform(3.0, 6.0), rng.uniform(1.5, 3.0), rng.uniform(0.7, 1.3)
+    for side in cycle((1.0, -1.0)):
+        for _ in range(2):
+            v_mps = float(rng.uniform(0.3, min(1.0, np.sqrt(0.8 * bend_m))))
+            ease_s = 0.4
+            for leg_m in (long_m, short_m, long_m, short_m):
+                yield Segment(v_mps, 0.0, leg_m / v_mps, 1.0 + v_mps)
+                yield Segment(v_mps, side * v_mps / bend_m, 0.5 * np.pi * bend_m / v_mps - ease_s, ease_s)
+                yield Segment(v_mps, 0.0, 0.1, ease_s)
+        yield Segment(0.0, 0.0, rng.uniform(1.0, 4.0), 1.5)
+
+
+def _shuttle(rng: np.random.Generator) -> Iterator[Segment]:
+    """Go straight ahead and straight back, never turning."""
+    while True:
+        way_m, there_mps, back_mps = rng.uniform(2.0, 7.0), rng.uniform(0.2, 1.1), rng.uniform(0.2, 0.8)
+        yield from _ahead(way_m, there_mps)
+        yield _stand(rng.uniform(0.5, 3.0))
+        yield from _ahead(-way_m, back_mps)
+        yield _stand(rng.uniform(0.5, 3.0))
+
+
+def _slalom(rng: np.random.Generator) -> Iterator[Segment]:
+    """Weave between poles, there and back, each time at another speed."""
+    for v_mps in cycle((0.3, 0.6, 0.9, 0.45)):
+        poles, swing_rad = 2 * int(rng.integers(2, 4)), rng.uniform(0.6, 1.1)
+        omega_radps = rng.uniform(0.5, 0.65) / max(v_mps, 0.5)
+        for side in (1.0, -1.0):
+            yield Segment(v_mps, 0.0, 0.5, 1.5 * v_mps / EASY_MPS2)
+            for pole in range(poles + 1):
+                swing_s = (2.0 if 0 < pole < poles else 1.0) * swing_rad / omega_radps
+                yield Segment(v_mps, side * (-1.0) ** pole * omega_radps, max(swing_s - 0.5, 0.05), 0.5)
+            yield Segment(v_mps, 0.0, 0.5, 0.5)
+            yield _stand(rng.uniform(0.5, 2.0))
+            yield from _spin(np.pi * rng.choice((-1.0, 1.0)), 0.8)
+
+
+def _yard(rng: np.random.Generator) -> Iterator[Segment]:
+    """Turn on the spot, go a little way, perhaps back off: a yard full of pallets."""
+    while True:
+        for _ in range(int(rng.integers(1, 3))):
+            yield from _spin(rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 3.2), rng.uniform(0.3, 1.2))
+            yield _stand(rng.uniform(0.2, 1.0))
+        way_m = rng.uniform(0.6, 2.5)
+        yield from _ahead(way_m, rng.uniform(0.3, 0.9))
+        yield _stand(rng.uniform(0.2, 1.5))
+        if rng.random() < 0.6:
+            yield from _ahead(-way_m * rng.uniform(0.5, 1.0), rng.uniform(0.2, 0.5))
+
+
+def _umbmark(rng: np.random.Generator) -> Iterator[Segment]:
+    """Drive squares of 4 m with corners on the spot, five clockwise, five the other way, over and over."""
+    v_mps, omega_radps = rng.uniform(0.4, 0.6), rng.uniform(0.6, 0.9)
+    for side in cycle((-1.0,) * 5 + (1.0,) * 5):
+        for _ in range(4):
+            yield from _ahead(SQUARE_M, v_mps)
+            yield from _spin(side * 0.5 * np.pi, omega_radps)
+        yield _stand(1.5)
+
+
+def _until(duration_s: float, moves: Iterator[Segment]) -> tuple[Segment, ...]:
+    """Cut a plan so that the robot stands before the end."""
+    plan, left_s = [Segment(0.0, 0.0, 1.0, 1.0)], duration_s - 5.0
+    for segment in moves:
+        left_s -= segment.ramp_s + segment.hold_s
+        if left_s < 0:
+            break
+        plan.append(segment)
+    return (*plan, Segment(0.0, 0.0, np.inf, 2.0))
+
+
+ROUTES: dict[str, Callable[[float, np.random.Generator], tuple[Segment, ...]]] = {
+    "office": draw_route,
+    "loops": lambda duration_s, rng: _until(duration_s, _loops(rng)),
+    "shuttle": lambda duration_s, rng: _until(duration_s, _shuttle(rng)),
+    "slalom": lambda duration_s, rng: _until(duration_s, _slalom(rng)),
+    "yard": lambda duration_s, rng: _until(duration_s, _yard(rng)),
+    "umbmark": lambda duration_s, rng: _until(duration_s, _umbmark(rng)),
+}
+"""Name, and what draws the route: its duration, s, and its random stream in, segments out."""

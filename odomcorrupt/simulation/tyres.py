@@ -1,0 +1,203 @@
+"""From wheel angles to travel on the floor: rolling, creep and slip, by load, speed, chance and place."""
+
+import numpy as np
+from scipy.signal import lfilter
+
+from odomcorrupt.simulation.robot import Bursts, Floor, Robot, Slippery
+from odomcorrupt.simulation.streams import Streams
+
+JOLT_S = 0.5
+"""How long a floor's roughness stays the same where it has heavy tails."""
+
+
+def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, streams: Streams) -> np.ndarray:
+    """Return the way each wheel's contact point makes over a floor that holds it.
+
+    A wheel of true radius rolls; its contact point creeps at random, with a variance that grows with the way.
+
+    Parameters
+    ----------
+    wheel_rad : ndarray, shape (n + 1, 2)
+        Angle of the right and left wheel, rad.
+    creep : float
+        Multiplies the robot's random travel (0 for none).
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Travel of the right and left wheel per step, m.
+    """
+    turned_rad = np.diff(wheel_rad, axis=0)
+    rubbed_m = np.abs(turned_rad) * robot.nominal_radius_m
+    if robot.scrub_arm_m > 0.0:
+        apart_m = np.abs(turned_rad[:, :1] - turned_rad[:, 1:]) * robot.nominal_radius_m
+        rubbed_m = rubbed_m + apart_m * (robot.scrub_arm_m / robot.nominal_track_m)
+    draws = streams.open("contact").normal(size=turned_rad.shape)
+    noise_m = creep * robot.travel_noise_m_per_sqrt_m * np.sqrt(rubbed_m) * draws
+    if robot.floor.jolts_inverse_dof > 0.0:
+        noise_m = noise_m * _roughness(len(noise_m), step_s, robot.floor.jolts_inverse_dof, streams)[:, None]
+    rolled_m = turned_rad * (robot.radius_right_m, robot.radius_left_m)
+    return rolled_m * _radius_now(wheel_rad, step_s, robot) + noise_m
+
+
+def _radius_now(wheel_rad: np.ndarray, step_s: float, robot: Robot) -> np.ndarray | float:
+    """Return the radii (n, 2) of each step over their values at rest in the beginning."""
+    if robot.growth_s_per_m == robot.warming_per_s == robot.eccentricity == robot.load_squeeze == 0.0:
+        return 1.0
+    rim_mps = np.abs(np.diff(wheel_rad, axis=0)) * (robot.nominal_radius_m / step_s)
+    now_s = np.arange(len(rim_mps)) * step_s
+    ratio = (1.0 + robot.growth_s_per_m * rim_mps) * (1.0 + robot.warming_per_s * now_s)[:, None]
+    midway_rad = 0.5 * (wheel_rad[1:, 0] + wheel_rad[:-1, 0]) + robot.eccentric_from_rad
+    ratio[:, 0] *= 1.0 + robot.eccentricity * np.cos(midway_rad)
+    squeeze = robot.load_squeeze * (now_s >= robot.load_shift_s)
+    return np.asarray(ratio * np.column_stack((1.0 - squeeze, 1.0 + squeeze)))
+
+
+def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> np.ndarray:
+    """Return what makes a normal draw one of Student's t, the same for all draws of a stretch of floor, shape (n,)."""
+    per_jolt = round(JOLT_S / step_s)
+    chi2 = streams.open("jolts").chisquare(1.0 / inverse_dof, size=n // per_jolt + 1)
+    return np.repeat(1.0 / np.sqrt(chi2 * inverse_dof), per_jolt)[:n]
+
+
+def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
+    """Let the tyres carry the mass: the body lags behind the wheels' rolling.
+
+    Newton with a tyre of slip stiffness C, rolling at u: ``m dv/dt = C (u - v) / abs(u)``, the force being shared by
+    both wheels, whose contact points creep alike. Only ``m / C`` is left in the answer. How fast they creep is said by
+    the wheels' turning: random creep moves no load, and must not be rectified by that product.
+
+    Parameters
+    ----------
+    rolled_m : ndarray, shape (n,)
+        Forward way of the wheels per step, m.
+    rim_mps : ndarray, shape (n,)
+        Mean rim speed of both wheels.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Forward way of the body per step, m.
+    """
+    if robot.traction_s2_per_m == 0.0:
+        return rolled_m
+    settle_s = robot.traction_s2_per_m * np.abs(rim_mps)
+    keep = np.exp(-step_s / np.maximum(settle_s, 1e-9))
+    behind_mps, speed_mps = [], 0.0
+    for rolling_mps, kept in zip((rolled_m / step_s).tolist(), keep.tolist(), strict=True):
+        behind_mps.append(speed_mps - rolling_mps)
+        speed_mps = rolling_mps + (speed_mps - rolling_mps) * kept
+    return np.asarray(rolled_m + np.array(behind_mps) * settle_s * (1.0 - keep))
+
+
+def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
+    """Integrate the body's sideways speed under the pull of the turn and the hold of the tyres.
+
+    In the body's frame Newton says ``m (dv_y/dt + v omega) = -c v_y``, with only ``m / c`` left in the answer.
+
+    Parameters
+    ----------
+    v_mps, omega_radps : ndarray, shape (n,)
+        Forward speed and turn rate, constant over each step.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Way to the left per step, m.
+    """
+    settle_s = robot.lateral_creep_s
+    if settle_s == 0.0:
+        return np.zeros_like(v_mps)
+    pull_mps2 = -v_mps * omega_radps
+    keep = np.exp(-step_s / settle_s)
+    speed_end_mps = lfilter([settle_s * (1.0 - keep)], [1.0, -keep], pull_mps2)
+    speed_start_mps = np.concatenate(([0.0], speed_end_mps[:-1]))
+    # d(speed)/dt = pull - speed / settle, integrated over a step and solved for the way
+    return np.asarray(settle_s * (pull_mps2 * step_s - (speed_end_mps - speed_start_mps)))
+
+
+COARSE = 10
+"""Grid steps over which a wheel counts as being in one place (20 ms: less than the length of a contact patch)."""
+WEIGHT_SHIFT_S = 0.1
+"""How soon braking is felt by the wheels."""
+
+
+def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floor: Floor) -> np.ndarray:
+    """Return the travel of each wheel (n, 2), m, less what a too fast wheel loses, plus what a dragged one gains.
+
+    Parameters
+    ----------
+    rim_mps : ndarray, shape (n, 2)
+        Speed at which each wheel turns, at its rim.
+    """
+    speed_mps = np.abs(rim_mps)
+    if np.isfinite(floor.grip_mps):
+        travel_m = np.where(speed_mps > floor.grip_mps, (1.0 - floor.grip_slip) * travel_m, travel_m)
+    if np.isfinite(floor.braking_mps2):
+        keep = np.exp(-step_s / WEIGHT_SHIFT_S)
+        felt_mps = lfilter([1.0 - keep], [1.0, -keep], speed_mps.mean(axis=1))
+        dragged = -np.gradient(felt_mps, step_s) > floor.braking_mps2
+        travel_m = np.where(dragged[:, None], (1.0 + floor.braking_slip) * travel_m, travel_m)
+    return travel_m
+
+
+def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.random.Generator) -> np.ndarray:
+    """Return the travel of each wheel (n, 2), m, less what bursts take.
+
+    Bursts begin at random; each wheel loses a part of its own, from next to nothing to everything, of the given mean.
+    """
+    steps = len(travel_m)
+    lost = np.zeros_like(travel_m)
+    for _ in range(rng.poisson(bursts.rate_hz * steps * step_s) if 0.0 < bursts.slip < 1.0 else 0):
+        begin = rng.integers(steps)
+        end = begin + round(bursts.duration_s * rng.uniform(0.5, 1.5) / step_s)
+        slip = rng.beta(2.0 * bursts.slip, 2.0 * (1.0 - bursts.slip), size=2)
+        lost[begin:end] = np.maximum(lost[begin:end], slip)
+    return travel_m * (1.0 - lost)
+
+
+def lose_by_place(
+    travel_m: np.ndarray, drift: np.ndarray, robot: Robot, slippery: tuple[Slippery, ...], start_xyt: np.ndarray
+) -> np.ndarray:
+    """Return the travel of each wheel, less what it loses where it stands at the moment.
+
+    Parameters
+    ----------
+    travel_m : ndarray, shape (n, 2)
+        Travel of the right and left wheel per step, m.
+    drift : ndarray of complex, shape (n,)
+        What the body moves besides, in its own frame, m.
+    start_xyt : ndarray, shape (3,)
+        Where the body begins, in the truth frame; m, m, rad.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+    """
+    edges = np.arange(0, len(travel_m), COARSE)
+    blocks_m = np.add.reduceat(travel_m, edges, axis=0).tolist()
+    drifts = np.add.reduceat(drift, edges).tolist()
+    place, heading_rad = complex(start_xyt[0], start_xyt[1]), float(start_xyt[2])
+    keeps = []
+    for (right_m, left_m), aside in zip(blocks_m, drifts, strict=True):
+        facing = complex(np.cos(heading_rad), np.sin(heading_rad))
+        keep_right = keep_left = 1.0
+        for patch in slippery:
+            arm = 0.5j * robot.track_m * facing * patch.by_wheel
+            keep_right *= 1.0 - patch.slip * patch.place.holds(place - arm)
+            keep_left *= 1.0 - patch.slip * patch.place.holds(place + arm)
+        keeps.append((keep_right, keep_left))
+        right_m, left_m = keep_right * right_m, keep_left * left_m  # noqa: PLW2901 - the same way, less the slip
+        turn_rad = (right_m - left_m) / robot.track_m
+        midway = facing * complex(1.0, 0.5 * turn_rad)
+        place += (0.5 * (right_m + left_m) + aside) * midway
+        heading_rad += turn_rad
+    return np.asarray(travel_m * np.repeat(np.array(keeps), COARSE, axis=0)[: len(travel_m)])
+
+
+def hold(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams) -> np.ndarray:
+    """Return what the floor takes of each wheel's rolling (n, 2), m, wherever it is."""
+    travel_m = lose_by_speed(travel_m, rim_mps, step_s, robot.floor)
+    for i, bursts in enumerate(robot.floor.bursts):
+        travel_m = lose_by_chance(travel_m, step_s, bursts, streams.open(f"bursts {i}"))
+    return travel_m

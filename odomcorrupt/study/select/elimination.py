@@ -1,0 +1,97 @@
+"""What leaves a model again: terms that later ones have made redundant, and one of two sources of the heading."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.select.random_effects import remeasured
+
+if TYPE_CHECKING:
+    from collections.abc import Container
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.decisions import Decisions
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+
+__all__ = ["backward_eliminate", "drop_term", "eliminate_random", "iterate", "one_heading"]
+
+_ITERATIONS, _ALIKE = 6, 0.03
+"""Most iterations of a random coefficient beside the rest of the noise, and the relative change that ends them."""
+
+
+def drop_term(fit: Fit, effect: Effect) -> Fit:
+    """Return the fit without one of its effects: what it explains is in the residual again, its columns are not free.
+
+    To first order, and with the noise as it is with the effect: to test what might stand in its place.
+    """
+    explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
+    noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
+    others = tuple(e for e in fit.effects if e is not effect)
+    return replace(fit, noise=noise, problem=replace(fit.problem, effects=others))
+
+
+def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit without the effects that later ones have made redundant, by Wald tests, the least first.
+
+    keep : names of effects that stay in any case
+    """
+    while fit.effects:
+        gains = {name: 0.5 * square for name, square in fit.wald.items() if name not in keep}
+        least = min(gains, key=gains.__getitem__, default=None)
+        if least is None or gains[least] >= decisions.drop_nats:
+            return fit
+        fit = fit.refit([e for e in fit.effects if e.name != least])
+    return fit
+
+
+def eliminate_random(
+    named: list[RandomCoefficient], fit: Fit, decisions: Decisions
+) -> tuple[list[RandomCoefficient], Fit]:
+    """Return named random effects and the fit without random coefficients, where a later term made them redundant."""
+    if not fit.random:
+        return named, fit
+    calm = fit.refit(random=())
+    least = decisions.drop_nats + decisions.correlated_nats * len(fit.random)
+    if fit.log_likelihood - calm.log_likelihood >= least:
+        return named, fit
+    return [one for one in named if one.effect.name not in WANDERING], calm
+
+
+def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:
+    """Return a fit with a random coefficient, both estimated in turn until neither changes, and the coefficient."""
+    for _ in range(_ITERATIONS):
+        new = remeasured(fit, effect)
+        if all(np.isclose(getattr(new, p.name), getattr(effect, p.name), rtol=_ALIKE) for p in parameters(new)):
+            break
+        random = [new if e is effect else e for e in fit.random]
+        fit, effect = fit.refit(random=random), new
+    return fit, effect
+
+
+def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit whose effects agree on the source of the heading: the wheels, unless a gyro explains plainly more.
+
+    One effect by itself may say "gyro" where two of the wheels' only make up for each other in the heading. Where a
+    gyro's bias is in the model there is a gyro, and it need not explain more: what wheels do to the heading and what a
+    gyro's scale does may be one and the same.
+
+    given : names of effects whose words a user has chosen
+    """
+    either = [e for e in fit.effects if "heading" in choices(e) and e.name not in given]
+    words = {getattr(e, "heading", "") for e in either}
+    known = any(e.name == "gyro_bias" for e in fit.effects)
+    if not words or ("gyro" not in words and not known):
+        return fit
+    found: dict[str, Fit] = {}
+    for word in ("wheels", "gyro"):
+        same = [replace(e, heading=word) if e in either else e for e in fit.effects]  # type: ignore[type-var]
+        found[word] = fit if words == {word} else fit.refit(same)
+    least = decisions.known_gyro_nats if known else decisions.unusual_nats
+    better = found["gyro"].log_likelihood > found["wheels"].log_likelihood + least
+    return found["gyro" if better else "wheels"]

@@ -1,0 +1,171 @@
+"""Basis functions of how the robot moves: proportional, beyond a threshold, from a hinge on, one way, or at rest."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.terms.basis.basis_function import Of
+
+__all__ = ["VALUES", "functions_of_motion"]
+
+VALUES: dict[str, tuple[str, Of]] = {
+    "speed": ("abs(v)", lambda m: np.abs(m.v)),
+    "yaw_rate": ("abs(omega)", lambda m: np.abs(m.omega)),
+    "acceleration": ("a * sign(v)", lambda m: m.a * np.sign(m.v)),
+    "lateral_acceleration": ("abs(v * omega)", lambda m: np.abs(m.v * m.omega)),
+    "yaw_acceleration": ("alpha * sign(omega)", lambda m: m.alpha * np.sign(m.omega)),
+    "time": ("t", lambda m: m.t_s),
+    "distance": ("distance", lambda m: m.distance),
+}
+_SIGNED = ("acceleration", "yaw_acceleration", "time")
+"""Regressors of which what lies below a threshold is as likely to matter as what lies above."""
+_OF_WHEELS = ("speed", "acceleration", "time")
+"""Regressors that a wheel has of its own; and time, which may load one side."""
+_OF_A_BIAS = ("speed", "yaw_rate", "time")
+"""Regressors that a rate of the heading may depend on which is there at rest, too: a gyro's."""
+_LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
+"""m/s^2 and rad/s^2 below which noise crosses a threshold, of ticks say: correction sees no smooth truth."""
+_HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
+_STILL = 0.02
+"""m/s and rad/s below which a robot stands."""
+_CUTS = np.linspace(0.05, 0.95, 19)
+
+
+def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of how the robot moves that is tried on these motions."""
+    for regressor, (text, value) in VALUES.items():
+        yield BasisFunction(regressor, f"k * {text}", (value,), reaches=_reaches(regressor, "one"))
+        if regressor != "distance":  # that is time, by another name
+            yield from _thresholds(regressor, motions)
+        if regressor in _HINGED:
+            yield from _hinges(regressor, motions)
+    yield BasisFunction("acceleration", "k * a", (lambda m: m.a,), reaches=("bias",))  # a gyro that feels it
+    yield from _saturations(motions)
+    yield from _one_way()
+    yield from _at_rest()
+
+
+def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
+    """Return what a function of this regressor may act on; wheels where they have a value of their own."""
+    return ("body", *(wheels if regressor in _OF_WHEELS else ()), *(("bias",) if regressor in _OF_A_BIAS else ()))
+
+
+def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield thresholds of a regressor, spread evenly over what it was while the robot moved."""
+    cuts = _cuts(regressor, motions)
+    ways = (True, False) if regressor in _SIGNED else (True,)
+    for above, (i, cut) in product(ways, enumerate(cuts)):
+        gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
+        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above)
+
+
+def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
+    """Return values of a regressor while the robot moved, evenly spread; and of a speed, where it begins to move."""
+    value = VALUES[regressor][1]
+    seen = np.concatenate([value(m)[(np.abs(m.v) > _STILL) | (np.abs(m.omega) > _STILL)] for m in motions])
+    cuts = np.quantile(seen, _CUTS) if len(seen) else np.zeros(0)
+    return np.unique(np.append(cuts, _STILL) if regressor in ("speed", "yaw_rate") else cuts)
+
+
+def _threshold(
+    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, above: bool
+) -> BasisFunction:
+    text, value = VALUES[regressor]
+    least = _LEAST.get(regressor, 0.0)
+    cut = shape[0] if abs(shape[0]) >= least else float(np.copysign(least, shape[0]))
+    return BasisFunction(
+        regressor,
+        f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
+        ((_above if above else _below)(value, cut),),
+        trials * REFINING,
+        reaches=_reaches(regressor, "one", "both"),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _threshold(regressor, trials, moved, steps, above=above),
+    )
+
+
+def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield what grows from a threshold on: grip that gives way; of what has two sides, on either."""
+    cuts = [cut for cut in _cuts(regressor, motions)[1::3] if cut > 0.0]
+    two_sided = regressor in _SIGNED
+    shapes = [(sign, float(cut)) for sign in ((1.0, -1.0) if two_sided else (1.0,)) for cut in (0.0, *cuts)]
+    for sign, cut in shapes:
+        if cut > 0.0 or two_sided:
+            yield _hinge(regressor, len(shapes), (cut,), (0.15 * max(cuts, default=1.0),), sign=sign)
+
+
+def _hinge(
+    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float
+) -> BasisFunction:
+    text, value = VALUES[regressor]
+    cut = max(shape[0], 0.0)
+    return BasisFunction(
+        regressor,
+        f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)",
+        (lambda m: np.maximum(sign * value(m) - cut, 0.0),),
+        trials * REFINING,
+        reaches=_reaches(regressor, "one", "both"),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _hinge(regressor, trials, moved, steps, sign=sign),
+    )
+
+
+def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield what a gyro loses of the yaw rate beyond the largest that it can show all of."""
+    cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if cut > 0.0]
+    for cut in cuts:
+        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),))
+
+
+def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> BasisFunction:
+    cut = max(shape[0], 0.0)
+    return BasisFunction(
+        "yaw_rate",
+        f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)",
+        (lambda m: np.sign(m.omega) * np.maximum(np.abs(m.omega) - cut, 0.0),),
+        trials * REFINING,
+        reaches=("bias",),
+        shape=shape,
+        steps=steps,
+        with_shape=lambda moved: _saturation(trials, moved, steps),
+    )
+
+
+def _one_way() -> Iterator[BasisFunction]:
+    """Yield what is there in reverse only, or in turns to the right."""
+    for regressor, name, value in (("speed", "v", lambda m: m.v), ("yaw_rate", "omega", lambda m: m.omega)):
+        text = f"k * where({name} < {-_STILL:.4g}, 1, 0)"
+        yield BasisFunction(regressor, text, (_below(value, -_STILL),), reaches=_reaches(regressor, "one", "both"))
+
+
+def _at_rest() -> Iterator[BasisFunction]:
+    """Yield what is there while the robot stands, does not drive, or does not turn."""
+    for regressor in ("speed", "yaw_rate"):
+        text, value = VALUES[regressor]
+        yield BasisFunction(
+            regressor, f"k * where({text} < {_STILL:.4g}, 1, 0)", (_below(value, _STILL),), reaches=("bias",)
+        )
+    still = _below(lambda m: np.maximum(np.abs(m.v), np.abs(m.omega)), _STILL)
+    yield BasisFunction(
+        "speed", f"k * where(max(abs(v), abs(omega)) < {_STILL:.4g}, 1, 0)", (still,), reaches=("bias",)
+    )
+
+
+def _above(value: Of, cut: float) -> Of:
+    return lambda m: (value(m) > cut).astype(np.float64)
+
+
+def _below(value: Of, cut: float) -> Of:
+    return lambda m: (value(m) < cut).astype(np.float64)

@@ -1,0 +1,171 @@
+"""Basis functions of place and heading: discs, rectangles, strips across what was visited, iron near a compass."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.terms.basis.basis_function import Of
+
+__all__ = ["functions_of_heading", "functions_of_place"]
+
+_PLACES = 7
+_RADII_M = (0.8, 1.3, 2.0)
+_OUTER = (0.03, 0.97)
+"""Quantiles of the path between which places are tried."""
+_STRIPS = 12
+_STRIP_APART_M, _MOST_STRIPS = 0.8, 25
+_THIN = 10
+"""Of so many places one is enough to see where the robot was."""
+_HALF_WIDTHS_M = (0.4, 0.8)
+_BOX_ANGLES = (0.0, np.pi / 6.0, np.pi / 3.0)
+
+
+def functions_of_heading() -> Iterator[BasisFunction]:
+    """Yield waves of the heading, one and two to a turn."""
+    for times, inner in ((1, "theta"), (2, "2 * theta")):
+        yield BasisFunction(
+            "heading", f"k * cos({inner}) + m * sin({inner})", (_wave(np.cos, times), _wave(np.sin, times)), 2
+        )
+
+
+def functions_of_place(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of where the robot is that is tried on these motions."""
+    xs, ys = (_spread(np.concatenate([getattr(m, axis) for m in motions])) for axis in ("x", "y"))
+    for x, y, radius in product(xs, ys, _RADII_M):
+        yield _disc((float(x), float(y), radius))
+        yield _iron((float(x), float(y), 0.5 * radius))
+    yield from _strips(motions)
+
+
+def _disc(shape: tuple[float, ...]) -> BasisFunction:
+    x, y, radius = shape[0], shape[1], max(shape[2], 0.1)
+    return BasisFunction(
+        "position",
+        f"k * where(hypot(x {_less(x)}, y {_less(y)}) < {radius:.4g}, 1, 0)",
+        (_within(x, y, radius),),
+        2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
+        reaches=("body", "ground", "bias"),
+        shape=shape,
+        steps=(0.4, 0.4, 0.3),
+        with_shape=_disc,
+        related=tuple(_box((angle, x, y, radius, radius)) for angle in _BOX_ANGLES),
+    )
+
+
+def _iron(shape: tuple[float, ...]) -> BasisFunction:
+    """Return what draws a compass nearby, by an angle that falls off as a bell and so changes as the robot moves."""
+    x, y, reach = shape[0], shape[1], max(shape[2], 0.1)
+
+    def nearing(m: Motion) -> Array:
+        ahead = (x - m.x) * np.cos(m.theta) + (y - m.y) * np.sin(m.theta)
+        near: Array = ahead * np.exp(-((m.x - x) ** 2 + (m.y - y) ** 2) / (2.0 * reach**2))
+        return near
+
+    right, up = f"(x {_less(x)})", f"(y {_less(y)})"
+    bell = f"exp(-({right}**2 + {up}**2) / {2.0 * reach**2:.4g})"
+    return BasisFunction(
+        "position",
+        f"k * -({right} * cos(theta) + {up} * sin(theta)) * {bell}",
+        (nearing,),
+        2 * _PLACES**2 * len(_RADII_M) * REFINING**3,
+        reaches=("heading",),
+        shape=(x, y, reach),
+        steps=(0.4, 0.4, 0.2),
+        with_shape=_iron,
+    )
+
+
+def _strips(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield strips across what was visited, each turned about the middle of where the robot was in it."""
+    x, y = (np.concatenate([getattr(m, axis)[::_THIN] for m in motions]) for axis in ("x", "y"))
+    for angle in np.pi * np.arange(_STRIPS) / _STRIPS:
+        c, s = _axis(float(angle))
+        place = c * x + s * y
+        low, high = np.quantile(place, _OUTER)
+        middles = np.linspace(low, high, int(np.clip((high - low) / _STRIP_APART_M, _PLACES, _MOST_STRIPS)))
+        for middle, half in product(middles, _HALF_WIDTHS_M):
+            inside = np.abs(place - middle) < half
+            if inside.any():
+                way = float(np.mean(c * y[inside] - s * x[inside]))
+                yield _strip((float(angle), float(c * middle - s * way), float(s * middle + c * way), half))
+
+
+def _strip(shape: tuple[float, ...]) -> BasisFunction:
+    """Return a strip: the angle of what points across it, a place on its middle line, and half its width."""
+    angle, x, y, half = *shape[:3], max(shape[3], 0.05)
+    axis = _axis(angle)
+    return BasisFunction(
+        "position",
+        f"k * where(abs({_ahead(axis, x, y)}) < {half:.4g}, 1, 0)",
+        (_band(axis, x, y, half),),
+        2 * _STRIPS * _MOST_STRIPS * len(_HALF_WIDTHS_M) * REFINING**3,
+        reaches=("body", "both", "ground"),
+        shape=(angle, x, y, half),
+        steps=(0.2, 0.4, 0.4, 0.2),
+        with_shape=_strip,
+    )
+
+
+def _box(shape: tuple[float, ...]) -> BasisFunction:
+    """Return a rectangle: angle of its first axis, middle, and half of either side."""
+    angle, x, y = shape[0], shape[1], shape[2]
+    half, side = max(shape[3], 0.1), max(shape[4], 0.1)
+    c, s = along = _axis(angle)
+    across = (-s, c)
+    return BasisFunction(
+        "position",
+        f"k * where(abs({_ahead(along, x, y)}) < {half:.4g}, 1, 0)"
+        f" * where(abs({_ahead(across, x, y)}) < {side:.4g}, 1, 0)",
+        (lambda m: _band(along, x, y, half)(m) * _band(across, x, y, side)(m),),
+        2 * _PLACES**2 * len(_RADII_M) * len(_BOX_ANGLES) * REFINING**5,
+        reaches=("body", "both", "ground", "bias"),
+        shape=(angle, x, y, half, side),
+        steps=(0.2, 0.4, 0.4, 0.4, 0.4),
+        with_shape=_box,
+    )
+
+
+def _axis(angle: float) -> tuple[float, float]:
+    """Return the axis at this angle; what is nothing but rounding is not written into an expression."""
+    c, s = np.round((np.cos(angle), np.sin(angle)), 6) + 0.0
+    return float(c), float(s)
+
+
+def _ahead(axis: tuple[float, float], x: float, y: float) -> str:
+    """Return how far along an axis something is from a place."""
+    (c, s), sign = axis, "-" if axis[1] < 0.0 else "+"
+    return f"{c:.4g} * (x {_less(x)}) {sign} {abs(s):.4g} * (y {_less(y)})"
+
+
+def _less(metres: float) -> str:
+    """Return a number to be taken away, to a millimetre: some maps begin half a million metres away."""
+    return f"{'-' if metres >= 0.0 else '+'} {round(abs(metres), 3):.10g}"
+
+
+def _spread(values: Array) -> Array:
+    """Return places (_PLACES,) along an axis that span nearly all of the values."""
+    low, high = np.quantile(values, _OUTER)
+    return np.linspace(float(low), float(high), _PLACES)
+
+
+def _wave(function: Callable[[Array], Array], times: int) -> Of:
+    return lambda m: function(times * m.theta)
+
+
+def _within(x: float, y: float, radius: float) -> Of:
+    return lambda m: (np.hypot(m.x - x, m.y - y) < radius).astype(np.float64)
+
+
+def _band(axis: tuple[float, float], x: float, y: float, half: float) -> Of:
+    c, s = axis
+    return lambda m: (np.abs(c * (m.x - x) + s * (m.y - y)) < half).astype(np.float64)

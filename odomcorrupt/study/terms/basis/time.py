@@ -1,0 +1,96 @@
+"""Basis functions of time: what warms up or dies away, what comes and goes in minutes, what was there for a while."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.study.terms.basis.basis_function import REFINING, BasisFunction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from odomcorrupt.effects.effect import Motion
+
+__all__ = ["functions_of_time"]
+
+_SETTLE_S = (30.0, 80.0, 200.0)
+_QUICKEST_S, _SLOWEST_S = 10.0, 1e4
+"""Times in which something may settle: what does so at once was never otherwise."""
+_SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
+"""The quickest swing of minutes, and the step of the logarithm of its period."""
+_SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
+"""How many middles of a spell are tried, and half its length in parts of the whole time."""
+_ANYWHERE = ("body", "one", "both")
+
+
+def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield every function of time that is tried on these motions."""
+    yield from _settlings()
+    yield from _swings(motions)
+    yield from _spells(motions)
+
+
+def _settlings() -> Iterator[BasisFunction]:
+    """Yield what dies away, and what comes up: tyres, motors and sensors that warm up."""
+    for tau_s, rising in product(_SETTLE_S, (False, True)):
+        yield _settling((float(np.log(tau_s)),), rising=rising)
+
+
+def _settling(shape: tuple[float, ...], *, rising: bool) -> BasisFunction:
+    tau_s = float(np.clip(np.exp(min(shape[0], 50.0)), _QUICKEST_S, _SLOWEST_S))
+    return BasisFunction(
+        "time",
+        f"k * (1 - exp(-t / {tau_s:.4g}))" if rising else f"k * exp(-t / {tau_s:.4g})",
+        (lambda m: float(rising) + (-1.0 if rising else 1.0) * np.exp(-m.t_s / tau_s),),
+        2 * len(_SETTLE_S) * REFINING,
+        reaches=(*_ANYWHERE, "bias"),
+        shape=shape,
+        steps=(0.5,),
+        with_shape=lambda moved: _settling(moved, rising=rising),
+    )
+
+
+def _swings(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield what comes and goes in minutes: sun and shade, a load that is shared."""
+    longest_s = max(float(np.ptp(m.t_s)) for m in motions)
+    count = int(np.ceil(np.log(max(longest_s / _SHORTEST_SWING_S, 1.0)) / _SWING_STEP)) + 1
+    for i in range(count):
+        yield _swing((float(np.log(longest_s)) - i * _SWING_STEP,), count)
+
+
+def _swing(shape: tuple[float, ...], count: int) -> BasisFunction:
+    pace = 2.0 * np.pi / float(np.exp(shape[0]))
+    return BasisFunction(
+        "time",
+        f"k * cos({pace:.6g} * t) + m * sin({pace:.6g} * t)",
+        (lambda m: np.cos(pace * m.t_s), lambda m: np.sin(pace * m.t_s)),
+        count * REFINING,
+        reaches=("body", "bias"),
+        shape=shape,
+        steps=(0.5 * _SWING_STEP,),
+        with_shape=lambda moved: _swing(moved, count),
+    )
+
+
+def _spells(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
+    """Yield what was there from one moment to another: a load that was carried, a tyre that was soft for a while."""
+    start_s, whole_s = min(float(m.t_s[0]) for m in motions), max(float(np.ptp(m.t_s)) for m in motions)
+    for part, i in product(_SPELL_PARTS, range(_SPELLS)):
+        yield _spell((start_s + (i + 0.5) / _SPELLS * whole_s, part * whole_s), 0.25 * whole_s / _SPELLS)
+
+
+def _spell(shape: tuple[float, ...], step_s: float) -> BasisFunction:
+    middle_s, half_s = shape[0], max(shape[1], 1.0)
+    return BasisFunction(
+        "time",
+        f"k * where(abs(t - {middle_s:.6g}) < {half_s:.6g}, 1, 0)",
+        (lambda m: (np.abs(m.t_s - middle_s) < half_s).astype(np.float64),),
+        len(_SPELL_PARTS) * _SPELLS * REFINING**2,
+        reaches=(*_ANYWHERE, "bias"),
+        shape=(middle_s, half_s),
+        steps=(2.0 * step_s, step_s),
+        with_shape=lambda moved: _spell(moved, step_s),
+    )

@@ -1,0 +1,97 @@
+"""What an error may depend on, as curves: hats over a regressor, waves of the heading, tiles of a floor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from odomcorrupt.effects.effect import Motion
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["curve_regressors"]
+
+_HATS = {
+    "speed": 6,
+    "yaw_rate": 6,
+    "acceleration": 6,
+    "lateral_acceleration": 6,
+    "yaw_acceleration": 6,
+    "time": 8,
+    "distance": 8,
+}
+_GRID = 4
+_FINEST = 0.05
+"""Part of the range of a regressor that hats are apart: noise of the odometry is in both, it and the error."""
+
+
+def curve_regressors(motions: Sequence[Motion]) -> dict[str, Callable[[Motion], tuple[Array, Array]]]:
+    """Return for each regressor a function to its hats (n, m) over a motion, and their centres."""
+    of: dict[str, Callable[[Motion], Array]] = {
+        "speed": lambda m: m.v,
+        "yaw_rate": lambda m: m.omega,
+        "acceleration": lambda m: m.a,
+        "lateral_acceleration": lambda m: np.abs(m.v * m.omega),
+        "yaw_acceleration": lambda m: m.alpha,
+        "time": lambda m: m.t_s,
+        "distance": lambda m: m.distance,
+    }
+    regressors: dict[str, Callable[[Motion], tuple[Array, Array]]] = {}
+    for name, value in of.items():
+        moving = np.concatenate([value(m)[np.hypot(m.v, m.vy) > 0.02] for m in motions])
+        if len(moving) < 100:
+            continue
+        knots = _apart(np.quantile(moving, np.linspace(0.02, 0.98, _HATS[name])))
+        if len(knots) > 2:
+            regressors[name] = _hats(value, knots)
+    regressors["heading"] = _harmonics
+    xs, ys = (_spread(np.concatenate(axis)) for axis in ([m.x for m in motions], [m.y for m in motions]))
+    regressors["position"] = _tiles(xs, ys)
+    return regressors
+
+
+def _apart(knots: Array) -> Array:
+    """Return ascending knots without those that lie too near to the one before."""
+    least, kept = _FINEST * (knots[-1] - knots[0]), [knots[0]]
+    for knot in knots[1:]:
+        if knot - kept[-1] > least:
+            kept.append(knot)
+    return np.array(kept)
+
+
+def _spread(values: Array) -> Array:
+    """Return grid lines that span nearly all of the values."""
+    low, high = np.quantile(values, 0.02), np.quantile(values, 0.98)
+    return np.linspace(float(low), float(high), _GRID)
+
+
+def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], tuple[Array, Array]]:
+    def shape(motion: Motion) -> tuple[Array, Array]:
+        return _linear_hats(value(motion), knots), knots
+
+    return shape
+
+
+def _linear_hats(values: Array, knots: Array) -> Array:
+    """Return piecewise linear hats (n, m) that sum to one, flat beyond the outer knots."""
+    clipped = np.clip(values, knots[0], knots[-1])
+    return np.stack([np.interp(clipped, knots, unit) for unit in np.eye(len(knots))], axis=1)
+
+
+def _harmonics(motion: Motion) -> tuple[Array, Array]:
+    """Return cosines and sines of the heading and of twice the heading (n, 4), and their numbers."""
+    angles = np.stack([np.cos(motion.theta), np.sin(motion.theta), np.cos(2 * motion.theta), np.sin(2 * motion.theta)])
+    return angles.T, np.arange(4.0)
+
+
+def _tiles(xs: Array, ys: Array) -> Callable[[Motion], tuple[Array, Array]]:
+    places = np.array([(x, y) for x in xs for y in ys])
+
+    def shape(motion: Motion) -> tuple[Array, Array]:
+        across, up = _linear_hats(motion.x, xs), _linear_hats(motion.y, ys)
+        return (across[:, :, None] * up[:, None, :]).reshape(len(motion), -1), places
+
+    return shape

@@ -1,0 +1,236 @@
+"""Proof that a fitted model can be used: its file is read back, it corrects the fitted odometry, and it corrupts.
+
+A law that was fitted to moderate motion may take all of a faster motion away, a parameter may lie beyond its bounds:
+such a model would be written and then refused by the commands that read it. What fails is put in a form that has an
+inverse, or where there is none left out of the model; either is said, in the model's file too.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.correction.undo import undo_effects
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.user import UserEffect, user_effect
+from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
+from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.windows import phased_rmse
+from odomcorrupt.study.io.clock import Clock, aligned
+from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["RUNS", "RoundTrip", "bound_notes", "proved"]
+
+RUNS = 20
+"""Corrupted runs that have to succeed, where a model draws random effects; without them every run is the same."""
+_LIMITS = (0.5, 0.3, 0.15)
+"""Parts of a motion within which a law is held, the first that has an inverse."""
+_PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \((.*)\)$")
+"""A law as the search writes it: a part of the motion that it adds to."""
+_AT_BOUND = 1e-6
+_OTHER_ERROR = 0.05
+"""Part by which two errors have to differ for the reason to be said."""
+_MANY_TIMES = 1.5
+"""A robot that turns so many times as far as its odometry says, or so many times less, has a wrong nominal value."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoundTrip:
+    """A model that can be read, corrected and corrupted with, and what had to be changed for it, in sentences."""
+
+    model: MotionModel
+    changes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """One fitted recording, its clock set right: times (n,) s, measured poses and the truth made smooth (n, 3)."""
+
+    stamps_ns: NDArray[np.int64]
+    t_s: Array
+    measured_xyt: Array
+    true_xyt: Array
+
+
+def proved(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
+    """Return the model as it can be used, and what was changed.
+
+    Parameters
+    ----------
+    model : as it was fitted
+    recordings : those that it was fitted to; clocks come from the model's set-up
+    runs : corrupted runs of each, see `RUNS`
+
+    """
+    drives = [_drive(model, recording) for recording in recordings]
+    changes: list[str] = []
+    model = _within_bounds(model, changes)
+    while True:
+        failure = _failure(model, drives, runs)
+        if not failure:
+            break
+        mended = next((m for m in _mended(model) if not _failure(m[0], drives, runs)), None)
+        # where no single change helps, the last one that was added goes, and it is tried again
+        model, change = mended or _without(model, _weakest(model))
+        changes.append(f"{change}: {failure}")
+    said = (*changes, *bound_notes(model), *_setup_note(model, recordings))
+    if said:
+        model = replace(model, source=dict(model.source) | {"remarks": list(said)})
+    return RoundTrip(model, said)
+
+
+def bound_notes(model: MotionModel) -> tuple[str, ...]:
+    """Return a sentence for each parameter on its bound, and for a nominal value that is wrong by a large factor."""
+    notes = []
+    for effect in (*model.effects, *model.setup.effects):
+        for p in amplitudes(effect):
+            value = getattr(effect, p.name)
+            if value != p.identity and _on_bound(value, p):
+                notes.append(
+                    f"{effect.name}.{p.name} = {value:.4g} {p.unit}".rstrip() + " stands on the bound of what is "
+                    "physically possible: the robot's nominal values, units or topics are wrong, or something else is "
+                    "at work"
+                )
+        if effect.name == "wheelbase":
+            factor = 1.0 / (1.0 + getattr(effect, "e", 0.0))
+            if not 1.0 / _MANY_TIMES < factor < _MANY_TIMES:
+                notes.append(
+                    f"the robot turns {factor:.2g} times as far as its odometry says: its nominal track or gear ratio "
+                    f"is wrong by a factor of {factor:.2g}, unless its wheels skid as it turns"
+                )
+    return tuple(notes)
+
+
+def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str]:
+    """Return why `correct` leaves another error than the fit, where the set-up makes a difference."""
+    names = [effect.name for effect in model.setup.effects]
+    if not names:
+        return []
+    on_time = [aligned(r, _clock(model, r)) for r in recordings]
+    robot, both = (
+        phased_rmse([headed_anew(undo(r, effects)) for r in on_time])
+        for effects in (model.effects, (*model.effects, *model.setup.effects))
+    )
+    if not abs(robot - both) > _OTHER_ERROR * both:
+        return []
+    said = (
+        f"`correct` with this model leaves {robot * 1e3:.1f} mm after 10 s on the fitted data, the fit "
+        f"{both * 1e3:.1f} mm: {' and '.join(names)} (where the truth's tracked point sits) is no part of `correct`; "
+        "give it with --effect to have it taken out, too"
+    )
+    return [said]
+
+
+def _clock(model: MotionModel, recording: Recording) -> Clock:
+    return Clock(*model.setup.clocks.get(recording.name, (0.0, 0.0)))
+
+
+def _on_bound(value: float, p: Parameter) -> bool:
+    room = p.high - p.low
+    return min(value - p.low, p.high - value) <= _AT_BOUND * room
+
+
+def _drive(model: MotionModel, recording: Recording) -> _Drive:
+    whole = overlapping(headed_anew(aligned(recording, _clock(model, recording))))
+    smooth, _ = smooth_truth(whole)
+    return _Drive(whole.odometry.stamps_ns, whole.odometry_s, whole.odometry.xyt, smooth)
+
+
+def _within_bounds(model: MotionModel, changes: list[str]) -> MotionModel:
+    """Return the model with every parameter within its bounds."""
+
+    def held(effect: Effect) -> Effect:
+        values = {}
+        for p in parameters(effect):
+            value = getattr(effect, p.name)
+            inside = float(np.clip(value, p.low, p.high)) if np.isfinite(value) else p.identity
+            if inside != value:
+                values[p.name] = inside
+                changes.append(f"{effect.name}.{p.name}: {value:.4g} was fitted, {inside:.4g} is possible, and written")
+        return replace(effect, **values) if values else effect  # type: ignore[type-var]  # effects are dataclasses
+
+    effects = tuple(held(effect) for effect in model.effects)
+    return replace(model, effects=effects, setup=replace(model.setup, effects=tuple(map(held, model.setup.effects))))
+
+
+def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
+    """Return why a model cannot be used on these drives, or nothing."""
+    try:
+        model = parse_model(format_model(model))
+    except (ModelError, EffectError) as error:
+        return f"its file would be refused ({error})"
+    random = any(effect.kind == "noise" and effect.acts for effect in model.effects)
+    for drive in drives:
+        try:
+            moved = undo_effects(model.effects, drive.t_s, drive.measured_xyt, model.track_m).error_xyt
+        except OdomCorruptError:
+            return "the fitted odometry could not be corrected with it"
+        if not np.isfinite(moved).all():
+            return "the fitted odometry corrected with it is not finite"
+        for run in range(runs if random else 1):
+            try:
+                moved = NoisyPath(model, 0, run).feed(drive.stamps_ns, drive.true_xyt).error_xyt
+            except OdomCorruptError:
+                return "no odometry obeys it on the fitted drive"
+            if not np.isfinite(moved).all():
+                return "the fitted drive corrupted with it is not finite"
+    return ""
+
+
+def _mended(model: MotionModel) -> Iterator[tuple[MotionModel, str]]:
+    """Yield models with one kind of change, the slightest first, and what was changed."""
+    laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
+    for limit in _LIMITS:
+        limited = {law.name: _limited(law, limit) for law in laws}
+        changed = [name for name, law in limited.items() if law is not None]
+        if changed:
+            effects = tuple(limited.get(e.name) or e for e in model.effects)
+            said = f"{' and '.join(changed)} held within {limit:g} of the motion"
+            yield replace(model, effects=effects), said
+    for effect in (*_random(model), *reversed(laws), *(e for e in model.effects if e.reads_truth)):
+        yield _without(model, effect)
+
+
+def _limited(law: UserEffect, limit: float) -> UserEffect | None:
+    """Return a law that is held within a part of the motion it adds to; None where it is no part of it."""
+    match = _PART.match(law.expression.text)
+    if match is None or (match[1] == "yaw") != (match[2] == "omega"):
+        return None
+    values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
+    units = {p.name: p.unit for p in parameters(law)}
+    words = {word: getattr(law, word) for word in choices(law)}
+    text = f"{match[1]} += {match[2]} * max(-{limit:g}, min({limit:g}, {match[3]}))"
+    return user_effect(law.name, text, values, units, words)
+
+
+def _without(model: MotionModel, effect: Effect) -> tuple[MotionModel, str]:
+    numbers = ", ".join(f"{p.name} = {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect))
+    text = f", {effect.expression.text}" if isinstance(effect, UserEffect) else ""
+    others = tuple(e for e in model.effects if e is not effect)
+    return replace(model, effects=others), f"{effect.name} ({numbers}{text}) left out"
+
+
+def _random(model: MotionModel) -> list[Effect]:
+    return [effect for effect in model.effects if effect.kind == "noise" and effect.acts]
+
+
+def _weakest(model: MotionModel) -> Effect:
+    """Return what goes first where no single change helps: laws before random effects, the last added first."""
+    laws = [effect for effect in model.effects if isinstance(effect, UserEffect)]
+    return [*model.effects, *_random(model), *laws][-1]

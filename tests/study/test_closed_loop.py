@@ -1,0 +1,68 @@
+"""A driver who sees the truth and steers back: his turns answer to the noise, and are no fault of the odometry."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import recording, wander
+
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.select.closed_loop import may_be_steering
+from odomcorrupt.study.select.score import score_columns
+from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.basis import BasisFunction
+from odomcorrupt.study.terms.channels import Action
+from odomcorrupt.study.terms.term import BasisTerm
+
+GAIN = BasisTerm(BasisFunction("speed", "k * 1", (lambda m: np.ones(len(m)),)), Action("yaw", "omega"))
+
+
+def kept_on_a_line(seed: int, seconds: float = 600.0):
+    """Return a drive at two speeds along one line, by somebody who takes its turns back in two seconds."""
+    rng = np.random.default_rng(seed)
+    n = int(seconds * 50.0)
+    way = np.where(np.arange(n) // 1000 % 2, 0.006, 0.016)
+    kicks = 0.02 * np.sqrt(way) * rng.standard_normal(n)
+    heading, turned, true = 0.0, np.zeros(n), np.zeros(n)
+    for i in range(n):
+        turned[i] = -0.01 * heading
+        true[i] = turned[i] + kicks[i]
+        heading += true[i]
+    zero = np.zeros(n)
+    odometry = accumulate(np.zeros(3), Increments(way, zero, turned))
+    return recording(Increments(way, zero, true), odometry, truth_mm=1.0, truth_rad=0.001, seed=seed)
+
+
+def gain_of(run):
+    fitted = fit([run], approach=replace(choose_approach([run]), spacing_s=2.0))
+    columns = GAIN.columns(fitted.problem)
+    (score,) = score_columns(fitted, [columns])
+    return fitted, columns, score
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_turns_that_answer_to_the_noise_look_like_a_gain_and_are_told_from_one(seed):
+    fitted, columns, score = gain_of(kept_on_a_line(seed))
+    assert score.p < 1e-6
+    assert score.estimate[0] == pytest.approx(-1.0, abs=0.2)
+    assert may_be_steering(fitted, columns, score.estimate)
+    assert not may_be_steering(fitted, columns, -score.estimate)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 8])
+def test_nothing_is_learned_from_a_driver_who_steers_back(seed):
+    learned = learn([kept_on_a_line(seed)])
+    assert learned.added == ()
+    assert learned.unknown == ()
+
+
+def test_a_true_gain_of_a_robot_that_turns_is_no_steering():
+    steps = wander(6, 300.0)
+    odometry = accumulate(np.zeros(3), replace(steps, dtheta_rad=steps.dtheta_rad * 1.02))
+    fitted, columns, score = gain_of(recording(steps, odometry, seed=6))
+    assert score.estimate[0] == pytest.approx(-0.02, abs=0.005)
+    assert not may_be_steering(fitted, columns, score.estimate)

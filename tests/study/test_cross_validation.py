@@ -1,0 +1,147 @@
+"""Models are judged on halves of what they were fitted on, whatever resets and stops make of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.cli import run as command
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import between
+from odomcorrupt.simulation import Segment, simulate, write_mcap
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.windows import distance_windows
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.validate.compare import compare
+from odomcorrupt.study.validate.cross_validation import cutting_of
+
+SECOND_NS = 1_000_000_000
+LEG = (Segment(0.6, 0.0, 3.0), Segment(0.5, 0.6, 2.5), Segment(0.3, -0.5, 4.0), Segment(0.0, 0.8, 2.0))
+
+
+def with_resets(run, *times_s):
+    """The run as the driver says it that begins anew from zero at some times."""
+    xyt = run.odom_xyt.copy()
+    for at in np.searchsorted(run.odom_stamps_ns, run.odom_stamps_ns[0] + np.array(times_s) * SECOND_NS):
+        xyt[at:] = between(xyt[at], xyt[at:])
+    return replace(run, odom_xyt=xyt)
+
+
+def read(folder, run):
+    write_mcap(run, folder / "run.mcap")
+    return read_runs(Source(folder / "run.mcap", track_m=run.track_m))
+
+
+def judged(recordings):
+    """The robot's model and its comparison on the very recordings, which are halved."""
+    model = fit_robot(recordings, (), law_name="diffusion").model
+    return compare(recordings, {"own": replace(model, source={"recordings": [r.name for r in recordings]})})
+
+
+def names(comparison):
+    return [piece.recording.name for piece in comparison.judgements[0].pieces]
+
+
+@pytest.fixture(scope="module")
+def office():
+    return simulate(21, None, duration_s=160.0)
+
+
+@pytest.mark.parametrize(
+    ("resets_s", "pieces"),
+    [
+        ((30,), ["part 1, first half", "part 2, first half", "part 2, second half"]),
+        ((80,), ["part 1, first half", "part 2, second half"]),
+        ((60, 130), ["part 1, first half", "part 2, first half", "part 2, second half", "part 3, second half"]),
+    ],
+)
+def test_a_run_with_resets_is_halved_as_one(tmp_path, office, resets_s, pieces):
+    recordings = read(tmp_path, with_resets(office, *resets_s))
+    assert len(recordings) == len(resets_s) + 1
+    for recording in recordings:
+        # with the truth of its own time, and a little more for a clock that is off
+        assert 0 <= recording.odometry.stamps_ns[0] - recording.truth.stamps_ns[0] < 3.1 * SECOND_NS
+        assert 0 <= recording.truth.stamps_ns[-1] - recording.odometry.stamps_ns[-1] < 3.1 * SECOND_NS
+    found = judged(recordings)
+    told = [name.removeprefix("run.mcap ") for name in names(found)]
+    assert told == pieces
+    assert found.judgements[0].refitted
+    whole = judged(read(tmp_path, office))
+    # windows of 10 s begin elsewhere, and there are a dozen
+    assert found.judgements[0].ten_second_error_m < 1.6 * whole.judgements[0].ten_second_error_m
+    assert found.judgements[0].nats_per_m == pytest.approx(whole.judgements[0].nats_per_m, rel=0.1)
+
+
+@pytest.mark.slow
+def test_learn_and_compare_read_a_drive_with_resets(tmp_path, office, capsys):
+    bag, model = tmp_path / "run.mcap", tmp_path / "robot.toml"
+    write_mcap(with_resets(office, 40, 110), bag)
+    assert command(["learn", str(bag), "-o", str(model)]) == 0
+    said = capsys.readouterr()
+    assert "2 resets" in said.err
+    assert "3 independent stretches used" in said.err
+    assert command(["compare", str(bag), str(model)]) == 0
+    assert command(["diagnose", str(bag)]) == 0
+
+
+def test_a_truth_that_lasts_longer_than_the_odometry_is_halved_where_there_is_odometry(office):
+    recording = as_recording(office)
+    third = len(recording.odometry) // 3
+    early = replace(
+        recording, odometry=Trajectory(recording.odometry.stamps_ns[:third], recording.odometry.xyt[:third])
+    )
+    first, second = cutting_of([early], [early.name], 0.5).pieces([early])[0].all
+    middle_s = (second.truth.stamps_ns[0] - early.odometry.stamps_ns[0]) * 1e-9
+    assert middle_s == pytest.approx(160.0 / 6.0, abs=1.0)
+    assert first.truth.stamps_ns[-1] < second.truth.stamps_ns[0]
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_recording_that_mostly_stands_is_cut_at_half_of_its_way(first):
+    stand = (Segment(0.0, 0.0, 170.0),)
+    route = (*stand, *LEG * 4) if first else (*LEG * 4, *stand)
+    found = judged([as_recording(simulate(22, None, duration_s=230.0, route=route))])
+    (note,) = (note for note in found.judgements[0].notes if "hardly moves" in note)
+    assert f"hardly moves in the {'first' if first else 'second'} half of its time: cut at half of its way" in note
+    metres = [piece.node_metres.sum() for piece in found.judgements[0].pieces]
+    assert metres[0] == pytest.approx(metres[1], rel=0.1)
+    assert found.judgements[0].horizons
+
+
+def test_a_usual_drive_is_cut_in_the_middle_of_its_time(office):
+    recording = as_recording(office)
+    cutting = cutting_of([recording], [recording.name], 0.5)
+    first, second = cutting.pieces([recording])[0].all
+    assert abs(len(first.truth) - len(second.truth)) <= 1
+    assert not cutting.notes
+
+
+def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
+    long = as_recording(office, "long")
+    rows = slice(None, 1500)
+    short = replace(long, name="short", truth=Trajectory(long.truth.stamps_ns[rows], long.truth.xyt[rows]))
+    cutting = cutting_of([long, short], ["long", "short"], 0.5)
+    assert [run.names for run in cutting.pieces([long, short])] == [{"long"}]
+    (note,) = cutting.notes
+    assert note.startswith("short: too short to be fitted on one half and judged on the other")
+    with pytest.raises(RecordingError, match=r"short: too short .* record longer"):
+        cutting_of([short], ["short"], 0.5)
+
+
+def test_a_recording_without_any_time_in_common_is_named(office):
+    recording = as_recording(office, "late")
+    late = Trajectory(recording.truth.stamps_ns + 1000 * SECOND_NS, recording.truth.xyt)
+    with pytest.raises(RecordingError, match="late: odometry and truth overlap in 0 truth samples"):
+        lay_nodes(replace(recording, truth=late), 0.5)
+
+
+def test_a_robot_that_stands_has_no_windows_of_distance():
+    still = as_recording(simulate(23, None, duration_s=30.0, route=(Segment(0.0, 0.0, 30.0),)))
+    frozen = replace(still, odometry=Trajectory(still.odometry.stamps_ns, np.zeros_like(still.odometry.xyt)))
+    for phase in (0.0, 0.5):
+        assert len(distance_windows(frozen, 1.0, phase)) == 0

@@ -1,0 +1,40 @@
+"""Decisions: what documents say of them is what the code computes, and replacing one changes what is selected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import exp
+from pathlib import Path
+
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.simulation import simulate
+from odomcorrupt.study.select.confidence import Evidence, confidence, odds_against, odds_formula
+from odomcorrupt.study.select.decisions import DECISIONS, PriorOdds
+from odomcorrupt.study.select.stepwise import learn
+
+PAGE = Path(__file__).parents[2] / "docs" / "json.md"
+EVIDENCE = Evidence(own=9.0, rivals=(4.0, 6.5), left=3.0, wandering=7.0, margin=2.5)
+
+
+def test_the_page_prints_the_formula_of_the_decisions():
+    assert f"    {odds_formula()}\n" in PAGE.read_text(encoding="utf8")
+
+
+@pytest.mark.parametrize("prior", [DECISIONS.prior, PriorOdds(temper=0.7, unexplained=0.5, dependence_nats=-1.0)])
+def test_the_printed_formula_is_what_is_computed(prior):
+    numbers = {"g": EVIDENCE.own, "m": EVIDENCE.margin, "u": EVIDENCE.left, "w": EVIDENCE.wandering}
+    named = {**numbers, "rivals": EVIDENCE.rivals, "exp": exp, "sum": sum, "__builtins__": {}}
+    printed = eval(odds_formula(prior), named)  # noqa: S307 - our own formula
+    assert odds_against(EVIDENCE, prior) == pytest.approx(printed)
+    assert confidence(EVIDENCE, prior) == pytest.approx(1.0 / (1.0 + printed))
+
+
+def test_another_decision_selects_another_model():
+    run = as_recording(simulate(91, "unequal_wheels", duration_s=120.0))
+    none = learn([run], decisions=replace(DECISIONS, max_effects=0))
+    (step,) = none.rounds
+    assert (step.candidates[0].name, step.candidates[0].refused) == ("unequal_wheels", "")
+    assert (none.added, none.fit.effects) == ((), ())
+    assert none.decisions.max_effects == 0

@@ -1,0 +1,88 @@
+"""A model is written only in a form that can be read, corrected and corrupted with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import recording, wander
+
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.user import user_effect
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.validate.round_trip import proved
+
+NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
+LAW = "along += abs(v) * (k * abs(v * omega))"
+
+
+@pytest.fixture(scope="module")
+def drive():
+    steps = wander(3, 120.0)
+    return recording(steps, accumulate(np.zeros(3), steps))
+
+
+def corrupted(model, drive, run=0):
+    return NoisyPath(model, 5, run).feed(drive.odometry.stamps_ns, drive.odometry.xyt).error_xyt
+
+
+def test_a_law_that_would_take_all_of_a_motion_away_is_held_within_half_of_it(drive):
+    model = MotionModel(
+        NOISE, (user_effect("slips", LAW, {"k": -4.0}), effect_from_values("slip_burst", {"rate": 0.2}))
+    )
+    with pytest.raises(EffectError):
+        corrupted(model, drive)
+    found = proved(model, [drive])
+    assert found.changes[0].startswith("slips held within 0.5 of the motion")
+    again = parse_model(format_model(found.model))
+    assert again.source["remarks"] == list(found.changes)
+    assert [e.name for e in again.effects] == ["slips", "slip_burst"]
+    assert all(np.isfinite(corrupted(again, drive, run)).all() for run in range(20))
+
+
+def test_what_no_form_of_makes_usable_is_left_out_and_said(drive):
+    stuck = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})
+    scale = effect_from_values("wheel_scale", {"e": 0.02})
+    found = proved(MotionModel(NOISE, (scale, stuck)), [drive])
+    assert found.model.effects == (scale,)
+    assert "stuck (k = 1" in found.changes[0]
+    assert "left out" in found.changes[0]
+
+
+def test_a_number_beyond_its_bounds_is_written_within_them_and_named(drive):
+    wanders = replace(effect_from_values("gauss_markov", {"sigma": 0.3}), sigma=0.8)
+    found = proved(MotionModel(NOISE, (wanders,)), [drive])
+    (written,) = parse_model(format_model(found.model)).effects
+    assert written.sigma == 0.5
+    assert "gauss_markov.sigma: 0.8 was fitted" in found.changes[0]
+    assert any("gauss_markov.sigma = 0.5 stands on the bound" in change for change in found.changes)
+
+
+def test_a_robot_that_turns_4_times_as_far_is_told_that_its_nominal_values_are_wrong(drive):
+    found = proved(MotionModel(NOISE, (effect_from_values("wheelbase", {"e": 1.0 / 4.4 - 1.0}),)), [drive])
+    assert len(found.changes) == 1
+    assert "turns 4.4 times as far as its odometry says" in found.changes[0]
+    assert np.isfinite(corrupted(found.model, drive)).all()
+
+
+def test_correct_and_fit_tell_why_their_errors_differ(drive):
+    setup = replace(MotionModel(NOISE).setup, effects=(effect_from_values("lever_arm", {"x": 0.2}),))
+    model = MotionModel(NOISE, setup=setup)
+    (said,) = proved(model, [drive]).changes
+    assert "`correct` with this model leaves" in said
+    assert "lever_arm" in said
+
+
+def test_a_sound_model_is_left_as_it_is(drive):
+    model = MotionModel(
+        NOISE, (effect_from_values("wheelbase", {"e": 0.02}), effect_from_values("side_slip", {"k": 0.03}))
+    )
+    found = proved(model, [drive])
+    assert found.changes == ()
+    assert found.model == model
