@@ -30,6 +30,7 @@ _LAG_S, _LAG_STEP_S = 0.6, 0.01
 _OVERLAP = 0.6
 _LEAST_PAIRS = 8
 _TURNS_RAD = 0.5
+_PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
@@ -78,12 +79,17 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """Matched pairs of sweeps: times (n,), the second seen from the first (n, 3), deviation of the returns (n,), m."""
+    """Matched pairs of sweeps: times (n,), the second seen from the first (n, 3), and how well they match.
+
+    deviation_m : (n,) of the returns from the surfaces
+    ratio : (n,) smaller over larger eigenvalue of the information of the position
+    """
 
     first_s: Array
     second_s: Array
     pose: Array
     deviation_m: Array
+    ratio: Array
 
 
 def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
@@ -200,7 +206,7 @@ def _matched(
     t_s = sweeps.middle_s(motion.origin_ns)
     poses = motion.laser(t_s)
     chosen = _spread(t_s, poses)
-    first, second, found, deviation = [], [], [], []
+    first, second, found, deviation, ratio = [], [], [], [], []
     for a, b in chosen:
         one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored, turn_s=turn_s) for k in (a, b))
         lines = lines_of(one)
@@ -214,12 +220,13 @@ def _matched(
                     for w in np.arange(0.0, 2 * np.pi, np.pi / 4) for sign in (1.0, -1.0)]
             guess = best_guess(other[:: max(1, len(other) // 90)], surface, np.stack(ways))
         fit = match(other[:: max(1, len(other) // 240)], surface, guess)
-        if fit is not None and fit.overlap > _OVERLAP and fit.ratio > 0.05:
+        if fit is not None and fit.overlap > _OVERLAP:
             first.append(t_s[a])
             second.append(t_s[b])
             found.append(fit.pose)
             deviation.append(fit.deviation_m)
-    return _Pairs(np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation))
+            ratio.append(fit.ratio)
+    return _Pairs(np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation), np.array(ratio))
 
 
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
@@ -270,10 +277,11 @@ def _hand_eye(pairs: _Pairs, motion: Motion) -> Array | None:
 
     With O the robot's motion, L the laser's and X the mounting, O X = X L: t_O + (R_O - I) t_X = k R_X t_L.
     """
-    if len(pairs.pose) < _LEAST_PAIRS:
+    plain = pairs.ratio > _PLAIN_RATIO
+    if plain.sum() < _LEAST_PAIRS:
         return None
-    own = between(motion.robot(pairs.first_s), motion.robot(pairs.second_s))
-    seen = pairs.pose
+    own = between(motion.robot(pairs.first_s[plain]), motion.robot(pairs.second_s[plain]))
+    seen = pairs.pose[plain]
     n = len(own)
     rows = np.zeros((n, 2, 4))
     c, s = np.cos(seen[:, 2]) - 1.0, np.sin(seen[:, 2])

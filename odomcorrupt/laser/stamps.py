@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.calibrate import Motion
     from odomcorrupt.laser.trajectory import LaserPath
 
-__all__ = ["WhiteNoise", "white_noise", "with_noise"]
+__all__ = ["WhiteNoise", "white_noise", "with_noise", "without_spikes"]
 
 _FEW = 60
 _EXTREME = 99.0
@@ -27,6 +27,8 @@ _GAP = 1.6
 _TURNS_RADPS = 0.1
 _LEAST_S = 1e-3
 _LARGEST = 400.0
+_SPIKE = 6.0
+_USUAL = np.array([1e-3, 1e-3, 5e-4])
 
 
 class WhiteNoise(NamedTuple):
@@ -71,6 +73,23 @@ def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
         rate = _rate(path, motion)
         covariance = covariance + noise.stamps_s**2 * rate[:, :, None] * rate[:, None, :]
     return replace(path, covariance=covariance)
+
+
+def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:
+    """Return the path without poses that lie aside of their neighbours on both sides, by the odometry between them."""
+    if len(path) < _FEW:
+        return path
+    robot = motion.robot(path.t_s)
+    miss = between(path.xyt[:-1], path.xyt[1:]) - between(robot[:-1], robot[1:])
+    miss[:, 2] = wrap(miss[:, 2])
+    aside = 0.5 * np.abs(miss[:-1] - miss[1:])
+    unseen = path.weak[1:-1]
+    usual = 1.4826 * np.median(aside[~unseen] if (~unseen).any() else aside, axis=0)
+    out = aside > _SPIKE * np.maximum(usual, _USUAL)
+    out[unseen, :2] = False
+    kept = np.ones(len(path), dtype=bool)
+    kept[1:-1] = ~out.any(axis=1)
+    return path.only(kept)
 
 
 def _rate(path: LaserPath, motion: Motion) -> Array:

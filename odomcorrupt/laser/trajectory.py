@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +58,11 @@ class LaserPath:
 
     def __len__(self) -> int:
         return len(self.row)
+
+    def only(self, kept: NDArray[np.bool_]) -> LaserPath:
+        """Return some of the poses."""
+        arrays = ("row", "t_s", "xyt", "laser_xyt", "covariance", "part", "weak", "ratio")
+        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
 
 
 def relocalised(

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Recording", "Trajectory"]
+__all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
 
-_UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
+UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 """Variance of a pose of which nothing is known along an axis; and the share of poses that must be known."""
 
 
@@ -51,7 +51,7 @@ class Trajectory:
         if self.covariance is None:
             return everywhere
         worst = np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, 1]
-        known: NDArray[np.bool_] = worst < _UNKNOWN_M2
+        known: NDArray[np.bool_] = worst < UNKNOWN_M2
         return known if known.mean() > _FEW_KNOWN else everywhere
 
     def seconds_since(self, origin_ns: int) -> Array:
