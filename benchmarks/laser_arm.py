@@ -18,7 +18,6 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent / "tests" / "study"), str(HERE.parent / "tests")]
 
 from laboratory.run import read_results, run  # noqa: E402 - after the path
-
 from laser.ask import ask  # noqa: E402
 from laser.cases import LENGTHS, laser_cases  # noqa: E402
 from laser.tables import tables  # noqa: E402

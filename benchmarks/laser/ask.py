@@ -63,9 +63,7 @@ def ask(case: Case) -> dict[str, Any]:
         row["mocap_errors"] = {c: errors_of(row["truth"][c], c, row["mocap"]["found"]) for c in case.causes}
     if case.arm == "single":
         row["expected"] = expected_information(case)
-    judged = simulate(
-        case.seed + JUDGE_SEED, causes, truth=EXACT, duration_s=JUDGED_S, robot_seed=case.seed, **options
-    )
+    judged = simulate(case.seed + JUDGE_SEED, causes, truth=EXACT, duration_s=JUDGED_S, robot_seed=case.seed, **options)
     recording = as_recording(judged, "judged")
     row["error"] = {
         "before": ten_second_error([recording]),

@@ -31,7 +31,9 @@ def tables(rows: list[dict[str, Any]]) -> str:
     ratio = np.array([r["error"]["laser"] / r["error"]["mocap"] for r in good])
     if len(ratio):
         told = f"{np.median(ratio):.3f}, {np.percentile(ratio, 90):.3f}"
-        lines.append(_row("held-out 10 s error over motion capture's: median, 90th percentile", told, "1", "1.02, 1.10"))
+        lines.append(
+            _row("held-out 10 s error over motion capture's: median, 90th percentile", told, "1", "1.02, 1.10")
+        )
     sure = [_wrong_and_sure(r) for r in [*controls, *single]]
     lines.append(_row("wrong and sure (0.9)", _share(sure), "", "at most 1 %"))
     corridor = _arm(rows, "corridor")
@@ -53,9 +55,9 @@ def tables(rows: list[dict[str, Any]]) -> str:
     accuracy = np.array([r["accuracy"]["rms"] + r["accuracy"]["robust"] for r in [*controls, *single]])
     if len(accuracy):
         middle = np.median(accuracy, axis=0)
-        lines += ["", f"Motion over 1 s by the laser, median drive: RMS {middle[0]:.1f}, {middle[1]:.1f} mm, "
-                      f"{middle[2]:.3f} deg; robust {middle[3]:.1f}, {middle[4]:.1f} mm, {middle[5]:.3f} deg. Matching "
-                      f"took {np.median([r['matching_s'] for r in rows]):.1f} CPU s of 300 s."]  # fmt: skip
+        took_s = np.median([r["matching_s"] for r in rows])
+        lines += ["", f"Motion over 1 s by the laser, median drive: RMS {_three(middle[:3])}; robust {_three(middle[3:])}."]
+        lines.append(f"Matching took {took_s:.1f} CPU s of 300 s.")
     return "\n".join(lines)
 
 
@@ -86,6 +88,10 @@ def _wrong_and_sure(row: dict[str, Any]) -> bool:
         look["added"] and not right(look["added"], row) and look.get("confidence", 0.0) >= _SURE
         for look in row["answer"]["looks"]
     )
+
+
+def _three(values: np.ndarray) -> str:
+    return f"{values[0]:.1f}, {values[1]:.1f} mm, {values[2]:.3f} deg"
 
 
 def _share(flags: list[bool]) -> str:

@@ -45,7 +45,7 @@ def world_around(kind: str, path_xy: Array, rng: np.random.Generator) -> Array:
             for at in across + rng.uniform(-0.5, 0.5, len(across)):
                 ends = np.arange(low[1 - axis], high[1 - axis], _PIECE_M)
                 start = np.column_stack((np.full(len(ends), at), ends))
-                stop = start + (0.0, _PIECE_M)
+                stop = start + np.array([0.0, _PIECE_M])
                 parts.append(np.stack((start, stop), axis=1)[:, :, :: 1 if axis == 0 else -1])
     count = int(_BOX_PER_M2 * float(np.prod(high - low)))
     parts += [_box(rng, low, high) for _ in range(count)]

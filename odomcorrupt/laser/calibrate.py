@@ -143,7 +143,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
     if turn_s:
         said.append(
-            f"{sweeps.topic}: no times within a sweep; its sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"{sweeps.topic}: no times within a sweep; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
             f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
         )
     if found is not None and told is not None:
@@ -196,9 +196,7 @@ def _misfit(pairs: _Pairs) -> float:
     return float(np.mean(pairs.deviation_m))
 
 
-def _matched(
-    sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0
-) -> _Pairs:
+def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0) -> _Pairs:
     """Match pairs of sweeps a little way apart, spread over the drive.
 
     free : where the mounting is unknown, displacements in all directions are tried
@@ -216,8 +214,11 @@ def _matched(
         guess = between(poses[a], poses[b])
         if free:
             reach = float(np.hypot(guess[0], guess[1]))
-            ways = [np.array([reach * np.cos(w), reach * np.sin(w), sign * guess[2]])
-                    for w in np.arange(0.0, 2 * np.pi, np.pi / 4) for sign in (1.0, -1.0)]
+            ways = [
+                np.array([reach * np.cos(w), reach * np.sin(w), sign * guess[2]])
+                for w in np.arange(0.0, 2 * np.pi, np.pi / 4)
+                for sign in (1.0, -1.0)
+            ]
             guess = best_guess(other[:: max(1, len(other) // 90)], surface, np.stack(ways))
         fit = match(other[:: max(1, len(other) // 240)], surface, guess)
         if fit is not None and fit.overlap > _OVERLAP:
@@ -226,7 +227,9 @@ def _matched(
             found.append(fit.pose)
             deviation.append(fit.deviation_m)
             ratio.append(fit.ratio)
-    return _Pairs(np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation), np.array(ratio))
+    return _Pairs(
+        np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation), np.array(ratio)
+    )
 
 
 def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
@@ -235,7 +238,7 @@ def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
     gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
     measure = turned / _APART_RAD + gone / _APART_M
     ahead = np.searchsorted(measure, measure + 1.0)
-    start = np.flatnonzero((ahead < len(t_s)))
+    start = np.flatnonzero(ahead < len(t_s))
     start = start[(t_s[ahead[start]] - t_s[start] < 3.0) & (ahead[start] > start)]
     if len(start) > _PAIRS:
         share = turned[ahead[start]] - turned[start]

@@ -1,4 +1,4 @@
-"""The map while it is made: keyframes, relative poses between them, and the local surfaces that sweeps are matched to."""
+"""The map while it is made: keyframes, relative poses between them, and local surfaces to match sweeps with."""
 
 from __future__ import annotations
 
@@ -108,9 +108,9 @@ class KeyframeMap:
         return [int(i) for i in index[np.argsort(self.distances(pose, index), kind="stable")]]
 
     def distances(self, pose: Array, index: Array) -> Array:
-        """Return how far keyframes are from a pose (n,), metres; a turn of one radian counts as a metre where narrow."""
+        """Return how far keyframes are from a pose (n,), m; a radian of turn counts as a metre where it matters."""
         away = self.poses[index] - pose
-        far = np.hypot(away[:, 0], away[:, 1])
+        far: Array = np.hypot(away[:, 0], away[:, 1])
         if self.narrow:
             far = far + np.abs(np.angle(np.exp(1j * away[:, 2])))
         return far
@@ -125,7 +125,7 @@ class KeyframeMap:
         return list(found)
 
     def tie(self, k: int, skip: set[int]) -> int:
-        """Match a new keyframe with its nearest others that it is not connected with, and return how many fitted."""
+        """Match a new keyframe with its nearest others, and return how many loops that closed."""
         others = [i for i in range(len(self)) if i != k and i not in skip and i not in self._beside[k]]
         near = self.nearest(k, others)[:NEIGHBOURS]
         near = [i for i in near if float(self.distances(self.poses[k], np.array([i]))[0]) < _NEAR_M]
@@ -135,7 +135,7 @@ class KeyframeMap:
             found = self.pair(i, k, wide=i not in around)
             if found is not None:
                 self.connect(Edge(i, k, found.pose, edge_information(found), matched=True, loop=i not in around))
-                count += 1
+                count += i not in around
         return count
 
     def around(self, k: int, scan: Array, guess: Array) -> Array:
@@ -226,7 +226,7 @@ class KeyframeMap:
         )
 
     def dead_reckoned(self, i: int, k: int, pose: Array) -> Edge:
-        """Return the edge that the odometry makes between two keyframes: weak, and only where matches fail it counts."""
+        """Return the edge that the odometry makes between two keyframes: so weak that it counts where matches fail."""
         far = 0.1 + float(np.hypot(pose[0], pose[1])) + 0.2 * abs(float(pose[2]))
         deviation = np.array([_ODOMETRY_M, _ODOMETRY_M, _ODOMETRY_RAD]) * far
         return Edge(i, k, pose, np.diag(1.0 / deviation**2), matched=False, loop=False)
@@ -243,7 +243,8 @@ def edge_information(found: Match) -> Array:
     Along a weak axis little is kept of it.
     """
     xy = max(_EDGE_M, 0.5 * found.deviation_m)
-    covariance = np.linalg.inv(found.information + 1e-6 * np.eye(3)) + np.diag([xy, xy, max(_EDGE_RAD, xy / 4.0)]) ** 2
+    limit = np.diag([xy, xy, max(_EDGE_RAD, xy / 4.0)]) ** 2
+    covariance = np.linalg.inv(found.information + 1e-6 * np.eye(3)) + limit
     information: Array = np.linalg.inv(covariance)
     if found.ratio < WEAK:
         axis = np.array([*found.weak_axis, 0.0])

@@ -11,7 +11,7 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.laser.sweep import MOST_RETURNS, Sweep, Sweeps
 from odomcorrupt.mapping.frames import FrameTree
-from odomcorrupt.mapping.messages import CLOUD, SCAN, read_cloud, read_scan
+from odomcorrupt.mapping.messages import CLOUD, SCAN, ScanMessage, read_cloud, read_scan
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader, Channel
     from odomcorrupt.mapping.frames import Mount
-    from odomcorrupt.mapping.messages import CloudMessage, ScanMessage
+    from odomcorrupt.mapping.messages import CloudMessage
 
 __all__ = ["only_scan_topic", "read_sweeps"]
 
@@ -140,9 +140,11 @@ def _mount(tree: FrameTree, base: str, laser: str) -> Mount | None:
         return None
 
 
-def _sweeps(rows: list[tuple[ScanMessage | CloudMessage, int]], name: str) -> tuple[tuple[Sweep, ...], float, list[str]]:
+def _sweeps(
+    rows: list[tuple[ScanMessage | CloudMessage, int]], name: str
+) -> tuple[tuple[Sweep, ...], float, list[str]]:
     first = rows[0][0]
-    if not hasattr(first, "ranges_m"):
+    if not isinstance(first, ScanMessage):
         sweeps = tuple(_slice(message) for message, _ in rows)  # type: ignore[arg-type]
         return sweeps, _view_of(sweeps), [f"{name}: a horizontal slice of its points"]
     scans: list[ScanMessage] = [m for m, _ in rows]  # type: ignore[misc]
@@ -150,7 +152,7 @@ def _sweeps(rows: list[tuple[ScanMessage | CloudMessage, int]], name: str) -> tu
     farthest = _no_return_m(scans)
     body = _own_body(scans, farthest)
     if body is not None:
-        notes.append(f"{name}: {np.count_nonzero(body)} of {len(body)} bearings always see the robot itself: left out")
+        notes.append(f"{name}: {np.count_nonzero(body)} of {len(body)} bearings see the robot itself: left out")
     view = abs(first.angle_step) * (len(first.ranges_m) - 1)
     return tuple(_returns(scan, farthest, body) for scan in scans), float(view), notes
 
@@ -233,4 +235,3 @@ def _view_of(sweeps: tuple[Sweep, ...]) -> float:
     bearing = np.sort(np.concatenate([np.arctan2(s.xy[:, 1], s.xy[:, 0]) for s in some if len(s)] or [np.zeros(1)]))
     gaps = np.diff(np.concatenate((bearing, bearing[:1] + 2.0 * np.pi)))
     return float(2.0 * np.pi - gaps.max())
-

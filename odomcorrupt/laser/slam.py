@@ -31,6 +31,7 @@ _AWAY_M, _AWAY_RAD = 0.25, 0.2
 _AWAY_SHARE = 0.2
 _NEW_M, _LEAST_M, _NEW_OVERLAP = 0.5, 0.1, 0.6
 _LOST = 3
+_LEAST_RETURNS = 40
 _FAST_MPS, _FAST_RADPS = 5.0, 6.0
 _CLOSE_ROUNDS = 3
 _GATES_M = (0.4, 0.25, 0.15)
@@ -51,82 +52,109 @@ class Tracked:
     t_s: Array
 
 
-def make_map(
-    sweeps: Sweeps, calibration: Calibration, told: Callable[[float], None] | None = None
-) -> Tracked:
+def make_map(sweeps: Sweeps, calibration: Calibration, told: Callable[[float], None] | None = None) -> Tracked:
     """Return the finished map and where each sweep was in it.
 
     told : called now and then with which part of the sweeps is done
     """
-    motion = calibration.motion
-    t_s = sweeps.middle_s(motion.origin_ns)
-    dead = motion.laser(t_s)
-    count = len(sweeps)
-    world = KeyframeMap(sweeps.field_of_view_rad)
-    keyframe, relative = np.full(count, -1), np.zeros((count, 3))
-    current, inside, lost, last = -1, np.zeros(3), 0, -1
-    before = np.zeros(3)
-    for n in range(count):
+    tracker = _Tracker(sweeps, calibration)
+    for n in range(len(sweeps)):
         if told is not None and n % 50 == 0:
-            told(n / count)
-        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
-        if current < 0:
-            if len(scan) >= 2 * 20:
-                current, last = world.add(scan, dead[n]), n
-                keyframe[n], inside = current, np.zeros(3)
-            continue
-        step = between(dead[last], dead[n])
-        gap_s = max(float(t_s[n] - t_s[last]), 1e-3)
-        if np.hypot(step[0], step[1]) > _FAST_MPS * gap_s + 0.1 or abs(step[2]) > _FAST_RADPS * gap_s + 0.2:
-            # the odometry was reset: go on as before
-            step = before
-        guess = compose(inside, step)
-        found = match(thinned(scan, _TRACK_QUERY), world.local(current), guess, _GATES_M) if len(scan) else None
-        if not _fits(found, guess, step, _OVERLAP, 1.0) and len(scan) and lost >= 1:
-            found = match(thinned(scan, _TRACK_QUERY), world.local(current), world.around(current, scan, guess))
-            found = found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
-        elif not _fits(found, guess, step, _OVERLAP, 1.0):
-            found = None
-        if found is None:
-            lost += 1
-            if lost <= _LOST or len(scan) < 2 * 20:
-                continue
-            # too far from all that is known: begin a part of its own, and see whether it fits somewhere
-            pose = compose(world.poses[current], guess)
-            new = world.add(scan, pose)
-            world.connect(world.dead_reckoned(current, new, guess))
-            if world.tie(new, set()):
-                world.settle()
-            current, inside, last, lost = new, np.zeros(3), n, 0
-            keyframe[n] = new
-            continue
-        lost = 0
-        before = step if n == last + 1 else step / max(n - last, 1)
-        inside, last = found.pose, n
-        keyframe[n], relative[n] = current, inside
-        pose = compose(world.poses[current], inside)
-        near = world.nearest_to(pose, world.reachable(current))
-        best = near[0]
-        if best != current:
-            inside = between(world.poses[best], pose)
-        away_m = float(world.distances(pose, np.array([best]))[0])
-        if away_m > _NEW_M or (found.overlap < _NEW_OVERLAP and away_m > _LEAST_M):
-            new = world.add(scan, pose)
-            world.connect(Edge(current, new, found.pose, edge_information(found), matched=True, loop=False))
-            world.connect(world.dead_reckoned(current, new, guess))
-            loops = len([e for e in world.edges if e.loop])
-            world.tie(new, {current})
-            if len([e for e in world.edges if e.loop]) > loops:
-                world.settle()
-            best, inside = new, np.zeros(3)
-            keyframe[n], relative[n] = new, np.zeros(3)
-        current = best
+            told(n / len(sweeps))
+        tracker.take(n)
+    world = tracker.world
     for _ in range(_CLOSE_ROUNDS):
         world.settle()
         if not world.close():
             break
     world.settle()
-    return Tracked(world, keyframe, relative, t_s)
+    return Tracked(world, tracker.keyframe, tracker.relative, tracker.t_s)
+
+
+class _Tracker:
+    """Takes sweep after sweep: where it is in the map so far, and new keyframes where that is too far from all."""
+
+    def __init__(self, sweeps: Sweeps, calibration: Calibration) -> None:
+        self.world = KeyframeMap(sweeps.field_of_view_rad)
+        self.t_s = sweeps.middle_s(calibration.motion.origin_ns)
+        self.keyframe, self.relative = np.full(len(sweeps), -1), np.zeros((len(sweeps), 3))
+        self._sweeps, self._calibration = sweeps, calibration
+        self._dead = calibration.motion.laser(self.t_s)
+        self._current, self._inside = -1, np.zeros(3)
+        self._last, self._lost = -1, 0
+        self._before = np.zeros(3)
+
+    def take(self, n: int) -> None:
+        """Place the next sweep."""
+        found = self._calibration
+        scan = deskewed(self._sweeps.sweeps[n], found.motion, mirrored=found.mirrored, turn_s=found.turn_s)
+        if self._current < 0:
+            if len(scan) >= _LEAST_RETURNS:
+                self._enter(n, self.world.add(scan, self._dead[n]))
+            return
+        step = self._step(n)
+        guess = compose(self._inside, step)
+        matched = self._matched(scan, guess, step)
+        if matched is None:
+            self._lost += 1
+            if self._lost > _LOST and len(scan) >= _LEAST_RETURNS:
+                self._begin(n, scan, guess)
+            return
+        self._lost = 0
+        self._before = step / max(n - self._last, 1)
+        self._last = n
+        self._follow(n, scan, guess, matched)
+
+    def _step(self, n: int) -> Array:
+        """Return the odometry's motion since the last sweep that was placed; after a reset, the motion before."""
+        step = between(self._dead[self._last], self._dead[n])
+        gap_s = max(float(self.t_s[n] - self.t_s[self._last]), 1e-3)
+        jumped = np.hypot(step[0], step[1]) > _FAST_MPS * gap_s + 0.1 or abs(step[2]) > _FAST_RADPS * gap_s + 0.2
+        return self._before if jumped else step
+
+    def _matched(self, scan: Array, guess: Array, step: Array) -> Match | None:
+        """Return the match of a sweep with the local map, looked for more widely where sweeps were lost before."""
+        if not len(scan):
+            return None
+        world, query = self.world, thinned(scan, _TRACK_QUERY)
+        found = match(query, world.local(self._current), guess, _GATES_M)
+        if _fits(found, guess, step, _OVERLAP, 1.0):
+            return found
+        if not self._lost:
+            return None
+        found = match(query, world.local(self._current), world.around(self._current, scan, guess))
+        return found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
+
+    def _begin(self, n: int, scan: Array, guess: Array) -> None:
+        """Begin a part of the map of its own, too far from all that is known, and see whether it fits somewhere."""
+        new = self.world.add(scan, compose(self.world.poses[self._current], guess))
+        self.world.connect(self.world.dead_reckoned(self._current, new, guess))
+        if self.world.tie(new, set()):
+            self.world.settle()
+        self._lost = 0
+        self._enter(n, new)
+
+    def _follow(self, n: int, scan: Array, guess: Array, found: Match) -> None:
+        """Note where a sweep is, go over to the nearest keyframe, and make it one itself where none is near."""
+        world, current = self.world, self._current
+        self.keyframe[n], self.relative[n] = current, found.pose
+        pose = compose(world.poses[current], found.pose)
+        best = world.nearest_to(pose, world.reachable(current))[0]
+        away_m = float(world.distances(pose, np.array([best]))[0])
+        if away_m > _NEW_M or (found.overlap < _NEW_OVERLAP and away_m > _LEAST_M):
+            new = world.add(scan, pose)
+            world.connect(Edge(current, new, found.pose, edge_information(found), matched=True, loop=False))
+            world.connect(world.dead_reckoned(current, new, guess))
+            if world.tie(new, {current}):
+                world.settle()
+            self._enter(n, new)
+            return
+        self._current, self._inside = best, found.pose if best == current else between(world.poses[best], pose)
+
+    def _enter(self, n: int, keyframe: int) -> None:
+        """Go on from a new keyframe, which the sweep itself is."""
+        self._current, self._inside, self._last = keyframe, np.zeros(3), n
+        self.keyframe[n], self.relative[n] = keyframe, np.zeros(3)
 
 
 def _fits(found: Match | None, guess: Array, step: Array, overlap: float, times: float) -> bool:

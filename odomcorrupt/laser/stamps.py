@@ -28,7 +28,7 @@ _TURNS_RADPS = 0.1
 _LEAST_S = 1e-3
 _LARGEST = 400.0
 _SPIKE = 6.0
-_USUAL = np.array([1e-3, 1e-3, 5e-4])
+_USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
 
 
 class WhiteNoise(NamedTuple):

@@ -28,7 +28,7 @@ _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)
 _FLOOR_M, _FLOOR_RAD = 1e-3, 2e-4
-_UNKNOWN_M = 30.0
+_UNKNOWN_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,7 +28,7 @@ _LEVEL = 1e-4
 def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:
     """Return lever arm and mounting yaw, to be free in every fit, where the truth is a laser's; nothing otherwise.
 
-    Where a laser sits is never known as well as its scans show it. Those that are among the effects beside are left out.
+    Where a laser sits is never known as well as its scans show it. Those among the effects beside are left out.
     """
     kinds = registry()
     matched = any(recording.truth.covariance is not None for recording in recordings)

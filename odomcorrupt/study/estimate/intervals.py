@@ -301,8 +301,8 @@ def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
     unseen[:, :2, :2] = (blind * values[:, 1])[:, None, None] * worst[:, :, None] * worst[:, None, :]
     values[blind, 1] = values[blind, 0]
     shape = np.zeros((count, 3, 3))
-    shape[:, :2, :2] = (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2) / max(
-        float(np.median(values[:, 0])), 1e-12
+    shape[:, :2, :2] = (
+        (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2) / max(float(np.median(values[:, 0])), 1e-12)
     )
     shape[:, 2, 2] = covariance[:, 2, 2] / max(float(np.median(covariance[:, 2, 2])), 1e-12)
     return shape, unseen

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["bias_roots", "has_bias"]
 
 SPEED_BIAS = 1e-3
-"""Deviation of a scale error of matches that grows with speed, per m/s: motion within a sweep, put right by odometry."""
+"""Deviation of a scale error of matches that grows with speed, per m/s: motion within a sweep."""
 TURN_BIAS = 1e-3
 """Deviation of a scale error of turns, and of one that grows with speed, per m/s: 4e-4 was seen where nothing else
 could err."""

@@ -107,9 +107,10 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     Each is a pair: added to the residuals' own covariances (K, 3, 3), and to those with the one before (K - 1, 3, 3).
     """
     a = _adjoint_of_inverse(nodes.truth_step)
-    pieces = []
-    for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])):
-        pieces.append(_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept))
+    pieces = [
+        _at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept)
+        for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
+    ]
     wander = np.zeros_like(a)
     wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
     pieces.append((wander, np.zeros_like(a[1:])))

@@ -39,6 +39,7 @@ _LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
 _FEWEST = 20
+_BLIND = 0.9
 _JITTER_SAID_S = 3e-3
 
 
@@ -117,6 +118,12 @@ def truth_of(run: LaserRun) -> list[Samples]:
     origin_ns = run.calibration.motion.origin_ns
     stamps = origin_ns + np.round(path.t_s * 1e9).astype(np.int64)
     notes = [*sweeps.notes, *run.calibration.said, *_said(run)]
+    blind = float(path.weak.mean())
+    if blind > _BLIND:
+        raise RecordingError(
+            f"{sweeps.place}: in {blind:.0%} of the sweeps walls on one axis alone are seen: a corridor hides travel "
+            "(not testable: wheel_scale, speed_scale and all else that is travel); drive past corners"
+        )
     found = []
     for part in np.unique(path.part):
         own = np.flatnonzero(path.part == part)
@@ -146,7 +153,8 @@ def truth_of(run: LaserRun) -> list[Samples]:
     lost = int(np.count_nonzero(run.tracked.keyframe < 0))
     if lost:
         notes.append(f"{lost} of {len(sweeps)} sweeps fit nowhere and are left out")
-    return [one.noted(*[n.removeprefix(f"{one.name}: ") for n in notes] if i == 0 else []) for i, one in enumerate(found)]
+    found[0] = found[0].noted(*(note.removeprefix(f"{sweeps.topic}: ") for note in notes))
+    return found
 
 
 def _said(run: LaserRun) -> list[str]:
@@ -156,8 +164,8 @@ def _said(run: LaserRun) -> list[str]:
     if abs(lag) > _LAG_SAID_S:
         way = "late" if lag < 0.0 else "early"
         said.append(
-            f"scans are stamped about {abs(lag):.2f} s {way} against odometry: their clocks cannot be told from a delay "
-            "of the odometry"
+            f"scans are stamped about {abs(lag):.2f} s {way} against odometry, which looks like odometry that is "
+            f"{'early' if way == 'late' else 'late'}"
         )
     weak = float(path.weak.mean())
     if weak > _WEAK_SAID:

@@ -60,8 +60,9 @@ class RandomCoefficient:
     effect: Effect
     nats: float
 
+
 _MAP_NATS = 20.0
-"""How much more a gain of travel that wanders must gain where the truth is a map's: small distortions of maps do, too."""
+"""Nats more that a wandering gain of travel takes where the truth is a map's, whose distortions wander, too."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
