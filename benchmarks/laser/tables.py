@@ -56,7 +56,10 @@ def tables(rows: list[dict[str, Any]]) -> str:
     if len(accuracy):
         middle = np.median(accuracy, axis=0)
         took_s = np.median([r["matching_s"] for r in rows])
-        lines += ["", f"Motion over 1 s by the laser, median drive: RMS {_three(middle[:3])}; robust {_three(middle[3:])}."]
+        lines += [
+            "",
+            f"Motion over 1 s by the laser, median drive: RMS {_three(middle[:3])}; robust {_three(middle[3:])}.",
+        ]
         lines.append(f"Matching took {took_s:.1f} CPU s of 300 s.")
     return "\n".join(lines)
 
