@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -14,42 +12,12 @@ from odomcorrupt.commands._poses import POSE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.mapping.constrained_path import FreePath
-    from odomcorrupt.mapping.free_space import Check, FreeSpace
-    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.mapping.map_condition import MapCondition
 
-__all__ = ["Condition", "choose_condition", "choose_condition_of_run", "map_options"]
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """Free space, how a motion is held against it, and how often it is drawn."""
-
-    space: FreeSpace
-    check: Check
-    tries: int
-
-    def path(self, model: MotionModel, seed: int, run: int) -> FreePath | None:
-        """Return where one run of corruption goes within it; None where no noise is drawn, and nothing moves."""
-        from odomcorrupt.mapping.constrained_increments import without_effects
-        from odomcorrupt.mapping.constrained_path import FreePath
-
-        if without_effects(model).noise.coefficients.silent:
-            return None
-        return FreePath(model, self.space, seed=seed, run=run, check=self.check, tries=self.tries)
-
-    def told(self) -> dict[str, str]:
-        """Return what an output notes of it: a hash stands for the map, no file is named."""
-        import hashlib
-
-        grid = self.space.grid
-        digest = hashlib.sha256(self.space.blocked.tobytes())
-        digest.update(repr((self.space.blocked.shape, grid.resolution_m, grid.origin_xyt.tolist())).encode())
-        pose = ",".join(repr(float(value)) for value in self.space.map_from_odom)
-        words = f"{self.check}, {self.tries} tries, odom at {pose}, blocked cells {digest.hexdigest()[:16]}"
-        return {"map": words}
+__all__ = ["choose_condition", "choose_condition_of_run", "map_options"]
 
 
 def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -87,40 +55,30 @@ def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def choose_condition(
     given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
-) -> Condition | None:
+) -> MapCondition | None:
     """Return what the options ask for, None where they name no map."""
-    import numpy as np
-
-    from odomcorrupt.errors import MapError
-    from odomcorrupt.mapping.free_space import free_space
-    from odomcorrupt.mapping.mapfile import read_map
-    from odomcorrupt.mapping.recorded import read_map_from_odom, read_recorded_map
+    from odomcorrupt.mapping.map_condition import is_map_file, read_condition
 
     name = given["map_"]
     if name is None:
         _refuse_alone(given)
         return None
-    frame = "map"
-    if _is_file(name):
-        grid = read_map(Path(name))
-    elif bag is None:
+    if bag is None and not is_map_file(name):
         raise click.UsageError(f"--map {name}: without a bag a map is a .yaml file")
-    else:
-        grid, frame = read_recorded_map(bag, name, recover=recover)
-    pose = np.zeros(3) if given["map_pose"] is None else np.array(given["map_pose"])
-    if given["map_pose"] is None and bag is not None and frame.lstrip("/") != odom_frame.lstrip("/"):
-        found = read_map_from_odom(bag, frame, odom_frame, recover=recover)
-        if found is None:
-            raise MapError(
-                f"{bag}: TF has nothing between {frame!r} and {odom_frame!r}; say where odom is in the map with "
-                "--map-pose x,y,yaw (0,0,0 where they are the same)"
-            )
-        pose = found
-    space = free_space(grid, given["radius"], unknown=given["unknown"], map_from_odom=pose)
-    return Condition(space, given["check"], given["tries"])
+    return read_condition(
+        name,
+        bag=bag,
+        odom_frame=odom_frame,
+        map_pose=given["map_pose"],
+        radius_m=given["radius"],
+        unknown=given["unknown"],
+        check=given["check"],
+        tries=given["tries"],
+        recover=recover,
+    )
 
 
-def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> Condition | None:
+def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> MapCondition | None:
     """Return what the options ask of the corruption of a bag, None where they name no map; a source of None is a pipe.
 
     Raises
@@ -135,13 +93,14 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
     if name is None:
         _refuse_alone(given)
         return None
+    from odomcorrupt.mapping.map_condition import is_map_file
     from odomcorrupt.mapping.recorded import read_odom_frame
 
     if options.keep_localisation:
         raise click.UsageError(
             "--map and --keep-localisation: with map -> base kept true nothing in the map is drawn; leave out one"
         )
-    if source is None and (given["map_pose"] is None or not _is_file(name)):
+    if source is None and (given["map_pose"] is None or not is_map_file(name)):
         raise click.UsageError(
             f"--map {name}: INPUT is a pipe and read once; name a map's .yaml, and say with --map-pose where odom is "
             "in it"
@@ -150,10 +109,6 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
     if source is not None and given["map_pose"] is None:
         frame = read_odom_frame(source, options, recover=given["recover"])
     return choose_condition(given, source, frame, recover=given["recover"])
-
-
-def _is_file(name: str) -> bool:
-    return name.endswith((".yaml", ".yml"))
 
 
 def _refuse_alone(given: Mapping[str, Any]) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
-from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
+
+if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -28,9 +32,16 @@ __all__ = ["command"]
 )
 @click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@overwrite_option()
+@standard_options
 def command(
-    output: Path | None, *, reading: str, poses: tuple[tuple[float, ...], ...], overwrite: bool, **given: Any
+    output: Path | None,
+    *,
+    reading: Literal["pose", "product"],
+    poses: tuple[tuple[float, ...], ...],
+    overwrite: bool,
+    voice: Voice,
+    **given: Any,
 ) -> None:
     """Say how likely end poses of one motion are, in closed form, beside samples of it.
 
@@ -38,13 +49,9 @@ def command(
     odomcorrupt density -o density.png
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
     """  # noqa: D301 - click wants a real backspace
-    import numpy as np
-
+    from odomcorrupt.api.motion import density
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.density import density_on_grid, pose_density, product
-    from odomcorrupt.sampling.samples import move_sampled
-    from odomcorrupt.sampling.text import law_words
+    from odomcorrupt.rng import draw_seed
 
     refuse_existing(output, overwrite=overwrite)
     if output is not None:
@@ -52,27 +59,18 @@ def command(
             raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
         need_pictures()
     chosen = choose_move(given)
-    move, variances = chosen.move, chosen.variances
-    unit = "1/(m^2 rad)" if reading == "pose" else "1/(m rad^2)"
-    click.echo(f"noise: {law_words(chosen.noise.model.noise, article_code=chosen.noise.article_code)}")
     try:
-        if poses:
-            values = (pose_density if reading == "pose" else product)(np.array(poses), move, variances)
-            for pose, value in zip(poses, values, strict=True):
-                x, y, theta = pose
-                click.echo(f"at ({x:g} m, {y:g} m, {np.degrees(theta):g} deg): {value:.6g} {unit}")
-        grid = density_on_grid(move, variances, reading=reading)
+        found = density(
+            chosen.start_xyt,
+            chosen.end_xyt,
+            poses,
+            model=chosen.noise.model,
+            reading=reading,
+            article_code=chosen.noise.article_code,
+        )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    meaning = "one is a density" if reading == "pose" else "the product is not a density over poses"
-    click.echo(f"integral over the grid of end poses: {grid.integral:.6f} ({meaning})")
-    if output is None:
-        return
-    from odomcorrupt.report.plots.density import draw_density
-
-    seed = draw_seed() if given["seed"] is None else given["seed"]
-    xyt = move_sampled(move, variances, chosen.count, stream(seed, 0, "sample"))
-    name = "Density of end poses" if reading == "pose" else "Product p1 p2 p3 at end poses"
-    law = "article-code" if chosen.noise.article_code else chosen.noise.model.noise.law_name
-    per_area = "density (1/m^2)" if reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
-    save_picture(output, draw_density(move, grid, xyt, f"{name}: law {law}, samples of seed {seed}", per_area))
+    voice.tell(found)
+    if output is not None:
+        seed = draw_seed() if given["seed"] is None else given["seed"]
+        save_picture(output, found.draw_beside(chosen.count, seed), quiet=voice.quiet)

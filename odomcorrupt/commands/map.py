@@ -9,15 +9,17 @@ import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
-from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import part_done
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
 
 __all__ = ["command"]
@@ -57,9 +59,9 @@ __all__ = ["command"]
     help="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png. "
     "[default: odometry]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> None:
+@overwrite_option("existing outputs")
+@standard_options
+def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
     """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
 
     Says how thick the walls are in both, as the robot goes on.
@@ -76,7 +78,7 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
     if str(bag) == "-":
         raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
     if given["method"] == "laser":
-        _by_laser(bag, output, given, as_json=as_json)
+        _by_laser(bag, output, given, voice)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
     if output is not None:
@@ -88,13 +90,11 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
     options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
     chosen = choose_model(**options)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    notes, surveys = _surveys(bag, chosen.model, seed, given)
-    if as_json:
-        click.echo(_json(surveys, notes, seed))
-    else:
-        origin = f" ({chosen.origin})" if chosen.origin else ""
-        click.echo(f"noise: {law_words(chosen.model.noise)}{origin}, seed {seed}, run {given['run']}")
-        click.echo("\n".join([*notes, _table(surveys)]))
+    notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
+    origin = f" ({chosen.origin})" if chosen.origin else ""
+    noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
+    text = "\n".join([noise, *notes, _table(surveys)])
+    voice.say(text, text, _values(surveys, notes, seed))
     if output is None:
         return
     from odomcorrupt.mapping.mapfile import format_map
@@ -104,11 +104,11 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
         image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
         write_bytes(path.with_suffix(".pgm"), image)
         write_text(path.with_suffix(".yaml"), text)
-        click.echo(f"wrote {path.with_suffix('.yaml')}", err=True)
+        voice.note(f"wrote {path.with_suffix('.yaml')}")
     save_picture(output, draw_surveys(surveys, WINDOW_M))
 
 
-def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], *, as_json: bool) -> None:
+def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
     """Write the map by scan matching, the trajectory beside it, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import laser_maps, tum_text
@@ -134,10 +134,11 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], *, as_json:
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
     run = laser_run(bag, str(bag), odom, given["scan"], part_done)
     odometry = run.odometry.trajectory()
-    noise = NoisyPath(chosen.model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
+    noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
     notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
-    click.echo(_json(maps.surveys, notes, seed) if as_json else "\n".join([*notes, _thicknesses(maps.surveys)]))
+    said = "\n".join([*notes, _thicknesses(maps.surveys)])
+    voice.say(said, said, _values(maps.surveys, notes, seed))
     if output is None:
         return
     image, text = format_map(maps.surveys[0].grid, files[".pgm"].name)
@@ -146,7 +147,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], *, as_json:
     write_text(files[".tum"], tum_text(maps.trajectory))
     save_picture(files[".png"], draw_surveys(maps.surveys, WINDOW_M, "added by the odometry"))
     for path in files.values():
-        click.echo(f"wrote {path}", err=True)
+        voice.note(f"wrote {path}")
 
 
 def _thicknesses(surveys: Sequence[Survey]) -> str:
@@ -203,12 +204,11 @@ def _table(surveys: Sequence[Survey]) -> str:
     )
 
 
-def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
-    import json
-
+def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
-    content = {
+    content: dict[str, Any] = {
+        "schema": 2,
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
         "travelled_m": surveys[0].marks_m.tolist(),
@@ -216,4 +216,4 @@ def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
         "added_m": added_thickness(surveys[0].thickness_m, surveys[1].thickness_m).tolist(),
         "notes": list(notes),
     }
-    return json.dumps(finite(content), indent=1, allow_nan=False)
+    return dict(finite(content))

@@ -1,12 +1,12 @@
 """The laser as the truth: real bags, where they are there, against what others measured on them."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from odomcorrupt.cli import main
+from odomcorrupt.cli import run
 from odomcorrupt.study.io.reader import Source, read_runs
 
 LASER = Path(__file__).parents[3] / "shared" / "data" / "laser"
@@ -25,14 +25,11 @@ def test_a_bag_without_truth_is_learned_from_its_only_laser_and_says_so():
 
 @needs_bags
 @pytest.mark.slow
-def test_the_map_of_a_real_rover_is_thinner_than_its_odometry_draws_it(tmp_path):
+def test_the_map_of_a_real_rover_is_thinner_than_its_odometry_draws_it(tmp_path, capsys):
     out = tmp_path / "map.yaml"
     words = ["map", str(LASER / "mines_rover_exp1.mcap"), "--method", "laser", "--seed", "1", "-o", str(out), "--json"]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == 0, result.output
+    assert run(words) == 0
     for end in (".yaml", ".pgm", ".tum", ".png"):
         assert out.with_suffix(end).stat().st_size > 0
-    import json
-
-    thickness = json.loads(result.stdout)["thickness_m"]
+    thickness = json.loads(capsys.readouterr().out)["thickness_m"]
     assert thickness["corrected by the laser"][-1] < thickness["odometry"][-1]

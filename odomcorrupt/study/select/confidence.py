@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Evidence", "confidence", "evidence_of", "odds_against", "odds_formula"]
 
+HELD_OUT_ERRORS = 2.0
+"""A gain on held-out data may be larger than it was seen by so many of its standard errors."""
+
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
@@ -78,8 +81,11 @@ def _exp(nats: float) -> float:
 
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence for the effect that a step included, in the light of the final model."""
+    # what data say that were not fitted limits the gain on fitted ones
+    nats, error = learned.held_out.get(step.added or "", (inf, 0.0))
+    own = min(step.candidates[0].gain, max(nats + HELD_OUT_ERRORS * error, 0.0))
     rivals = tuple(c.gain for c in step.candidates[1:] if not c.refused)
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(step.candidates[0].gain, rivals, left, wandering, margin)
+    return Evidence(own, rivals, left, wandering, margin)
