@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["bias_roots", "has_bias"]
+__all__ = ["SHARED", "bias_roots", "has_bias"]
 
 SPEED_BIAS = 1e-3
 """Deviation of a scale error of matches that grows with speed, per m/s: motion within a sweep."""
@@ -26,6 +26,8 @@ could err."""
 LOCAL_BIAS = 1e-3
 """Deviation of the scale of a part of the map: keyframes half a metre apart are placed to a millimetre or two."""
 CELL_M = 2.0
+SHARED = 4
+"""So many of the columns, the first ones, are of the instrument: a fit of the noise leaves these free."""
 _MOST_CELLS = 150
 
 
