@@ -173,6 +173,10 @@ class Effect:
         """Return the increments (n, 3) that are reported where `steps` should be."""
         return Recorded(steps, state)
 
+    def recorded_over(self, steps: Array, dt_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
+        """Return the same, for an effect to which it matters how long (n,) the increments take."""
+        return self.recorded(steps, track_m, state)
+
     def restored(self, motion: Motion) -> Motion:
         """Return the motion that should have been reported, as far as what was reported shows it; for `restorable`."""
         return motion
