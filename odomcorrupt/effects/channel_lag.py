@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,12 +21,12 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
+from odomcorrupt.geometry.motion import TRAIL_S, accelerations
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-_FIELDS = {"yaw": ("omega", 2), "along": ("v", 0)}
-"""Of each channel the speed in a motion, and the column of an increment."""
+_COLUMN = {"along": 0, "yaw": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,25 +53,46 @@ class ChannelLag(Effect):
     channel: str = choice("what comes late", "yaw", "along")
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what the filter still owes."""
-        name, _ = _FIELDS[self.channel]
-        speed, driven = getattr(motion, name), motion.dt_s > 0.0
-        own = speed[driven]
-        f = np.zeros(len(motion))
-        if len(own):
-            before = np.concatenate(([own[0] if state is None else state], own[:-1]))
-            f[driven] = self.tau * (own - before) / motion.dt_s[driven]
-            state = float(own[-1])
+        """Return f: what the filter still owes, by the accelerations of what odometry reports."""
+        twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
+        faster = accelerations(twist, motion.dt_s, state)
+        f = self.tau * faster.rate[:, _COLUMN[self.channel]]
         along, yaw = (0.0, f) if self.channel == "yaw" else (f, 0.0)
-        return TwistError(stacked(along, 0.0, yaw, f), state)
+        return TwistError(stacked(along, 0.0, yaw, f), faster.memory)
 
     def recorded_over(self, steps: Array, dt_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments (n, 3) with one channel filtered."""
-        _, column = _FIELDS[self.channel]
-        filtered = steps.copy()
+        """Return the increments (n, 3) with one channel filtered: the way of which `twist_error` leads back."""
+        column = _COLUMN[self.channel]
+        filtered, way = steps.copy(), _Way() if state is None else copy.deepcopy(state)
         for i, (step, dt) in enumerate(zip(steps[:, column].tolist(), dt_s.tolist(), strict=True)):
             if dt > 0.0:
-                inertia = self.tau / dt
-                state = step / dt if state is None else (step / dt + inertia * state) / (1.0 + inertia)
-                filtered[i, column] = state * dt
-        return Recorded(filtered, state)
+                filtered[i, column] = way.reported(step, dt, self.tau)
+        return Recorded(filtered, way)
+
+
+class _Way:
+    """The last `TRAIL_S` of what a filtered channel reported, m or rad over seconds, and its mean speed over them."""
+
+    def __init__(self) -> None:
+        self.clock_s: list[float] = []
+        self.gone: list[float] = []
+        self.speed = 0.0
+
+    def reported(self, step: float, dt_s: float, tau_s: float) -> float:
+        """Return what is reported of a step: r with r + tau (change of the mean speed) = step."""
+        if not self.clock_s:  # before the first interval the robot moved as in it
+            before, self.speed = 2.0 * TRAIL_S, step / dt_s
+            self.clock_s, self.gone = [-before, 0.0], [-before * self.speed, 0.0]
+        now = self.clock_s[-1] + dt_s
+        if dt_s < TRAIL_S:
+            since = self.gone[-1] - float(np.interp(now - TRAIL_S, self.clock_s, self.gone))
+            step = (step + tau_s * (self.speed - since / TRAIL_S)) / (1.0 + tau_s / TRAIL_S)
+            self.speed = (step + since) / TRAIL_S
+        else:
+            step = (step + tau_s * self.speed) / (1.0 + tau_s / dt_s)
+            self.speed = step / dt_s
+        self.clock_s.append(now)
+        self.gone.append(self.gone[-1] + step)
+        while len(self.clock_s) > 2 and self.clock_s[1] < now - TRAIL_S:
+            del self.clock_s[0], self.gone[0]
+        return step

@@ -29,7 +29,7 @@ _CLOCK_HARM = 1.15
 """A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
 """Free beside the clocks while these are estimated, and then forgotten."""
-RIVALS = ("accel_slip", "backlash")
+RIVALS = ("accel_slip", "backlash", "channel_lag")
 """What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
 
 
