@@ -21,6 +21,7 @@ from click.shell_completion import CompletionItem
 
 from odomcorrupt import __version__, commands
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.standard_streams import install, leave, visible
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,22 +121,38 @@ def cli() -> None:
 
 
 def run(args: Sequence[str]) -> int:
-    """Run the command line and return its exit code: 0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted."""
+    """Run the command line and return its exit code.
+
+    0 done, 1 failed, 2 wrong usage, 3 data lost, 130 interrupted, 141 nobody reads stdout any more.
+    """
     try:
         result = cli.main(args=list(args), prog_name="odomcorrupt", standalone_mode=False)
-    except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
-        return error.exit_code
-    except click.ClickException as error:
-        _say(f"{error.format_message().replace(chr(10), ' ')} (see {_path(args)} --help)")
-        return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        return 130
-    except OdomCorruptError as error:
-        if not isinstance(error.__cause__, BrokenPipeError):
-            _say(str(error).replace("\n", " "))
-        return 1
+    except (click.ClickException, click.Abort, KeyboardInterrupt, OdomCorruptError, OSError, MemoryError) as error:
+        return _told(error, args)
     return result if isinstance(result, int) else 0
+
+
+def _told(error: BaseException, args: Sequence[str]) -> int:
+    """Say what went wrong in a line, and return the exit code."""
+    code = 1
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        error.show()
+        code = error.exit_code
+    elif isinstance(error, click.ClickException):
+        _say(f"{error.format_message()} (see {_path(args)} --help)")
+        code = error.exit_code
+    elif isinstance(error, click.Abort | KeyboardInterrupt):
+        code = 128 + signal.SIGINT
+    elif isinstance(error, OdomCorruptError):
+        if isinstance(error.__cause__, BrokenPipeError):
+            code = 128 + signal.SIGPIPE
+        else:
+            _say(str(error))
+    elif isinstance(error, OSError):
+        _say(("" if error.filename is None else f"{error.filename}: ") + str(error.strerror or error))
+    else:
+        _say("there is not enough memory for this; a smaller input, or fewer --jobs, takes less")
+    return code
 
 
 def _path(args: Sequence[str]) -> str:
@@ -145,7 +162,7 @@ def _path(args: Sequence[str]) -> str:
 
 
 def _say(sentence: str) -> None:
-    click.echo(f"odomcorrupt: {sentence}", err=True)
+    click.echo(f"odomcorrupt: {visible(sentence.replace(chr(10), ' '))}", err=True)
 
 
 def _terminated(number: int, _frame: object) -> NoReturn:
@@ -153,7 +170,8 @@ def _terminated(number: int, _frame: object) -> NoReturn:
 
 
 def main() -> NoReturn:
-    """Be the console script."""
+    """Run the command line with the arguments of the program, and end the program."""
+    install()
     # threads of a linear algebra library only wait for each other on matrices as narrow as ours
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed
@@ -161,7 +179,11 @@ def main() -> NoReturn:
         signal.signal(number, _terminated)
     # imports make many objects and little rubbish
     gc.set_threshold(50_000)
-    code = run(sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        code = run(sys.argv[1:])
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
     # at its end the interpreter looks for rubbish once more, for a tenth of a short run's time
     gc.freeze()
-    sys.exit(code)
+    leave(code)

@@ -117,7 +117,7 @@ def _samples(effect_class: type[Effect]) -> list[Effect]:
 def _check_facts(effect_class: type[Effect]) -> None:
     _require(dataclasses.is_dataclass(effect_class), effect_class, "is no dataclass")
     _require(effect_class.__dataclass_params__.frozen, effect_class, "is not frozen")  # type: ignore[attr-defined]
-    _require(effect_class.kind in ("effect", "setup", "noise"), effect_class, f"kind {effect_class.kind!r}")
+    _require(effect_class.kind in ("effect", "setup", "noise", "event"), effect_class, f"kind {effect_class.kind!r}")
     _require(effect_class.summary and "\n" not in effect_class.summary, effect_class, "needs a summary of one line")
     own = parameters(effect_class)
     _require(amplitudes(effect_class), effect_class, "has no amplitude: nothing that could be zero")
@@ -139,7 +139,7 @@ def _check_identity(still: Effect) -> None:
     f, _ = _error(still, drive.motion)
     _require(not f.any(), still, "f is not zero at its identity")
     steps = _steps(drive)
-    recorded = still.recorded(steps, TRACK_M, still.start(stream(1, 0, still.name))).steps
+    recorded = still.recorded(steps, drive.motion.t_s, TRACK_M, still.start(stream(1, 0, still.name))).steps
     _require(np.array_equal(recorded, steps), still, "changes increments at its identity")
     normals = np.random.default_rng(1).standard_normal((50, 4))
     drawn = still.drawn(normals, still.start(stream(1, 0, still.name))).normals
@@ -175,7 +175,7 @@ def _check_cuts(effect: Effect) -> None:
     motion, steps = drive.motion, _steps(drive)
     normals = np.random.default_rng(2).standard_normal((len(steps), 4))
     f, _ = _error(effect, motion)
-    recorded = effect.recorded(steps, TRACK_M, effect.start(stream(1, 0, effect.name))).steps
+    recorded = effect.recorded(steps, motion.t_s, TRACK_M, effect.start(stream(1, 0, effect.name))).steps
     drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
     for size in (1, 7, 250):
         states: list[State] = [effect.start(stream(1, 0, effect.name)) for _ in range(3)]
@@ -183,7 +183,7 @@ def _check_cuts(effect: Effect) -> None:
         for i in range(0, len(motion), size):
             rows = slice(i, i + size)
             piece, states[0] = effect.twist_error(_rows(motion, rows), states[0])
-            report, states[1] = effect.recorded(steps[rows], TRACK_M, states[1])
+            report, states[1] = effect.recorded(steps[rows], motion.t_s[rows], TRACK_M, states[1])
             draw, states[2] = effect.drawn(normals[rows], states[2])
             parts.append((piece, report, draw))
         for whole, pieces in zip((f, recorded, drawn), zip(*parts, strict=True), strict=True):
@@ -244,7 +244,7 @@ def _check_moments(effect: Effect) -> None:
     for run in range(_RUNS):
         state = effect.start(stream(1, run, effect.name))
         f = effect.twist_error(motion, state).f
-        reported = effect.recorded(steps, TRACK_M, state).steps
+        reported = effect.recorded(steps, motion.t_s, TRACK_M, state).steps
         lost = steps - reported
         dt = motion.dt_s[:, None]
         samples.append(f + np.divide(lost, dt, out=np.zeros_like(lost), where=dt > 0.0))

@@ -14,7 +14,8 @@ __all__ = ["LENGTHS", "SITUATIONS", "Case", "Setting", "cases"]
 class Setting:
     """One way in which ordinary recordings are made.
 
-    present : names that are true of the robot though nothing was planted, so that naming them is no false alarm
+    present : names, and drivers of unknown dependences, that are true of the robot though nothing was planted, so that
+        naming them is no false alarm
     """
 
     platform: str
@@ -35,7 +36,7 @@ LOT = Route("rooms", 90.0, 60.0, stops=0.4, reverse=0.1)
 TRACK = Route("rooms", 10.0, 8.0, stops=0.3, reverse=0.15)
 CORRIDOR = Route("corridor", 15.0, 0.0, stops=0.3, reverse=0.0)
 LEFT = Route("left", 6.0, 4.0, stops=0.1, reverse=0.0)
-LAGS = ("time_offset", "*delay*", "*lag*")
+LAGS = ("time_offset", "*delay*", "*lag*", "*acceleration")
 
 WHEELED = ("wheel_scale", "unequal_wheels", "wheelbase", "scale_drift", "turn_asymmetry")
 WITH_GYRO = ("gyro_bias", "wheel_scale", "gyro_scale", "gyro_bias_walk")

@@ -15,6 +15,11 @@ import numpy as np
 __all__ = ["CAUSES", "Cause", "matches", "sizes_of"]
 
 
+LATE = ("*acceleration",)
+"""What an error depends on where a channel is late."""
+SPEEDS = ("speed", "yaw_rate", "wheel_speed")
+
+
 @dataclass(frozen=True, slots=True)
 class Cause:
     """A cause: ranges of its parameters (log-uniform; a sign is drawn where `signed`), and its right names."""
@@ -66,44 +71,49 @@ CAUSES: dict[str, Cause] = {
     "steering_offset": Cause(
         {"angle": (0.005, 0.035)}, accepted=("steering_offset", "steering_bias"), equal=("unequal_wheels",)
     ),
-    "steering_lag": Cause({"tau": (0.08, 0.3)}, signed=False, accepted=("*lag*", "*delay*"), equal=("time_offset",)),
+    "steering_lag": Cause(
+        {"tau": (0.08, 0.3)}, signed=False, accepted=("*lag*", "*delay*"), equal=("time_offset",), drivers=LATE
+    ),
     "rear_axle_shift": Cause(
         {"part": (0.1, 0.4)}, signed=False, accepted=("rear_axle*", "icr_shift", "lever_arm", "axle_shift")
     ),
     # channels of the odometry that are late
     "channel_delay": Cause(
-        {"delay": (0.04, 0.15)}, signed=False, accepted=("*delay*", "*lag*"), equal=("time_offset",)
+        {"delay": (0.04, 0.15)}, signed=False, accepted=("*delay*", "*lag*"), equal=("time_offset",), drivers=LATE
     ),
-    "channel_lag": Cause({"tau": (0.05, 0.3)}, signed=False, accepted=("*lag*", "*delay*"), equal=("time_offset",)),
+    "channel_lag": Cause(
+        {"tau": (0.05, 0.3)}, signed=False, accepted=("*lag*", "*delay*"), equal=("time_offset",), drivers=LATE
+    ),
     # hobby robots
     "dead_band": Cause(
-        {"speed": (0.01, 0.04)}, signed=False, accepted=("dead_band", "deadband"), drivers=("v", "omega", "speed*")
+        {"speed": (0.01, 0.04)}, signed=False, accepted=("dead_band", "deadband"), drivers=SPEEDS
     ),
     "battery_sag": Cause(
-        {"part": (0.05, 0.2)}, signed=False, accepted=("battery_sag", "scale_drift"), drivers=("t", "time", "distance")
+        {"part": (0.05, 0.2)}, signed=False, accepted=("battery_sag", "scale_drift"), drivers=("time", "distance")
     ),
     "truncated_velocity": Cause(
         {"step": (0.01, 0.03), "yaw_step": (0.03, 0.1)}, signed=False,
-        accepted=("truncated_velocity", "truncation"), equal=("quantization",), drivers=("v", "omega", "speed*"),
+        accepted=("truncated_velocity", "truncation"), equal=("quantization",), drivers=SPEEDS,
     ),
     "counts_lost": Cause(
         {"part": (0.5, 0.8), "loss": (0.15, 0.5)}, signed=False, accepted=("counts_lost", "lost_counts"),
-        equal=("speed_scale",), drivers=("v", "speed*"),
+        equal=("speed_scale",), drivers=("speed", "wheel_speed"),
     ),
     "speed_cutoff": Cause(
         {"speed": (0.03, 0.06)}, signed=False, accepted=("dead_band", "deadband", "speed_cutoff"),
-        equal=("backlash",), drivers=("v", "speed*"),
+        equal=("backlash",), drivers=("speed", "wheel_speed"),
     ),
     "flat_spot": Cause(
         {"depth": (0.08, 0.3)}, signed=False, accepted=("flat_spot", "eccentric_wheel"),
-        equal=("unequal_wheels", "wheel_scale"), drivers=("distance", "way", "wheel*"),
+        equal=("unequal_wheels", "wheel_scale"), drivers=("distance", "way*", "wheel_angle"),
     ),
     # the ground
     "castor_kick": Cause(
-        {"angle": (0.01, 0.05)}, accepted=("castor*", "caster*"), equal=("backlash",), drivers=("a", "v", "revers*")
+        {"angle": (0.01, 0.05)}, accepted=("castor*", "caster*"), equal=("backlash",),
+        drivers=(*LATE, "speed", "distance"),
     ),
     "brake_skid": Cause(
-        {"slip": (0.05, 0.25)}, signed=False, accepted=("accel_slip", "brake_skid"), drivers=("a", "alpha")
+        {"slip": (0.05, 0.25)}, signed=False, accepted=("accel_slip", "brake_skid"), drivers=("*acceleration",)
     ),
     # single events
     "push": Cause({"angle": (0.14, 0.5), "way": (0.05, 0.3), "duration": (1.0, 3.0)}, event=True),

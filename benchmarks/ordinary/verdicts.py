@@ -58,8 +58,15 @@ def first(row: Row) -> str:
     left = [name for name, _ in names(row) if grade(name, row) != "present"]
     if left:
         return left[0]
-    unknown = row["answer"].get("unknown", [])
+    unknown = _unknown(row)
     return f"unknown ({unknown[0]['channel']} over {unknown[0]['depends_on']})" if unknown else "nothing"
+
+
+def _unknown(row: Row) -> list[Row]:
+    """Return unknown dependences whose driver is not merely true of every such robot."""
+    case = row["case"]
+    present = SITUATIONS[case["situation"]][case["setting"]].present
+    return [one for one in row.get("answer", {}).get("unknown", []) if not matches(one["depends_on"], present)]
 
 
 def right(row: Row) -> bool:
@@ -69,7 +76,7 @@ def right(row: Row) -> bool:
         return event_found(row)
     said = first(row)
     if said.startswith("unknown ("):
-        return matches(row["answer"]["unknown"][0]["depends_on"], cause.drivers)
+        return matches(_unknown(row)[0]["depends_on"], cause.drivers)
     return grade(said, row) == "right"
 
 
@@ -95,7 +102,7 @@ def false_alarms(row: Row) -> list[str]:
     wrong = [_with(name, told) for name, told in names(row) if grade(name, row) == "wrong"]
     unknown = [
         f"unknown ({one['channel']} over {one['depends_on']}{', in the model' if one.get('in_model') else ''})"
-        for one in row.get("answer", {}).get("unknown", [])
+        for one in _unknown(row)
     ]
     return wrong + unknown
 

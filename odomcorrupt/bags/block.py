@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 import numpy as np
 
+from odomcorrupt.errors import BagError
+
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
     from pathlib import Path
@@ -32,6 +34,7 @@ __all__ = [
     "Message",
     "PartContents",
     "PartFraming",
+    "require_all",
 ]
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
@@ -79,8 +82,6 @@ class Block:
     raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
     added : messages to append, in order
     ends : where the chunks end that the block was joined from; none of a block that is one chunk
-    read_crcs : CRC-32 of each of its chunks as it was read, none where they were not summed
-    crcs : the same of what is in them now; none where nobody has said so, and whoever writes them sums them up
     """
 
     data: NDArray[np.uint8]
@@ -88,8 +89,6 @@ class Block:
     raw: Any = None
     added: list[Message] = field(default_factory=list)
     ends: tuple[int, ...] = ()
-    read_crcs: tuple[int, ...] = ()
-    crcs: tuple[int, ...] = ()
 
     def present(self) -> set[int]:
         """Return the channels that its messages are of."""
@@ -156,6 +155,10 @@ class BagReader(Protocol):
     channels: Mapping[int, Channel]
 
     @property
+    def count(self) -> int:
+        """Return how many messages the last pass has given."""
+
+    @property
     def losses(self) -> list[str]:
         """Return what could not be read in the last pass, one sentence each, where recovery was asked for."""
 
@@ -176,6 +179,18 @@ class BagReader(Protocol):
     ) -> None: ...
 
 
+def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
+    """Refuse an output that has not as many messages as the input gave and were added.
+
+    name : of the output
+    """
+    if written != reader.count + added:
+        raise BagError(
+            f"{name}: {reader.count} messages were read and {added} added, but {written} written; nothing is kept: "
+            "this is a fault of odomcorrupt, please report it"
+        )
+
+
 class BagWriter(Protocol):
     """A bag being written beside its final name: it appears when the context ends without an error, or never.
 
@@ -192,7 +207,10 @@ class BagWriter(Protocol):
         """Say how the bag came about, where its format has a place for that; ROS 1 has none."""
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own."""
+        """Write a block, its added messages behind its own; it must stay as it is where threads compress."""
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
 
     def __enter__(self) -> Self: ...
 

@@ -65,9 +65,7 @@ class _Run:
         table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
         raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])
-        crcs = tuple(crc for block in self.blocks for crc in block.read_crcs)
-        crcs = crcs if len(crcs) == len(ends) else ()
-        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends), read_crcs=crcs)
+        return Block(whole[at : at + ends[-1]], table, raw, ends=tuple(ends))
 
 
 def _address(block: Block) -> int:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import bz2
 import threading
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import lz4.frame
 import numpy as np
 import zstandard
 
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import SHELF_BYTES
 from odomcorrupt.bags.lz4_frames import pack_summed, unpack
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.buffer_pool import BufferPool
@@ -23,8 +27,6 @@ __all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "require_
 
 _PIECE_BYTES = 1 << 20
 _LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
-_LARGEST_BYTES = 1 << 30
-"""What a compressed chunk may become: a thousand times what recorders write, and still no danger to a machine."""
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
@@ -34,86 +36,136 @@ class _Zstd(threading.local):
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor()
+        self.compressors: dict[int, zstandard.ZstdCompressor] = {}
+
+    def compressor(self, level: int) -> zstandard.ZstdCompressor:
+        """Return one of a level, whose tables are made once."""
+        if level not in self.compressors:
+            self.compressors[level] = zstandard.ZstdCompressor(level=level)
+        return self.compressors[level]
 
 
 _zstd = _Zstd()
 
 
-def decompress(codec: str, data: memoryview, size: int, what: str, shelf: BufferPool) -> NDArray[np.uint8]:
+def decompress(
+    codec: str, data: memoryview, size: int, what: str, shelf: BufferPool, budget: Budget | None = None
+) -> NDArray[np.uint8]:
     """Return a chunk's bytes (size,) in a writable array of their own.
 
     data : the compressed bytes
     size : how many bytes the bag says they become
     what : what errors call the chunk
-    shelf : where they are put
+    shelf : where they are put; memory is taken as they come, not as they are claimed
+    budget : of the bag
     """
-    if codec != "none" and size > _LARGEST_BYTES:
-        raise BagError(
-            f"{what}: says it unpacks to {size} bytes, more than the {_LARGEST_BYTES} that a chunk may; it is damaged, "
-            "or to be recorded again in smaller chunks"
-        )
-    out: bytes | bytearray | memoryview | NDArray[np.uint8]
+    if codec == "none":
+        _require_size(len(data), size, what)
+        placed = shelf.place(size)
+        placed.data[:] = data
+        return placed
+    budget = Budget() if budget is None else budget
+    budget.require_chunk(size, what)
+    budget.read(len(data))
     try:
-        if codec == "zstd":
-            out = _unzstd(data, size, shelf)
-        elif codec == "lz4":
+        if codec == "lz4":
             out = _unlz4(data, size)
-        elif codec == "bz2":
-            out = _unbz2(data, size)
-        else:
-            out = data
+            budget.take(len(out), what)
+            _require_size(len(out), size, what)
+            return _placed(out, shelf)
+        placed = shelf.place(size)
+        came = 0
+        for piece in _unzstd(data, placed) if codec == "zstd" else _unbz2(data, placed):
+            came += piece
+            budget.take(piece, what)
+    except BagError:
+        raise
     except _Damage as error:
         raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
-    if len(out) != size:
-        raise BagError(
-            f"{what}: says it holds {size} bytes, but {len(out)} come out; the bag is damaged, --recover saves "
-            "what is whole"
-        )
-    if isinstance(out, np.ndarray):
-        return out
-    placed = shelf.place(size)
-    placed.data[:] = out
+    _require_size(came, size, what)
     return placed
 
 
-def beginning(codec: str, data: bytes) -> bytes:
-    """Return what comes out of a compressed chunk that was cut, as far as it goes."""
-    try:
-        if codec == "zstd":
-            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
-        if codec == "lz4":
-            context = lz4.frame.create_decompression_context()
-            out: bytes = lz4.frame.decompress_chunk(context, data, max_length=_LARGEST_BYTES)[0]
-            return out
-        if codec == "bz2":
-            return bz2.BZ2Decompressor().decompress(data, max_length=_LARGEST_BYTES)
-    except _Damage:
-        return b""
-    return data
+def _require_size(came: int, size: int, what: str) -> None:
+    if came != size:
+        raise BagError(
+            f"{what}: says it holds {size} bytes, but {came} come out; the bag is damaged, --recover saves "
+            "what is whole"
+        )
 
 
-def _unzstd(data: memoryview, size: int, shelf: BufferPool) -> bytearray | NDArray[np.uint8]:
-    stated = zstandard.get_frame_parameters(data).content_size
-    if stated == size <= SHELF_BYTES:
-        placed = shelf.place(size)
+def _placed(data: bytearray, shelf: BufferPool) -> NDArray[np.uint8]:
+    """Return bytes among the others where they are few."""
+    if len(data) > SHELF_BYTES:
+        return np.frombuffer(data, dtype=np.uint8)
+    placed = shelf.place(len(data))
+    placed.data[:] = data
+    return placed
+
+
+def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
+    """Return what comes out of a compressed chunk that was cut, as far as it and the budget go."""
+    out = bytearray(data if codec == "none" else b"")
+    if codec in ("none", "lz4"):
+        with suppress(*_Damage):
+            if codec == "lz4":
+                context = lz4.frame.create_decompression_context()
+                most = min(budget.left, 255 * len(data))
+                out += lz4.frame.decompress_chunk(context, data, max_length=max(most, 1))[0]
+        return out
+    budget.read(len(data))
+    piece = np.empty(_PIECE_BYTES, dtype=np.uint8)
+    with suppress(*_Damage):
+        for came in _pieces_of_cut(codec, data, piece):
+            if came >= budget.left:
+                break
+            budget.take(came, "")
+            out += piece.data[:came]
+    return out
+
+
+def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterator[int]:
+    """Put what comes out of a chunk into `piece` again and again; yield how much it is each time."""
+    if codec == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            while came := reader.readinto(piece.data):
+                yield came
+        return
+    decompressor, packed = bz2.BZ2Decompressor(), data
+    while not decompressor.eof and (out := decompressor.decompress(packed, max_length=piece.size)):
+        packed = b""
+        piece.data[: len(out)] = out
+        yield len(out)
+
+
+def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
+    """Fill an array; yield the sizes of the pieces, and of the first one that is too many."""
+    if zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES:
         with _zstd.decompressor.stream_reader(data) as reader:
-            if (came := reader.readinto(placed.data)) < size:
+            if (came := reader.readinto(placed.data)) < placed.size:
                 raise EOFError(f"the frame is cut short after {came} bytes")
-        return placed
-    # The frame does not say, or says otherwise: grow with what really comes, up to the claim and one piece.
-    out = bytearray()
+            yield came
+        return
+    at = 0
     with _zstd.decompressor.stream_reader(data, read_across_frames=True) as reader:
-        while len(out) <= size and (piece := reader.read(_PIECE_BYTES)):
-            out += piece
-    return out
+        while at < placed.size and (came := reader.readinto(placed.data[at : at + _PIECE_BYTES])):
+            at += came
+            yield came
+        yield len(reader.read(1)) if at == placed.size else 0
 
 
-def _unbz2(data: memoryview, size: int) -> bytes:
+def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
+    """Fill an array; yield the sizes of the pieces, and of the first one that is too many."""
     decompressor = bz2.BZ2Decompressor()
-    out = decompressor.decompress(data, max_length=size + 1)
-    if not decompressor.eof and len(out) <= size:
-        raise EOFError("the stream is cut short")
-    return out
+    at, packed = 0, data
+    while not decompressor.eof and at <= placed.size:
+        out = decompressor.decompress(packed, max_length=min(_PIECE_BYTES, placed.size + 1 - at))
+        packed = memoryview(b"")
+        if not out and not decompressor.eof:
+            raise EOFError("the stream is cut short")
+        placed.data[at : at + len(out)] = out[: placed.size - at]
+        at += len(out)
+        yield len(out)
 
 
 def _unlz4(data: memoryview, size: int) -> bytearray:
@@ -140,7 +192,7 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
     """
     require_level(codec, level)
     if codec == "zstd":
-        return zstandard.ZstdCompressor(level=1 if level is None else level).compress(data.data)
+        return _zstd.compressor(1 if level is None else level).compress(data.data)
     if codec == "lz4":
         packed: bytes = lz4.frame.compress(data.data, compression_level=level or 0, block_linked=False)
         return packed

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
-from odomcorrupt.bags.output import Output, refuse_target
+from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.placement import refuse_target
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Kind
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
 __all__ = ["kind_of", "open_reader", "open_writer"]
@@ -40,12 +42,15 @@ _PACKED = {
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
-def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False) -> BagReader:
+def open_reader(
+    path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False, threads: int = 1
+) -> BagReader:
     """Open a bag, by its content.
 
     path : None or "-" for a pipe
     stream : the pipe, stdin unless given
     recover : read what is whole of a damaged bag, and say in the reader's `losses` what is not
+    threads : with more than one, files are read and unpacked ahead
 
     Raises
     ------
@@ -58,38 +63,38 @@ def open_reader(path: Path | None, stream: BinaryIO | None = None, *, recover: b
             source = Source(sys.stdin.buffer if stream is None else stream, "stdin")
             return _reader(None, source.spooled() if recover else source, recover=recover)
         if path.is_dir():
-            return _rosbag2(path, recover=recover)
-        return _reader(path, Source.of_file(path), recover=recover)
+            return _rosbag2(path, recover=recover, threads=threads)
+        return _reader(path, Source.of_file(path), recover=recover, threads=threads)
     except BagError as error:
         if recover:
             raise BagError(f"{loss_of(error)}; nothing can be recovered of it") from error
         raise
 
 
-def _reader(path: Path | None, source: Source, *, recover: bool) -> BagReader:
+def _reader(path: Path | None, source: Source, *, recover: bool, threads: int = 1) -> BagReader:
     try:
         begin = source.sniff(16)
         if begin.startswith(magic.MCAP):
             from odomcorrupt.bags.mcap.reader import McapReader  # noqa: PLC0415 - see above
 
-            return McapReader(path, source, recover=recover)
+            return McapReader(path, source, recover=recover, threads=threads)
         if begin.startswith(magic.ROS1):
             from odomcorrupt.bags.ros1.reader import Ros1Reader  # noqa: PLC0415 - see above
 
-            return Ros1Reader(path, source, recover=recover)
+            return Ros1Reader(path, source, recover=recover, threads=threads)
     except BaseException:
         source.close()
         raise
     source.close()
     if path is not None and begin == magic.SQLITE:
-        return _rosbag2(path, recover=recover)
+        return _rosbag2(path, recover=recover, threads=threads)
     raise _unknown(source.name, begin)
 
 
-def _rosbag2(path: Path, *, recover: bool) -> Rosbag2Reader:
+def _rosbag2(path: Path, *, recover: bool, threads: int) -> Rosbag2Reader:
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415 - see above
 
-    return Rosbag2Reader(path, recover=recover)
+    return Rosbag2Reader(path, recover=recover, threads=threads)
 
 
 def _as_rosbag2(reader: BagReader) -> Rosbag2Reader | None:
@@ -124,6 +129,7 @@ def open_writer(
     compression: str | None = None,
     level: int | None = None,
     stream: BinaryIO | None = None,
+    workers: Workers | None = None,
 ) -> BagWriter:
     """Prepare a bag that appears under its name when the writer's context ends without an error.
 
@@ -131,6 +137,7 @@ def open_writer(
     compression : "none", "lz4", "zstd" (MCAP) or "bz2" (ROS 1); None keeps that of the input
     level : of compression; None is the fast one
     stream : the pipe, stdout unless given
+    workers : who compress, while more is written; blocks must then stay as they are written
 
     Raises
     ------
@@ -152,24 +159,25 @@ def open_writer(
         if rosbag2 is not None and not named:
             from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415 - see above
 
-            return Rosbag2Writer(path, rosbag2, compression, level)
-    output = Output(None, stream or sys.stdout.buffer) if path is None or str(path) == "-" else Output(path)
+            return Rosbag2Writer(path, rosbag2, compression, level, overwrite=overwrite, workers=workers)
+    piped = path is None or str(path) == "-"
+    output = Output(None, stream or sys.stdout.buffer) if piped else Output(path, overwrite=overwrite)
     # the reader of a bag's only file, where that is of the same kind: what is written is this file again
     part = rosbag2.parts[0] if rosbag2 and len(rosbag2.parts) == 1 and rosbag2.kind == kind else None
     if kind == "mcap":
         from odomcorrupt.bags.mcap.writer import McapWriter  # noqa: PLC0415 - see above
 
-        return McapWriter(output, part or reader, compression, level)
+        return McapWriter(output, part or reader, compression, level, workers=workers)
     if kind == "ros1":
         from odomcorrupt.bags.ros1.writer import Ros1Writer  # noqa: PLC0415 - see above
 
-        return Ros1Writer(output, reader, compression, level)
+        return Ros1Writer(output, reader, compression, level, workers)
     from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter  # noqa: PLC0415 - see above
 
     if path is None or not isinstance(part, SqliteReader):
         raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
-    return SqliteWriter(path, part)
+    return SqliteWriter(path, part, overwrite=overwrite)
 
 
 def kind_of(path: Path | None, reader: BagReader) -> Kind:

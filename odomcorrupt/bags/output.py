@@ -3,46 +3,22 @@
 from __future__ import annotations
 
 import os
-import zlib
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from odomcorrupt.bags.checksum import crc_of_both
+from odomcorrupt.bags.checksum import crc32, crc_of_both
+from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
 
-__all__ = ["Output", "Shared", "beside", "refuse_target"]
+__all__ = ["Output", "Shared"]
 
 _WORTH_BYTES = 1 << 16
 """Less is written as quickly as copied."""
 
 _PIECE_BYTES = 1 << 16
 """What the system takes at once: for more it looks for larger pages, and these cost it ten times as much."""
-
-_BAG_SUFFIXES = (".yaml", ".db3", ".mcap", ".db3-wal", ".db3-shm")
-
-
-def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory: bool) -> None:
-    """Refuse an output that exists, is one of the inputs, or has no directory to stand in.
-
-    directory : whether the output will be one
-    """
-    if not path.parent.is_dir():
-        raise BagError(f"{path}: the directory {path.parent} does not exist; create it first")
-    if not path.exists() or _is_stream(path):
-        return
-    if any(source.exists() and source.samefile(path) for source in inputs):
-        raise BagError(f"{path}: is the input; a bag is not rewritten in place, name another output")
-    if not overwrite:
-        raise BagError(f"{path}: exists already; name another output or give --overwrite")
-    if path.is_dir() != directory:
-        kinds = ("a directory", "a file")
-        raise BagError(
-            f"{path}: is {kinds[directory]}, {kinds[not directory]} will not replace it; name another output"
-        )
-    if directory and not all(one.suffix in _BAG_SUFFIXES and one.is_file() for one in path.iterdir()):
-        raise BagError(f"{path}: holds more than a ROS 2 bag, it is not replaced; name another output")
 
 
 @dataclass(slots=True)
@@ -62,12 +38,14 @@ class Output:
     """Bytes on their way into a file or a stream.
 
     name : what errors call it
+    overwrite : whether it may replace a file
     position : bytes written so far
     summing : whether bytes are summed up
     crc : CRC-32 of the bytes summed since it was last set to 0
     """
 
-    def __init__(self, path: Path | None, stream: BinaryIO | None = None) -> None:
+    def __init__(self, path: Path | None, stream: BinaryIO | None = None, *, overwrite: bool = False) -> None:
+        self.overwrite = overwrite
         self.name = "stdout" if path is None else str(path)
         self.position = 0
         self.summing = True
@@ -80,7 +58,7 @@ class Output:
         """Begin: beside the target under a hidden name, or straight into what is a stream already."""
         if self._path is None:
             return
-        if _is_stream(self._path):
+        if is_stream(self._path):
             try:
                 self._stream = self._path.open("wb")
             except OSError as error:
@@ -89,6 +67,7 @@ class Output:
         self._path = Path(os.path.realpath(self._path))
         self._partial = beside(self._path)
         try:
+            sweep(self._path.parent, self._path.name)
             # Not tempfile: its files are readable by their owner only, and keep that when renamed.
             self._stream = self._partial.open("xb", buffering=_PIECE_BYTES)
         except OSError as error:
@@ -102,13 +81,13 @@ class Output:
         finally:
             self.summing = summing
         if summing:
-            self.crc = crc_of_both(self.crc, crc, len(piece))
+            self.crc = crc_of_both(self.crc, crc, piece)
 
     def write_shared(self, shared: Shared) -> None:
         """Write bytes that several outputs share; within files the system copies them from the first to the others."""
         try:
             if self._copied(shared):
-                self.crc = crc_of_both(self.crc, shared.crc, len(shared.data)) if self.summing else self.crc
+                self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
                 return
             position = self.position
             self.write_summed(shared.data, shared.crc)
@@ -151,7 +130,7 @@ class Output:
             for piece in pieces:
                 view = memoryview(piece)
                 if self.summing:
-                    self.crc = zlib.crc32(view, self.crc)
+                    self.crc = crc32(view, self.crc)
                 # Up to the next border of a piece: what the buffer hands on are then whole pages. An unbuffered stdout
                 # may take a part only.
                 while view:
@@ -173,17 +152,18 @@ class Output:
             raise self._failed(error) from error
 
     def commit(self) -> None:
-        """Make what was written appear under its name, safe against a power cut."""
+        """Make what was written appear under its name."""
         if self._stream is None:
             return
         try:
             self._stream.flush()
             if self._partial is not None and self._path is not None:
-                os.fsync(self._stream.fileno())
                 self._stream.close()
-                self._partial.replace(self._path)
+                place(self._partial, self._path, overwrite=self.overwrite)
             elif self._path is not None:
                 self._stream.close()
+        except BagError:
+            raise
         except OSError as error:
             raise self._failed(error) from error
 
@@ -201,13 +181,3 @@ class Output:
         if isinstance(error, BrokenPipeError):
             return BagError(f"{self.name}: closed by its reader after {self.position} bytes")
         return BagError(f"{self.name}: cannot be written: {error.strerror} (after {self.position} bytes)")
-
-
-def beside(path: Path) -> Path:
-    """Name a hidden neighbour of a path, on the same file system, for what is not complete yet."""
-    return path.with_name(f".{path.name}.{os.getpid()}.{os.urandom(4).hex()}.partial")
-
-
-def _is_stream(path: Path) -> bool:
-    """Tell whether a path is a device or named pipe, which nothing may be renamed over."""
-    return path.exists() and not path.is_file() and not path.is_dir()

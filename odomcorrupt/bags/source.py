@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 import numpy as np
 
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.errors import BagError
 
@@ -35,6 +36,7 @@ class Source:
     size : of the file in bytes, or None for a pipe
     position : bytes read so far
     shelf : where chunks are put
+    budget : how much may come out of them
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -46,6 +48,7 @@ class Source:
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
         self.shelf = BufferPool()
+        self.budget = Budget()
 
     @classmethod
     def of_file(cls, path: Path) -> Self:
@@ -76,8 +79,11 @@ class Source:
 
     def sniff(self, size: int) -> bytes:
         """Return the first bytes without stepping over them; fewer where the input is shorter."""
-        while len(self._ahead) < size and (more := self._stream.read(size - len(self._ahead))):
-            self._ahead += more
+        try:
+            while len(self._ahead) < size and (more := self._stream.read(size - len(self._ahead))):
+                self._ahead += more
+        except OSError as error:
+            raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
         return self._ahead[:size]
 
     def seek(self, position: int) -> None:
@@ -114,7 +120,10 @@ class Source:
         """Read exactly so many bytes, meant for small things."""
         if not self._ahead and size <= _TRUSTED_BYTES:
             self.require(size, what)
-            data = self._stream.read(size)
+            try:
+                data = self._stream.read(size)
+            except OSError as error:
+                raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
             if len(data) == size:
                 self.position += size
                 return data

@@ -54,13 +54,14 @@ def count_missing(job: Job, runs: range, shard: Shard) -> int:
     return len(runs[shard.number - 1 :: shard.count]) - made
 
 
-def missing_runs(job: Job, runs: range, shard: Shard) -> list[int]:
-    """Return the runs of a shard that are not made yet, leftovers of earlier attempts removed."""
-    own = [run for run in runs if shard.has(run)]
-    made = read_records(job.directory)
-    missing = [run for run in own if run not in made]
-    # another machine may be writing what belongs to no run
-    sweep_leftovers(job, lambda run: shard.count == 1 if run is None else shard.has(run))
+def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -> list[int]:
+    """Return the runs of a shard that are not made yet, leftovers of earlier attempts removed.
+
+    verify : whether a run counts as made only where its checksum is that noted, too
+    """
+    made = read_records(job.directory, verify=verify)
+    missing = [run for run in runs if shard.has(run) and run not in made]
+    sweep_leftovers(job, missing)
     return missing
 
 

@@ -1,35 +1,42 @@
 """What a batch keeps of itself: what it was begun with, which runs are made, and the manifest.
 
-A run's record is on the disk before its file appears under its name, so a file under its name is whole and told of,
-whenever a batch was killed. A record without its file counts for nothing.
+A run is written in a hidden folder. Its record, with size and checksum, is on the disk before it appears under its
+name, so a file under its name is whole and noted, whenever a batch was killed. A record without such a file counts for
+nothing.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
 import re
-import shutil
 import socket
-from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+import stat
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import odomcorrupt
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.output import Output
-from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.bags.placement import sweep
+from odomcorrupt.errors import BagError, OdomCorruptError
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
     from odomcorrupt.batching.job import Job
 
 __all__ = [
     "BatchError",
+    "Content",
     "begin",
+    "content_of",
     "fingerprint_of",
+    "locked",
     "note",
     "read_beginning",
     "read_records",
@@ -43,8 +50,10 @@ MANIFEST = "manifest.jsonl"
 PARTS = ".parts"
 ROBOTS = "robots"
 
-_LEFT = re.compile(r"\.(?:(?:run_)?(?P<run>\d{6,})\b)?.*\.(?P<pid>\d{1,9})\.[0-9a-f]{8}\.partial(?:-.*)?")
-"""A file half written, or what sqlite3 has beside it, see `bags.output.beside`."""
+_LARGEST_BYTES = 1 << 30
+"""More than a manifest of a million runs has."""
+_PIECE_BYTES = 1 << 20
+_TEXTS = (("input", "path"), ("input", "hash"), ("model", "text"), ("model", "hash"))
 
 _WORDS = {
     "input": "another input",
@@ -89,12 +98,42 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
 
 
 def read_beginning(directory: Path) -> dict[str, Any]:
-    """Return what a batch was begun with; BatchError where there is none."""
+    """Return what a batch was begun with; BatchError where there is none, or it is not as a batch writes it."""
+    path = directory / BEGINNING
     try:
-        table: dict[str, Any] = json.loads((directory / BEGINNING).read_text(encoding="utf8"))
-    except (OSError, ValueError) as error:
-        raise BatchError(f"{directory}: holds no batch ({BEGINNING} cannot be read); make one with batch") from error
-    return table
+        table = _parsed(_read(path))
+        _require(isinstance(table, dict) and type(table["seed"]) is int and table["seed"] >= 0)
+        _require(all(isinstance(table[key], str) for key in ("version",)) and isinstance(table["robots"], list))
+        _require(all(isinstance(table[one][key], str) for one, key in _TEXTS))
+        _require(all(len(spread) == 3 for spread in table["robots"]))
+    except FileNotFoundError as error:
+        raise BatchError(f"{directory}: holds no batch (no {BEGINNING}); make one with batch") from error
+    except OSError as error:
+        raise BatchError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise BatchError(f"{path}: is not as batch writes it; restore it, or name another directory") from error
+    beginning: dict[str, Any] = table
+    return beginning
+
+
+def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
+    if not true:
+        raise ValueError
+
+
+def _read(path: Path) -> bytes:
+    """Return the bytes of a file that a batch wrote; ValueError where it is none, or larger than it ever is."""
+    found = path.stat()
+    _require(stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES)
+    return path.read_bytes()
+
+
+def _parsed(text: bytes) -> Any:
+    """Return what a JSON text says; ValueError where it is none, or nested more deeply than anybody means."""
+    try:
+        return json.loads(text)
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
 
 
 def begin(job: Job, fingerprint: str) -> None:
@@ -107,24 +146,59 @@ def begin(job: Job, fingerprint: str) -> None:
 
     """
     now = _beginning(job, fingerprint)
-    if (job.directory / BEGINNING).exists():
-        then = read_beginning(job.directory)
-        changed = [words for key, words in _WORDS.items() if _compared(then, key) != _compared(now, key)]
-        if changed:
-            raise BatchError(
-                f"{job.shown_directory}: was begun with {' and '.join(changed)}; give what it was begun with (see "
-                f"{BEGINNING}), or name another directory"
-            )
-    elif job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
-        raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
-    (job.directory / PARTS).mkdir(parents=True, exist_ok=True)
-    write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode())
+    if not (job.directory / BEGINNING).exists():
+        if job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
+            raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
+        # whoever comes second finds the first one's
+        with suppress(BagError):
+            _make_room(job)
+            write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
+    then = read_beginning(job.directory)
+    changed = [words for key, words in _WORDS.items() if _compared(then, key) != _compared(now, key)]
+    if changed:
+        raise BatchError(
+            f"{job.shown_directory}: was begun with {' and '.join(changed)}; give what it was begun with (see "
+            f"{BEGINNING}), or name another directory"
+        )
+    _make_room(job)
     write_whole(job.directory / "model.toml", job.model_text.encode())
+
+
+def _make_room(job: Job) -> None:
+    try:
+        (job.directory / PARTS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BatchError(f"{job.directory / PARTS}: cannot be made a directory: {error.strerror}") from error
 
 
 def _left_of_a_beginning(path: Path) -> bool:
     """Whether a file is what a batch leaves that is killed before it has begun."""
-    return path.name == PARTS or _LEFT.fullmatch(path.name) is not None
+    return path.name == PARTS or (path.name.startswith(".") and path.name.endswith(".partial"))
+
+
+@contextmanager
+def locked(job: Job, *, shared: bool) -> Iterator[None]:
+    """Keep others out of a batch while its runs are made.
+
+    shared : shards let each other in
+
+    Raises
+    ------
+    BatchError
+        Where somebody else is at work in it.
+
+    """
+    with (job.directory / BEGINNING).open("rb") as stream:
+        try:
+            fcntl.flock(stream, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BatchError(
+                f"{job.shown_directory}: another batch is at work in it; wait for it, share the work with --shard, or "
+                "name another directory"
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        yield
 
 
 def _compared(table: Mapping[str, Any], key: str) -> Any:
@@ -132,15 +206,41 @@ def _compared(table: Mapping[str, Any], key: str) -> Any:
     return value.get("hash") if isinstance(value, dict) else value
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
     """Write a small file beside its name, and rename it."""
-    output = Output(path)
+    output = Output(path, overwrite=overwrite)
     output.open()
     try:
         output.write(data)
         output.commit()
     finally:
         output.discard()
+
+
+class Content(NamedTuple):
+    """How many bytes a run's file or directory has, and their CRC-32."""
+
+    size: int
+    crc: int
+
+
+def content_of(path: Path) -> Content:
+    """Return size and checksum of a run's file, or of a directory's files with their names."""
+    crc = 0
+    for file in _files(path):
+        crc = crc32(file.name.encode(), crc) if file != path else crc
+        with file.open("rb") as stream:
+            while piece := stream.read(_PIECE_BYTES):
+                crc = crc32(piece, crc)
+    return Content(_size(path), crc)
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(path.iterdir()) if path.is_dir() else [path]
+
+
+def _size(path: Path) -> int:
+    return sum(file.stat().st_size for file in _files(path))
 
 
 def note(job: Job, records: Iterable[Mapping[str, Any]]) -> None:
@@ -153,17 +253,45 @@ def note(job: Job, records: Iterable[Mapping[str, Any]]) -> None:
         os.fsync(stream.fileno())
 
 
-def read_records(job_directory: Path) -> dict[int, dict[str, Any]]:
-    """Return the records of the runs whose files are there, by run."""
+def read_records(directory: Path, *, verify: bool = False) -> dict[int, dict[str, Any]]:
+    """Return the records of the runs whose files are there and as large as noted, by run.
+
+    verify : whether their checksums must be those noted, too
+    """
     records: dict[int, dict[str, Any]] = {}
-    parts = sorted((job_directory / PARTS).glob("*.jsonl"))
-    for part in [job_directory / MANIFEST, *parts]:
-        if part.exists():
-            for line in part.read_bytes().splitlines():
-                with suppress(ValueError):
-                    record = json.loads(line)
-                    records[record["run"]] = record
-    return {run: record for run, record in sorted(records.items()) if (job_directory / record["file"]).exists()}
+    try:
+        for part in [directory / MANIFEST, *sorted((directory / PARTS).glob("*.jsonl"))]:
+            if part.exists():
+                for line in _read(part).splitlines():
+                    # a line that a kill cut short, or that somebody broke, tells of nothing
+                    with suppress(ValueError, KeyError, TypeError):
+                        record = _parsed(line)
+                        _require_record(record)
+                        records[record["run"]] = record
+    except (OSError, ValueError) as error:
+        raise BatchError(f"{directory}: what it notes of its runs cannot be read ({error}); remove {part}") from error
+    return {run: one for run, one in sorted(records.items()) if _is_as_noted(directory, one, verify=verify)}
+
+
+def _require_record(record: Any) -> None:
+    """Raise ValueError, KeyError or TypeError where a record is none; its names are those of its run, in the folder."""
+    run, errors = record["run"], record["errors"]
+    _require(type(run) is int and 0 <= run < 1 << 62)
+    _require(re.fullmatch(rf"run_{run:06d}(\.\w+)?", record["file"]) is not None)
+    _require(record.get("robot", f"{ROBOTS}/{run:06d}.toml") == f"{ROBOTS}/{run:06d}.toml")
+    _require(all(type(record[key]) is int for key in ("size", "crc32", "seed")))
+    _require(all(isinstance(loss, str) for loss in record.get("losses", [])))
+    _require(all(len(mark) == 4 and all(isinstance(one, float | int) for one in mark) for mark in errors))
+
+
+def _is_as_noted(directory: Path, record: Mapping[str, Any], *, verify: bool) -> bool:
+    path = directory / record["file"]
+    try:
+        if path.is_symlink() or _size(path) != record["size"]:
+            return False
+        return not verify or content_of(path).crc == record["crc32"]
+    except OSError:
+        return False
 
 
 def write_manifest(directory: Path) -> int:
@@ -183,28 +311,10 @@ def _parts(directory: Path) -> list[tuple[str, int]]:
     return sorted((part.name, part.stat().st_size) for part in (directory / PARTS).glob("*.jsonl"))
 
 
-def sweep_leftovers(job: Job, ours: Callable[[int | None], bool]) -> None:
-    """Remove what killed processes of this machine had half written, of runs that are made by now, too.
-
-    ours : whether a run is one of ours; None asks for what belongs to no run
-    """
+def sweep_leftovers(job: Job, missing: Iterable[int]) -> None:
+    """Remove what killed processes of this machine had half written, and links in the place of runs to be made."""
     for room in (job.directory, job.directory / ROBOTS):
-        for left in room.glob(".*.partial*"):
-            found = _LEFT.fullmatch(left.name)
-            if found is None or _alive(int(found["pid"])):
-                continue
-            if ours(None if found["run"] is None else int(found["run"])):
-                if left.is_dir():
-                    shutil.rmtree(left)
-                else:
-                    left.unlink(missing_ok=True)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+        sweep(room)
+    for run in missing:
+        if job.path_of(run).is_symlink():
+            job.path_of(run).unlink()

@@ -30,6 +30,7 @@ def plan(
     *,
     model_file: Path | None,
     sweeps: Sequence[str],
+    points: int = 0,
     posterior: bool,
     seed: int,
     options: Options,
@@ -41,6 +42,7 @@ def plan(
 ) -> list[Job]:
     """Return the jobs.
 
+    points : how many cover ranges of the sweep
     model_file : where the model was read from, whose "a +- b" are drawn for each run; posterior: all standard errors
     typed : how the model was told on the command line, but for --model
     option_words : how frames and containers were told
@@ -60,12 +62,14 @@ def plan(
     stated = frozenset[str]() if model_file is None else stated_spreads(model_file)
     jobs = []
     for source in inputs:
+        if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
+            raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
         if split and _is_sqlite(source, container):
             raise BatchError(
                 f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
                 "again; leave --layout out"
             )
-        for variant in variants(model, sweeps):
+        for variant in variants(model, sweeps, points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
             shown = str(directory)

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.pipeline import Workers, default_threads
+from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
-from odomcorrupt.batching.manifest import note, write_whole
+from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, portions
 from odomcorrupt.batching.progress import Watched
@@ -28,6 +30,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Message
     from odomcorrupt.batching.job import Job
@@ -62,7 +65,7 @@ def attempt(task: Task, beat: ProgressCallback | None = None) -> list[Failure]:
 
 
 def _alone(job: Job, run: int) -> Failure | None:
-    if job.path_of(run).exists():
+    if run in read_records(job.directory):
         return None
     try:
         make(Task(job, (run,)))
@@ -79,23 +82,50 @@ def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -
     whole: set[int] = set()
     while True:
         try:
-            with ExitStack() as stack:
-                reader = stack.enter_context(open_reader(task.job.source, recover=task.job.container.recover))
-                _make(task, whole, stack, reader, part(reader))
-                return
+            _make_staged(task, whole, part)
         except LateTopic as late:
             whole.add(late.channel)
+        else:
+            return
 
 
-def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part: BagReader) -> None:
-    job = task.job
+def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) -> None:
+    """Make the runs in a hidden folder, note them, and give them their names."""
+    job, room = task.job, beside(task.job.directory / "making")
+    try:
+        room.mkdir()
+        with ExitStack() as stack:
+            threads = default_threads() if job.container.threads is None else job.container.threads
+            workers = stack.enter_context(Workers(threads))
+            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            records = _make(task, room, whole, stack, reader, part(reader), workers)
+        contents = [content_of(room / record["file"]) for record in records]
+        note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
+        for record in records:
+            place(room / record["file"], job.directory / record["file"], overwrite=True)
+    finally:
+        remove(room)
+
+
+def _make(
+    task: Task,
+    room: Path,
+    whole: set[int],
+    stack: ExitStack,
+    reader: BagReader,
+    part: BagReader,
+    workers: Workers,
+) -> list[dict[str, Any]]:
+    """Make the runs in a folder; return their records."""
+    job = replace(task.job, directory=room)
+    home = task.job.directory
     shared = SharedTransform(job.options)
     shared.driver.prepare(reader, reader.name)
     rests = Rests()
-    runs = [_begin(job, run, reader, rests) for run in task.runs]
+    runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
     every = list(runs)
-    if not (job.directory / CLEAN).exists():
-        clean = TumSink(job.directory / CLEAN, None)
+    if not (home / CLEAN).exists():
+        clean = TumSink(home / CLEAN, None)
         every.append(_Run(RunState(_STILL, job.seed, 0, job.options, [clean]), clean, patches=False))
     for one in every:
         if one.sink is not None:
@@ -110,8 +140,8 @@ def _make(task: Task, whole: set[int], stack: ExitStack, reader: BagReader, part
             if one.sink is not None:
                 one.sink.put(portion, data, _edges(one, portion, shared))
     for one in runs:
-        _put_beside(job, one)
-    note(job, [_record(job, one.strand, part.losses) for one in runs])
+        _put_beside(job, home, one)
+    return [_record(job, one.strand, part.losses) for one in runs]
 
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
@@ -131,7 +161,7 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
+def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
     model = job.model_of(run)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
@@ -141,13 +171,13 @@ def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
         return _Run(strand, OverlaySink(job, run, reader), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
+    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader, workers)
     frame = job.options.new_odom_frame
     edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
 
 
-def _put_beside(job: Job, one: _Run) -> None:
+def _put_beside(job: Job, home: Path, one: _Run) -> None:
     """Make what no sink makes: a copy of the bag where nothing moves, and the file of a drawn robot."""
     run, model = one.strand.run, one.strand.model
     if one.sink is None:
@@ -156,8 +186,8 @@ def _put_beside(job: Job, one: _Run) -> None:
             job.source, job.path_of(run), model, seed=job.seed, run=run, options=job.options, container=container
         )
     if job.spreads:
-        (job.directory / "robots").mkdir(exist_ok=True)
-        write_whole(job.directory / job.robot_of(run), format_model(model).encode())
+        (home / "robots").mkdir(exist_ok=True)
+        write_whole(home / job.robot_of(run), format_model(model).encode())
 
 
 def _is_copy(job: Job, model: MotionModel) -> bool:
@@ -180,6 +210,9 @@ def _record(job: Job, strand: RunState, losses: Sequence[str]) -> dict[str, Any]
         record["robot"] = job.robot_of(strand.run)
         record["drawn"] = drawn_values(strand.model, job.spreads)
     record["drift"] = {key: value for key, value in asdict(drift).items() if value is not None}
+    events = [(one.name, one.window_s) for one in strand.model.effects if one.window_s is not None and acts(one)]
+    if events:
+        record["events"] = [{"effect": name, "from_s": w[0], "to_s": w[1]} for name, w in events]
     if losses:
         record["losses"] = list(losses)
     record["errors"] = [list(np.round(mark, 9).tolist()) for mark in strand.marks.result()]

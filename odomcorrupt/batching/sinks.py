@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
 
@@ -100,18 +101,21 @@ class MultiSink:
 class FullSink(BagSink):
     """A whole bag, the same bytes as of a run made alone."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader) -> None:
+    def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
         c = job.container
-        path = job.path_of(run)
-        super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
+        writer = open_writer(
+            job.path_of(run), reader, overwrite=True, compression=c.compression, level=c.level, workers=workers
+        )
+        super().__init__(job, run, writer)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write the blocks."""
+        """Write the blocks, which the next run patches in its turn."""
         for number in range(len(portion.blocks)):
             block = portion.put_back(number, data)
             if added is not None:
                 block = replace(block, added=block.added + added[number])
             self._writer.write(block)
+        self._writer.settle()
 
 
 class _Foreign:
@@ -133,7 +137,8 @@ class OverlaySink(BagSink):
         c = job.container
         foreign: Any = _Foreign(reader)
         codec = None if c.compression == "bz2" else c.compression
-        super().__init__(job, run, McapWriter(Output(job.path_of(run)), foreign, codec, c.level))
+        output = Output(job.path_of(run), overwrite=True)
+        super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import zlib
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, PartFraming
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.gaps import gaps_between
 from odomcorrupt.bags.mcap.chunk import McapFraming
@@ -52,7 +52,7 @@ class Rests:
             ]
         return self._blocks
 
-    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:  # noqa: ARG002 - summed once in any case
+    def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
         """Compress and sum for an MCAP, what all runs share once."""
         chunk: Packed = self._once(packed, codec, data, level)
         return chunk
@@ -70,7 +70,7 @@ class Rests:
         chunk = how(codec, data, level)
         if any(np.may_share_memory(block.data, data) for block in self._blocks):
             if isinstance(chunk, Packed):
-                chunk = chunk._replace(shared=Shared(chunk.data, zlib.crc32(chunk.data)))
+                chunk = chunk._replace(shared=Shared(chunk.data, crc32(chunk.data)))
             self._packed[key] = chunk
         return chunk
 

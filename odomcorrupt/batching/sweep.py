@@ -7,6 +7,8 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from odomcorrupt.batching.sobol import parse_range, sobol_points
+from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import check_bounds, parameters
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.model_file import format_model, parse_model, read_model
@@ -33,10 +35,11 @@ class Variant:
     model: MotionModel
 
 
-def variants(model: MotionModel, sweeps: Sequence[str]) -> list[Variant]:
-    """Return every combination of what is swept, written as NAME=VALUE,VALUE.
+def variants(model: MotionModel, sweeps: Sequence[str], points: int = 0) -> list[Variant]:
+    """Return every combination of what is swept, written as NAME=VALUE,VALUE or as a range NAME=LOW..HIGH.
 
-    NAME is alpha-scale (all noise times a factor), model (files), a coefficient, or EFFECT.PARAMETER.
+    NAME is alpha-scale (all noise times a factor), model (files), a coefficient, or EFFECT.PARAMETER; an effect that
+    the model does not have is added. Ranges are covered together by `points` points of a Sobol sequence.
 
     Raises
     ------
@@ -45,7 +48,12 @@ def variants(model: MotionModel, sweeps: Sequence[str]) -> list[Variant]:
 
     """
     axes = []
+    ranges = [one for text in sweeps if (one := parse_range(text)) is not None]
+    if bool(ranges) != bool(points):
+        raise ModelError("--sweep NAME=LOW..HIGH and --points N go together; give both or neither")
     for text in sweeps:
+        if parse_range(text) is not None:
+            continue
         name, equals, rest = text.partition("=")
         values = [value.strip() for value in rest.split(",")]
         if not equals or not all(values) or len(set(values)) < len(values):
@@ -54,7 +62,8 @@ def variants(model: MotionModel, sweeps: Sequence[str]) -> list[Variant]:
     # a model comes first: what else is swept changes it
     axes.sort(key=lambda axis: axis[0][0] != "model")
     found = []
-    for point in product(*axes):
+    covered = sobol_points(ranges, points) if ranges else [[]]
+    for point in ((*one, *more) for one in product(*axes) for more in covered):
         chosen = model
         for name, value in point:
             chosen = _changed(chosen, name, value)
@@ -89,5 +98,7 @@ def _changed(model: MotionModel, name: str, value: str) -> MotionModel:
             effects[i] = replace(one, **{parameter: number})  # type: ignore[type-var]  # every effect is a dataclass
             check_bounds(effects[i])
             return replace(model, effects=tuple(effects))
+    if parameter and effect in registry() and parameter in {p.name for p in parameters(registry()[effect])}:
+        return replace(model, effects=(*effects, effect_from_values(effect, {parameter: number})))
     own = [f"{one.name}.{p.name}" for one in effects for p in parameters(one)]
     raise ModelError(f"--sweep {name}: is not known; there are alpha-scale, model, {', '.join([*known, *own])}")

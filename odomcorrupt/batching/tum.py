@@ -61,7 +61,7 @@ class TumSink:
     """The path of one run, or with no model the clean one; stamps are shifted as the bag's would be."""
 
     def __init__(self, path: Path, model: MotionModel | None) -> None:
-        self._output = Output(path)
+        self._output = Output(path, overwrite=True)
         self._clean = model is None
         self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and acts(e))
         self._waiting: list[Knots] = []
@@ -102,7 +102,7 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
 
     runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3).
     """
-    output = Output(path)
+    output = Output(path, overwrite=True)
     output.open()
     try:
         with zipfile.ZipFile(_Sink(output), "w", zipfile.ZIP_STORED) as archive:

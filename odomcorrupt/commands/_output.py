@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from odomcorrupt.errors import OdomCorruptError
@@ -30,19 +27,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write beside the target and rename when complete."""
+    from odomcorrupt.bags.output import Output
+
+    output = Output(path, overwrite=True)
+    output.open()
     try:
-        handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    except OSError as error:
-        raise OdomCorruptError(f"{path}: cannot be written ({error.strerror})") from error
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(beside, 0o666 & ~umask)  # noqa: PTH101 - a mkstemp file is private until here
-        os.replace(beside, path)  # noqa: PTH105 - as above
-    except OSError as error:
-        raise OdomCorruptError(f"{path}: cannot be written ({error.strerror})") from error
+        output.write(data)
+        output.commit()
     finally:
-        with suppress(FileNotFoundError):
-            os.unlink(beside)  # noqa: PTH108 - as above
+        output.discard()

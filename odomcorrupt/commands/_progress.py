@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
+from odomcorrupt.standard_streams import visible
+
 if TYPE_CHECKING:
     from types import TracebackType
 
@@ -52,5 +54,6 @@ class Progress:
 
 def say(paragraph: str) -> None:
     """Print a paragraph on stderr, folded where that is a terminal."""
+    paragraph = visible(paragraph)
     folded = click.wrap_text(paragraph, click.get_current_context().terminal_width or 100)
     click.echo(folded if sys.stderr.isatty() else paragraph, err=True)

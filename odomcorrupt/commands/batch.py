@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.runner import Failure
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["command"]
 
@@ -68,10 +70,26 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     default="stated",
     help='Draw for each run what the model states as "a +- b", or everything with a standard error.',
 )
-@click.option("--sweep", "sweeps", multiple=True, metavar="NAME=V,V", help="As alpha-scale=0.5,1,2 (repeatable).")
+@click.option(
+    "--fleet",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="A robot of a fleet (repeat for each): every run draws a robot by their mean and spread.",
+)
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="NAME=V,V",
+    help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
+)
+@click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
+@click.option("--threads", type=click.IntRange(1), metavar="N", help="In all. [default: one a core, at most 4]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
+@click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and make nothing.")
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
 @click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
@@ -97,7 +115,7 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.batching.engine import Shard, missing_runs
-    from odomcorrupt.batching.manifest import begin, fingerprint_of, write_manifest
+    from odomcorrupt.batching.manifest import begin, fingerprint_of, locked, write_manifest
 
     jobs = _jobs(inputs, target, given)
     shard = Shard(*(given["shard"] or (1, 1)))
@@ -110,11 +128,14 @@ def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
     _require_space(jobs, fresh, range(given["runs"]), shard)
     for job in jobs:
         begin(job, fingerprints[job.source])
-    todo = [(job, missing_runs(job, range(given["runs"]), shard)) for job in jobs]
-    failures = _make(todo, given)
-    made = sum(write_manifest(job.directory) for job in jobs)
-    for job in jobs:
-        _collect(job, given["runs"])
+    with ExitStack() as locks:
+        for job in jobs:
+            locks.enter_context(locked(job, shared=shard.count > 1))
+        todo = [(job, missing_runs(job, range(given["runs"]), shard, verify=given["verify"])) for job in jobs]
+        failures = _make(todo, given)
+        made = sum(write_manifest(job.directory) for job in jobs)
+        for job in jobs:
+            _collect(job, given["runs"])
     asked = sum(len(runs) for _, runs in todo)
     lost = _losses(jobs)
     said = f"{asked - len(failures)} runs made now, {made} in {target}, seed {jobs[0].seed}."
@@ -127,7 +148,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
 
-    chosen = choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")})
+    model = _model(given)
     if given["layout"] == "split" and given["output"] != "full":
         raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
     if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
@@ -140,16 +161,43 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     return plan(
-        inputs, target, chosen.model, model_file=given["model"], sweeps=given["sweeps"],
-        posterior=given["robots"] == "posterior", seed=_seed(target, given),
+        inputs, target, model, model_file=given["model"], sweeps=given["sweeps"], points=given["points"],
+        posterior=given["robots"] == "posterior" or bool(given["fleet"]), seed=_seed(target, given),
         options=Options(
             given["odom_topic"], given["odom_frame"], given["base_frame"], given["twist"] == "keep",
             given["covariance"] == "keep", given["keep_truth"], given["keep_localisation"], given["new_odom_frame"],
         ),
-        container=Container(compression=given["compression"], level=given["level"], recover=given["recover"]),
+        container=Container(
+            compression=given["compression"], level=given["level"], recover=given["recover"], threads=_threads(given)
+        ),
         output=given["output"],
         split=given["layout"] == "split", typed=_words(_MODEL_WORDS, given), option_words=_words(_OPTION_WORDS, given),
     )  # fmt: skip
+
+
+def _model(given: dict[str, Any]) -> MotionModel:
+    """Return the model that was asked for, or that of a fleet."""
+    if not given["fleet"]:
+        return choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")}).model
+    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.model.model_file import read_model
+
+    other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]
+    if other:
+        raise click.UsageError(
+            f"--fleet and {other[0]}: the files of a fleet are its whole model; leave {other[0]} out"
+        )
+    if len(set(given["fleet"])) < len(given["fleet"]):
+        raise click.UsageError("--fleet: a file is named twice; a robot counts once")
+    return fleet_model({str(path): read_model(path) for path in given["fleet"]})
+
+
+def _threads(given: dict[str, Any]) -> int:
+    """Return how many threads each process has."""
+    from odomcorrupt.bags.pipeline import default_threads
+
+    threads: int = (given["threads"] or default_threads()) // given["jobs"]
+    return max(1, threads)
 
 
 def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
@@ -172,8 +220,7 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
 
 def _seed(target: Path, given: dict[str, Any]) -> int:
     """Return the seed asked for, that of the batch which is there, or a fresh one."""
-    import json
-
+    from odomcorrupt.batching.manifest import read_beginning
     from odomcorrupt.rng import draw_seed
 
     if given["seed"] is not None:
@@ -181,7 +228,7 @@ def _seed(target: Path, given: dict[str, Any]) -> int:
     if given["shard"]:
         raise click.UsageError("--shard: all shards need the same --seed; give one")
     there = next(iter(sorted(target.rglob("batch.json"))), None)
-    return draw_seed() if there is None else int(json.loads(there.read_text(encoding="utf8"))["seed"])
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
 
 
 def _require_driver(jobs: Sequence[Job]) -> None:

@@ -47,6 +47,9 @@ __all__ = ["command"]
 @click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
 @click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
 @click.option(
+    "--threads", type=click.IntRange(1), metavar="N", help="For the same bytes. [default: one a core, at most 4]"
+)
+@click.option(
     "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
 )
 def command(input_: str, output: str, **given: Any) -> int:
@@ -91,7 +94,9 @@ def command(input_: str, output: str, **given: Any) -> int:
             seed=seed,
             run=given["run"],
             options=options,
-            container=Container(given["overwrite"], given["compression"], given["level"], given["recover"]),
+            container=Container(
+                given["overwrite"], given["compression"], given["level"], given["recover"], given["threads"]
+            ),
             watch=progress,
             path=path,
             told={} if condition is None else condition.told(),

@@ -91,11 +91,7 @@ def command(
     )
     proof = proved(robot.model, runs)
     ladder = {"without effects": fit_robot(runs, (), law_name="diffusion", clocks=learned.clocks).model}
-    names = [
-        *learned.added,
-        *(f"{one.channel} over {one.regressor}" for one in learned.laws),
-        *(e.name for e in random),
-    ]
+    names = [*learned.added, *(one.title for one in learned.laws), *(e.name for e in random)]
     if names:
         ladder["with " + ", ".join(names)] = proof.model
     comparison = compare(judges, ladder)

@@ -124,7 +124,7 @@ class EffectInverse:
         steps = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1) + added
         recording: list[tuple[Effect, State]] = []
         for effect, state in self._recording:
-            reported, after = effect.recorded_over(steps, drive.dt_s, self._track_m, state)
+            reported, after = effect.recorded(steps, drive.t_s, self._track_m, state)
             added = added + (reported - steps)
             steps = reported
             recording.append((effect, after))

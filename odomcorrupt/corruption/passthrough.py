@@ -76,10 +76,15 @@ class TeeReader:
 
 
 def write_as_it_was(
-    bag: TeeReader | Path, target: Path | None, blocks: Iterable[Block], watch: Callable[[Block], None]
+    bag: TeeReader | Path,
+    target: Path | None,
+    blocks: Iterable[Block],
+    watch: Callable[[Block], None],
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a bag's bytes, when its blocks have been looked at; those of a pipe while they are."""
-    output = Output(target, sys.stdout.buffer if target is None else None)
+    output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
     output.open()
     output.summing = False
     try:

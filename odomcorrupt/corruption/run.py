@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
+from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
 
@@ -34,12 +36,14 @@ class Container:
     overwrite : replace an existing output
     compression, level : of the output, None for those of the input
     recover : read what is whole of a damaged input
+    threads : that read, compute and compress side by side, None for one a core, at most four
     """
 
     overwrite: bool = False
     compression: str | None = None
     level: int | None = None
     recover: bool = False
+    threads: int | None = field(default=None, compare=False, repr=False)  # no difference to what is written
 
     @property
     def as_it_was(self) -> bool:
@@ -62,6 +66,7 @@ class Outcome:
     zero_stamps : odometry stamps that are zero, for which log times stood in
     placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved, "parent -> child"
+    faults : poses of the odometry that mean nothing
     """
 
     model: MotionModel
@@ -82,6 +87,7 @@ class Outcome:
     zero_stamps: int
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
+    faults: PoseFaults = field(default_factory=PoseFaults)
 
 
 def corrupt_bag(
@@ -117,13 +123,23 @@ def corrupt_bag(
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     adds = options.keep_truth is not None or options.new_odom_frame is not None
     tape = TeeReader() if source is None and silent and not adds and container.as_it_was else None
-    with open_reader(source, cast("BinaryIO | None", tape), recover=container.recover) as reader:
+    threads = default_threads() if container.threads is None else container.threads
+    with (
+        Workers(threads) as workers,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
+    ):
         transform.driver.prepare(reader, reader.name)
         writer = open_writer(
-            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+            target,
+            reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            workers=workers,
         )
         if silent and not adds and container.as_it_was and may_stay(source, target, reader):
-            write_as_it_was(tape or reader.paths[0], target, transform.blocks(reader, reader.name), watch)
+            blocks = transform.blocks(reader, reader.name)
+            write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
             if tape is not None:
                 tape.stop()
@@ -143,7 +159,7 @@ def corrupt_bag(
         model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
         transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
         _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
-        frozenset(transform.stayed),
+        frozenset(transform.stayed), transform.driver.faults,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
 from odomcorrupt.effects.effect import choices, parameters
 
@@ -165,6 +166,11 @@ def _oddities(outcome: Outcome) -> list[str]:
         said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
     if outcome.leaps:
         said.append(f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': no noise of their own.")
-    if outcome.unusable:
-        said.append(f"{outcome.unusable} odometry poses are not numbers: left alone.")
+    numberless = outcome.unusable - outcome.faults.far
+    if numberless > 0:
+        said.append(f"{numberless} odometry poses are not numbers: left alone.")
+    said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in outcome.faults.sentences()]
+    edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
+    tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
+    said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
     return said

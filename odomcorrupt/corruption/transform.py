@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.checksum import IncrementalCrc
 from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
@@ -21,6 +20,7 @@ from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.odometry_source import Driver, stamps_or_log_ns
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.pose_faults import FAR_M
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.targets import (
     ENCODINGS,
@@ -52,9 +52,6 @@ __all__ = ["WAIT_NS", "Options", "Transform"]
 
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
-
-FAR_M = 1e9
-"""Where no robot is: a pose so far away is no number of use."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,18 +260,15 @@ class Transform:
     def _patch(self, held: _Held) -> Block:
         targets = self._targets(held)
         if not targets or self._first_ns is None:
-            held.block.crcs = held.block.read_crcs
             return held.block
         self._curve.forget(int(min(target.time_ns[0] for target in targets)))
         driving = [target for target in targets if self.driver.is_odometry(target.channel)]
         if self.truth is not None:
             self.truth.add(held.block, driving)
-        sums = IncrementalCrc(held.block, [target.layout for target in targets])
         if self.options.new_odom_frame is None:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
         elif self.edge is not None and self.driver.frames is not None:
             self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
-        sums.finish()
         return held.block
 
 

@@ -82,7 +82,7 @@ class Backlash(Effect):
             gears.append(after)
         return TwistError(body_of(Rims(*lost), track, self.heading), tuple(gears))
 
-    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
         track = needed_track_m(self.name, track_m)
         extra, gears = [], []

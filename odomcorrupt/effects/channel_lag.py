@@ -60,13 +60,14 @@ class ChannelLag(Effect):
         along, yaw = (0.0, f) if self.channel == "yaw" else (f, 0.0)
         return TwistError(stacked(along, 0.0, yaw, f), faster.memory)
 
-    def recorded_over(self, steps: Array, dt_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
         """Return the increments (n, 3) with one channel filtered: the way of which `twist_error` leads back."""
+        if self.tau == 0.0:
+            return Recorded(steps, state)
         column = _COLUMN[self.channel]
         filtered, way = steps.copy(), _Way() if state is None else copy.deepcopy(state)
-        for i, (step, dt) in enumerate(zip(steps[:, column].tolist(), dt_s.tolist(), strict=True)):
-            if dt > 0.0:
-                filtered[i, column] = way.reported(step, dt, self.tau)
+        for i, (step, now_s) in enumerate(zip(steps[:, column].tolist(), t_s.tolist(), strict=True)):
+            filtered[i, column] = way.reported(step, now_s, self.tau)
         return Recorded(filtered, way)
 
 
@@ -76,10 +77,16 @@ class _Way:
     def __init__(self) -> None:
         self.clock_s: list[float] = []
         self.gone: list[float] = []
-        self.speed = 0.0
+        self.speed = self.last_s = 0.0
 
-    def reported(self, step: float, dt_s: float, tau_s: float) -> float:
-        """Return what is reported of a step: r with r + tau (change of the mean speed) = step."""
+    def reported(self, step: float, now_s: float, tau_s: float) -> float:
+        """Return what is reported of a step that ends then: r with r + tau (change of the mean speed) = step."""
+        if now_s < self.last_s:  # time began anew
+            self.clock_s, self.gone = [], []
+            self.last_s = 0.0
+        dt_s, self.last_s = now_s - self.last_s, now_s
+        if not dt_s > 0.0:
+            return step
         if not self.clock_s:  # before the first interval the robot moved as in it
             before, self.speed = 2.0 * TRAIL_S, step / dt_s
             self.clock_s, self.gone = [-before, 0.0], [-before * self.speed, 0.0]

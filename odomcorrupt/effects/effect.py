@@ -41,7 +41,9 @@ __all__ = [
     "stacked",
 ]
 
-Kind = Literal["effect", "setup", "noise"]
+Kind = Literal["effect", "setup", "noise", "event"]
+"""An event happens once, at a time that its model states: it is put into bags, and no diagnosis tests it."""
+
 Layer = Literal["motion", "record", "draws"]
 State = Any
 
@@ -169,13 +171,20 @@ class Effect:
         """Return f over the intervals of `motion`, and the state after them; a state given is never changed."""
         raise NotImplementedError
 
-    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - layer "record"
-        """Return the increments (n, 3) that are reported where `steps` should be."""
-        return Recorded(steps, state)
+    @property
+    def window_s(self) -> tuple[float, float] | None:
+        """When an event acts, from and to, seconds after the first odometry stamp; None: no event, it acts always."""
+        return None
 
-    def recorded_over(self, steps: Array, dt_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the same, for an effect to which it matters how long (n,) the increments take."""
-        return self.recorded(steps, track_m, state)
+    def recorded(
+        self,
+        steps: Array,
+        t_s: Array,  # noqa: ARG002 - for effects of layer "record"
+        track_m: float | None,  # noqa: ARG002 - as above
+        state: State,
+    ) -> Recorded:
+        """Return the increments (n, 3) that are reported where `steps` should be; they end at t_s (n,) seconds."""
+        return Recorded(steps, state)
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion that should have been reported, as far as what was reported shows it; for `restorable`."""

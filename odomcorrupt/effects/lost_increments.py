@@ -74,7 +74,7 @@ class LostIncrements(Effect):
         """Return f = 0: what was reported is right, and nothing is known of the rest."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
-    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels here
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - any time, any wheel
         """Return the increments with the lost ones zero."""
         rng = again(state)
         lost = rng.uniform(size=len(steps)) < self.fraction

@@ -68,7 +68,7 @@ class Quantization(Effect):
         """Return f = 0: the ticks do not tell what lies between them."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
-    def recorded(self, steps: Array, track_m: float | None, state: State) -> Recorded:
+    def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return increments of whole ticks; sideways travel of holonomic robots is left as it is."""
         track = needed_track_m(self.name, track_m)
         if self.step == 0.0:

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
@@ -13,6 +14,7 @@ from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
+from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
     from odomcorrupt.info.scan import EdgeRecord, Survey
@@ -138,6 +140,8 @@ def _remarks(
         said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
     elif frames is None and asked_frame is None:
         said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
+    odom, base = (None, None) if frames is None else (frames.odom, frames.base)
+    said += frame_faults([(e.parent, e.child) for e in survey.edges], odom, base)
     if frames is not None:
         said += [
             f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
@@ -149,8 +153,18 @@ def _remarks(
     return said
 
 
+def _visible(value: Any) -> Any:
+    """Return values with the control characters of all names in them escaped."""
+    if isinstance(value, dict):
+        return {key: _visible(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_visible(one) for one in value]
+    return visible(value) if isinstance(value, str) else value
+
+
 def portrait_text(values: dict[str, Any]) -> str:
     """Return a portrait for people: tables of topics and edges, then sentences."""
+    values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}
     rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]
     for t in values["topics"]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from odomcorrupt.bags.placement import beside
+from odomcorrupt.batching import manifest
 from odomcorrupt.batching import runner as making
 from odomcorrupt.batching.estimate import Need, require_space
 from odomcorrupt.batching.manifest import BatchError
@@ -74,6 +78,7 @@ def dead():
     return process.pid
 
 
+HOST = beside(Path("any")).name.split(".")[2]
 LEFT = ("run_000001.mcap", "run_000007.mcap", "clean.tum", "manifest.jsonl", "batch.json", "robots/000002.toml")
 
 
@@ -85,10 +90,12 @@ def test_leftovers_of_made_runs_and_of_the_batch_itself_are_swept(here, dead):
     assert run(words) == 0
     whole = files_of(here / "runs")
     for name in LEFT:
-        (here / "runs" / name).with_name(f".{Path(name).name}.{dead}.0123abcd.partial").write_bytes(b"half")
-    (here / "runs" / f".run_000000.db3.{dead}.0123abcd.partial-journal").write_bytes(b"half")
-    (here / "runs" / f".run_000000.{dead}.0123abcd.partial").mkdir()
-    others = [here / "runs" / f".run_000001.mcap.{os.getpid()}.0123abcd.partial", here / "runs" / ".mine.partial"]
+        (here / "runs" / name).with_name(f".{Path(name).name}.{HOST}.{dead}.0123abcd.partial").write_bytes(b"half")
+    (here / "runs" / f".run_000000.db3.{HOST}.{dead}.0123abcd.partial-journal").write_bytes(b"half")
+    (here / "runs" / f".making.{HOST}.{dead}.0123abcd.partial").mkdir()
+    (here / "runs" / f".making.{HOST}.{dead}.0123abcd.partial" / "run_000000.mcap").write_bytes(b"half")
+    others = [here / "runs" / f".run_000001.mcap.{HOST}.{os.getpid()}.0123abcd.partial"]
+    others += [here / "runs" / f".run_000001.mcap.{'0' * 8}.{dead}.0123abcd.partial", here / "runs" / ".mine.partial"]
     for other in others:
         other.write_bytes(b"somebody is at it")
     assert run(words) == 0
@@ -96,18 +103,9 @@ def test_leftovers_of_made_runs_and_of_the_batch_itself_are_swept(here, dead):
     assert {name: data for name, data in files_of(here / "runs").items() if "partial" not in name} == whole
 
 
-def test_a_shard_leaves_alone_what_may_be_of_another_machine(here, dead):
-    assert batch(4) == 0
-    names = [f".{name}.{dead}.0123abcd.partial" for name in ("run_000001.mcap", "run_000002.mcap", "manifest.jsonl")]
-    for name in names:
-        (here / "runs" / name).write_bytes(b"half")
-    assert batch(4, "--shard", "2/2") == 0
-    assert sorted(left.name for left in (here / "runs").glob(".*.partial")) == sorted(names[1:])
-
-
 def test_a_batch_that_was_killed_before_it_began_is_begun(here, dead):
     (here / "runs" / ".parts").mkdir(parents=True)
-    (here / "runs" / f".batch.json.{dead}.0123abcd.partial").write_bytes(b"{")
+    (here / "runs" / f".batch.json.{HOST}.{dead}.0123abcd.partial").write_bytes(b"{")
     assert batch(1) == 0
     assert not list((here / "runs").glob(".*.partial"))
 
@@ -256,3 +254,131 @@ def test_rate_and_time_left_in_words():
     assert left_words(10, 1000, 100.0) == "10 of 1000 runs, 0.1 a second, 2.8 h left"
     assert left_words(1, 11, 60.0) == "1 of 11 runs, 0.0167 a second, 10 min left"
     assert left_words(0, 5, 1.0) == "0 of 5 runs"
+
+
+BROKEN = [
+    "[1]",
+    "5",
+    "null",
+    '"run"',
+    "{}",
+    '{"run": 0}',
+    "[" * 100_000,
+    '{"run": 1, "file": 5}',
+    "\xff\xfe",
+    '{"run": 1e400}',
+]
+
+
+def test_lines_of_the_manifest_that_are_none_are_passed_over(here, capsys):
+    assert batch(2) == 0
+    whole = files_of(here / "runs")
+    for path in (here / "runs" / "manifest.jsonl", here / "runs" / ".parts" / "elsewhere-1.jsonl"):
+        with path.open("a", encoding="latin1") as stream:
+            stream.write("\n".join(BROKEN) + "\n")
+    assert batch(2) == 0
+    assert "0 runs made now" in capsys.readouterr().err
+    assert files_of(here / "runs") == whole
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""])
+@pytest.mark.parametrize("seed", [True, False])
+def test_a_beginning_that_is_none_is_told_in_a_line(text, seed, here, capsys):
+    assert batch(1) == 0
+    (here / "runs" / "batch.json").write_text(text, encoding="latin1")
+    capsys.readouterr()
+    for words in (["batch", "in.mcap", "runs", "--runs", "1", *TYPED[: None if seed else 5]], ["spread", "runs"]):
+        assert run(words) == 1
+        said = capsys.readouterr().err
+        assert "batch.json: is not as batch writes it" in said
+        assert said.count("\n") == 1
+
+
+def test_parts_that_is_no_directory_is_told_in_a_line(here, capsys):
+    assert batch(1) == 0
+    shutil.rmtree(here / "runs" / ".parts")
+    (here / "runs" / ".parts").touch()
+    assert batch(1) == 1
+    assert ".parts: cannot be made a directory" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("harm", ["cut", "emptied", "link"])
+def test_a_run_that_is_not_as_large_as_noted_is_made_again(harm, here):
+    assert batch(2) == 0
+    path = here / "runs" / "run_000001.mcap"
+    data = path.read_bytes()
+    if harm == "link":
+        (here / "elsewhere").write_bytes(data)
+        path.unlink()
+        path.symlink_to(here / "elsewhere")
+    else:
+        os.truncate(path, 1000 if harm == "cut" else 0)
+    assert batch(2) == 0
+    assert path.read_bytes() == data
+    assert not path.is_symlink()
+
+
+@pytest.mark.parametrize("kind", ["in.mcap", "office_ros2"])
+def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, capsys):
+    if kind != "in.mcap":
+        shutil.copytree(FIXTURES / kind, here / kind)
+    words = ["batch", kind, "runs", "--runs", "2", *TYPED]
+    assert run(words) == 0
+    run_1 = here / "runs" / ("run_000001.mcap" if kind == "in.mcap" else "run_000001")
+    path = run_1 if run_1.is_file() else next(run_1.glob("*.db3"))
+    data = path.read_bytes()
+    path.write_bytes(data[:5000] + bytes([data[5000] ^ 1]) + data[5001:])
+    capsys.readouterr()
+    assert run(words) == 0
+    assert "0 runs made now" in capsys.readouterr().err
+    assert run([*words, "--verify"]) == 0
+    assert "1 runs made now" in capsys.readouterr().err
+    assert path.read_bytes() == data
+
+
+@pytest.mark.parametrize("name", ["../b0/run_000001.mcap", "/etc/hostname", "run_000002.mcap", "."])
+def test_a_record_of_a_file_elsewhere_counts_for_nothing(name, here, capsys):
+    assert batch(2) == 0
+    path = here / "runs" / "manifest.jsonl"
+    record = json.loads(path.read_text().splitlines()[1]) | {"file": name}
+    shutil.rmtree(here / "runs" / ".parts")
+    path.write_text(path.read_text().splitlines()[0] + "\n" + json.dumps(record) + "\n")
+    capsys.readouterr()
+    assert batch(2) == 0
+    assert "1 runs made now, 2 in" in capsys.readouterr().err
+
+
+def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, capsys):
+    assert batch(1) == 0
+    with (here / "runs" / "batch.json").open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_SH)
+        assert batch(2, "--shard", "1/2") == 0
+        capsys.readouterr()
+        assert batch(2) == 1
+    assert "another batch is at work in it" in capsys.readouterr().err
+    assert batch(2) == 0
+
+
+def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
+    assert run(["batch", "in.mcap", "other", "--runs", "1", "--seed", "8"]) == 0
+    write = manifest.write_whole
+
+    def late(path, data, *, overwrite=True):
+        if path.name == "batch.json" and not path.exists():
+            shutil.copyfile(here / "other" / "batch.json", path)
+        write(path, data, overwrite=overwrite)
+
+    monkeypatch.setattr(manifest, "write_whole", late)
+    capsys.readouterr()
+    assert batch(1) == 1
+    assert "another seed" in capsys.readouterr().err
+    assert not list(here.glob("runs/run_*"))
+
+
+def test_runs_are_not_made_inside_of_their_input(here, capsys):
+    shutil.copytree(FIXTURES / "office_ros2", here / "bag")
+    assert run(["batch", "bag", "bag/runs", "--runs", "1", *TYPED]) == 1
+    assert "lies in the input" in capsys.readouterr().err
+    assert sorted(path.name for path in (here / "bag").iterdir()) == sorted(
+        path.name for path in (FIXTURES / "office_ros2").iterdir()
+    )

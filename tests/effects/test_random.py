@@ -22,7 +22,7 @@ def drawn(name, values, drive, run=0):
 def recorded(name, values, drive, run=0):
     effect = effect_from_values(name, values)
     steps = np.stack((drive.v, drive.vy, drive.omega), axis=1) * drive.dt_s[:, None]
-    return steps, effect.recorded(steps, drive.track_m, effect.start(stream(5, run, name))).steps
+    return steps, effect.recorded(steps, drive.t_s, drive.track_m, effect.start(stream(5, run, name))).steps
 
 
 def test_a_bias_walk_goes_on_at_rest_and_a_gain_does_not():

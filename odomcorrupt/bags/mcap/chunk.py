@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Framing
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import decompress
 from odomcorrupt.bags.mcap.records import MESSAGE
 from odomcorrupt.errors import BagError
@@ -48,12 +48,11 @@ class McapFraming(Framing):
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """A decompressed chunk, its CRC-32 where that is known, and the contents of the message indexes that follow it."""
+    """A decompressed chunk, and the contents of the message indexes that follow it."""
 
     data: NDArray[np.uint8]
     codec: str
     what: str
-    crc: int | None = None
     indexes: list[bytes] = field(default_factory=list)
 
     def append(self, _opcode: int, content: bytes, _what: str) -> None:
@@ -97,7 +96,8 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
         raise BagError(f"{named}: its compression's name of {name_length} bytes reaches beyond it; damaged bag")
     name = source.read(name_length, what).decode(errors="replace")
     (packed,) = struct.unpack("<Q", source.read(8, what))
-    if 40 + name_length + packed != length:
+    behind = length - 40 - name_length - packed
+    if behind < 0:
         raise BagError(f"{named}: {packed} bytes of records in a record of {length} do not fit; damaged bag")
     codec = name or "none"
     if codec not in CODECS or name == "none":
@@ -107,10 +107,11 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
         if size != packed:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
-        data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf)
-    if crc not in (0, zlib.crc32(data.data)):
+        data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf, source.budget)
+    source.read(behind, what)  # fields that a later version of the format has appended
+    if crc not in (0, crc32(data.data)):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
-    return Chunk(data, codec, named, crc or None)
+    return Chunk(data, codec, named)
 
 
 def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:

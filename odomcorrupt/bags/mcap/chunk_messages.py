@@ -24,6 +24,8 @@ __all__ = ["MESSAGE_HEADER", "Contents", "Record", "read_contents"]
 MESSAGE_HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
 )
+MOST_RECORDS = 1 << 22
+"""What a chunk without an index of its messages is walked for: 64 MB of the smallest ones have half as many."""
 _INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
@@ -95,6 +97,11 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int],
     others: list[Record] = []
     at = begin
     while at < end:
+        if data[at] == 0 or len(starts) + len(others) >= MOST_RECORDS:
+            raise BagError(
+                f"{what}: the record at byte {at} of the chunk is of no kind, or one of more than {MOST_RECORDS}; "
+                "damaged bag, --recover saves what is whole"
+            )
         content = at + RECORD_HEADER_BYTES
         after = content + int.from_bytes(data[at + 1 : content], "little")
         if content > end or after > end or (data[at] == MESSAGE and after < at + MESSAGE_HEADER_BYTES):

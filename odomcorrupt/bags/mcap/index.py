@@ -28,25 +28,25 @@ from odomcorrupt.bags.mcap.records import (
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["ChunkRows", "ChunkSpan", "Index", "message_indexes", "span_ns"]
+__all__ = ["ChunkPlace", "ChunkRows", "ChunkSpan", "Index", "message_indexes", "span_ns"]
 
 _ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkSpan:
-    """A chunk that was written.
-
-    position, length : of the chunk record in the file, bytes
-    size, packed : bytes before and after compression
-    """
+class ChunkSpan(NamedTuple):
+    """A chunk to be written: first and last log time, compression, and bytes before it."""
 
     start_ns: int
     end_ns: int
-    position: int
-    length: int
     codec: str
     size: int
+
+
+class ChunkPlace(NamedTuple):
+    """Where a chunk record lies in the file, bytes; packed : those of its compressed records."""
+
+    position: int
+    length: int
     packed: int
 
 
@@ -79,12 +79,12 @@ class Index:
             self.start_ns = start_ns if self.start_ns is None else min(self.start_ns, start_ns)
             self.end_ns = max(self.end_ns, end_ns)
 
-    def add_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]]) -> bytes:
+    def add_chunk(self, span: ChunkSpan, place: ChunkPlace, indexes: list[tuple[int, bytes]]) -> bytes:
         """Note a chunk; return the message index records to write behind it.
 
         indexes : channel and whole record, as `message_indexes` gives them
         """
-        at = span.position + span.length
+        at = place.position + place.length
         offsets = b""
         for channel, index in indexes:
             offsets += struct.pack("<HQ", channel, at)
@@ -92,11 +92,11 @@ class Index:
         self.chunks.append(
             record(
                 CHUNK_INDEX,
-                struct.pack("<QQQQI", span.start_ns, span.end_ns, span.position, span.length, len(offsets)),
+                struct.pack("<QQQQI", span.start_ns, span.end_ns, place.position, place.length, len(offsets)),
                 offsets,
-                struct.pack("<Q", at - span.position - span.length),
+                struct.pack("<Q", at - place.position - place.length),
                 string("" if span.codec == "none" else span.codec),
-                struct.pack("<QQ", span.packed, span.size),
+                struct.pack("<QQ", place.packed, span.size),
             )
         )
         return b"".join(index for _, index in indexes)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import struct
+from contextlib import closing
 from typing import TYPE_CHECKING, Self
 
+from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunk, read_pieces
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
@@ -24,16 +26,17 @@ from odomcorrupt.bags.mcap.records import (
 from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
 from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
+from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Container, Generator, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
-    from odomcorrupt.bags.block import Block, Channel, Kind
+    from odomcorrupt.bags.block import Channel, Kind
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.mcap.records import SchemaRecord
 
@@ -55,11 +58,12 @@ class McapReader:
     schemas : by id
     summary : what the summary section had; of a pipe, known when the blocks are read
     losses : what could not be read, one sentence each, where recovery was asked for
+    count : messages that the last pass has given
     """
 
     kind: Kind = "mcap"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
@@ -69,6 +73,7 @@ class McapReader:
         self.summary = Summary()
         self.losses: list[str] = []
         self._recover = recover
+        self._threads = threads
         self._source = self._reading = source
         self._first_losses = 0
         try:
@@ -86,7 +91,7 @@ class McapReader:
             next_record(source, len(MAGIC))
         self._data_start = source.position
         self._begun = False
-        self._count = 0
+        self.count = 0
         if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
@@ -112,7 +117,7 @@ class McapReader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._first_losses :]
-        self._count = 0
+        self.count = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
@@ -124,20 +129,33 @@ class McapReader:
             self._begun = True
             yield from self._blocks(self._source)
         stated = self.summary.message_count
-        if stated is not None and self._count < stated and not self.losses:
+        if stated is not None and self.count < stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its statistics tell of {stated} messages, {self._count} are there: the bag is "
+                    f"{self.name}: its statistics tell of {stated} messages, {self.count} are there: the bag is "
                     "damaged; --recover saves those"
                 )
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
+        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        parts: Iterator[Chunk | Loose | Block] = self._parts(source)
+        if self._threads > 1 and self.complete and not self._recover:
+            parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
+        with closing(parts):  # type: ignore[type-var] # both are generators
+            for part in parts:
+                if isinstance(part, Block):
+                    yield part
+                else:
+                    yield from self._finished(part)
+
+    def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
+        """Yield chunks, collected messages outside chunks, and what stands alone."""
         pending: Chunk | Loose | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
                 done, pending = pending, None
-                yield from self._finished(done)
+                yield done
             begin = source.position - RECORD_HEADER_BYTES
             try:
                 if opcode in _LOOSE and pending is None:
@@ -157,7 +175,7 @@ class McapReader:
                 ):
                     next_record(source, begin)
         if pending:
-            yield from self._finished(pending)
+            yield pending
 
     def _chunk(self, source: Source, length: int, what: str) -> Chunk:
         if not self._recover:
@@ -222,7 +240,7 @@ class McapReader:
         except BagError as error:
             self._lose(error)
             block = self._known.salvaged(part)
-        self._count += len(block.table)
+        self.count += len(block.table)
         yield block
 
     def _lose(self, error: BagError) -> None:
@@ -232,10 +250,12 @@ class McapReader:
         self.losses.append(loss_of(error))
 
     def _learn_summary(self) -> None:
+        """Learn what the summary repeats; channels whose schemas it does not repeat are read where they stand."""
         for schema in self.summary.schemas:
             self._known.learn(SCHEMA, schema)
         for channel in self.summary.channels:
-            self._known.learn(CHANNEL, channel)
+            if self._known.defines(channel):
+                self._known.learn(CHANNEL, channel)
 
     def _learn_all(self) -> None:
         """Learn the channels of a file that its summary does not tell."""
@@ -259,6 +279,10 @@ class McapReader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _is_packed(part: Chunk | Loose | Block) -> bool:
+    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:

@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.codecs import beginning
 from odomcorrupt.bags.mcap.chunk import CODECS, Chunk, read_chunk
-from odomcorrupt.bags.mcap.chunk_messages import read_contents
+from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS, read_contents
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -140,18 +140,20 @@ def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chu
     content = source.read(left, what)
     name_length = int.from_bytes(content[28:32], "little")
     name = content[32 : 32 + name_length].decode(errors="replace")
-    data = np.frombuffer(bytearray(beginning(name or "none", content[40 + name_length :])), dtype=np.uint8)
+    data = np.frombuffer(beginning(name or "none", content[40 + name_length :], source.budget), dtype=np.uint8)
     return Chunk(whole_records(data), name or "none", f"{source.name}: {what}"), lost
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the records (size,) that are whole, up to the first one that is not."""
     view, at = data.data, 0
-    while at + RECORD_HEADER_BYTES <= data.size:
+    for _ in range(MOST_RECORDS):
+        if at + RECORD_HEADER_BYTES > data.size:
+            break
         opcode, length = struct.unpack_from("<BQ", view, at)
         if length > data.size - at - RECORD_HEADER_BYTES or (opcode == MESSAGE and length < _SHORTEST_MESSAGE):
             break
-        if opcode in _BETWEEN_CHUNKS:
+        if opcode == 0 or opcode in _BETWEEN_CHUNKS:
             break
         at += RECORD_HEADER_BYTES + length
     return data[:at]
@@ -218,7 +220,7 @@ def _believable(window: bytes, at: int, left: int) -> bool:
     if opcode == CHUNK:
         return _is_chunk(head, length)
     if opcode in _EXACT:
-        return bool(length == _EXACT[opcode])
+        return bool(0 <= length - _EXACT[opcode] < (_ADDED_BYTES if opcode == DATA_END else 1))
     if length > left - RECORD_HEADER_BYTES:
         return False
     if opcode in _FIELDS:
@@ -246,4 +248,4 @@ def _is_chunk(head: bytes, length: int) -> bool:
         return False
     (packed,) = struct.unpack_from("<Q", head, 32 + name_length)
     name = head[32 : 32 + name_length].decode(errors="replace")
-    return bool(length == 40 + name_length + packed) and (name or "none") in CODECS
+    return 0 <= length - 40 - name_length - packed < _ADDED_BYTES and (name or "none") in CODECS

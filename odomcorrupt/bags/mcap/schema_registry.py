@@ -35,12 +35,16 @@ class Known:
         self.channels: dict[int, Channel] = {}
 
     def learn(self, opcode: int, content: bytes) -> None:
-        """Take note of a schema or channel; the first one of an id counts, later ones must be equal anyway."""
+        """Take note of a schema or channel; whoever repeats one must say the same again."""
         if opcode == SCHEMA:
             schema = SchemaRecord.parse(content, self.name)
-            self.schemas.setdefault(schema.id, schema)
+            if self.schemas.setdefault(schema.id, schema) != schema:
+                raise BagError(f"{self.name}: schema {schema.id} is defined twice, differently; damaged bag")
             return
         channel = ChannelRecord.parse(content, self.name)
+        if channel.id in self.channels and self.channels[channel.id].raw != channel:
+            topics = f"{self.channels[channel.id].topic} and {channel.topic}"
+            raise BagError(f"{self.name}: channel {channel.id} is defined twice, differently ({topics}); damaged bag")
         if channel.schema and channel.schema not in self.schemas:
             raise BagError(
                 f"{self.name}: {channel.topic} has schema {channel.schema}, which is not defined; damaged bag"
@@ -49,6 +53,11 @@ class Known:
         package, _, leaf = name.partition("/")
         msgtype = f"{package}/msg/{leaf}" if leaf and "/" not in leaf else name
         self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
+
+    def defines(self, content: bytes) -> bool:
+        """Tell whether the schema of a channel record is known."""
+        schema = ChannelRecord.parse(content, self.name).schema
+        return schema == 0 or schema in self.schemas
 
     def definition(self, channel: Channel) -> Definition:
         """Return what the file says of a channel's type."""
@@ -63,7 +72,6 @@ class Known:
             for other in contents.others:
                 self._learn_within(part.data, other)
             block, what = Block(part.data, contents.table, McapFraming("chunk", part.codec)), part.what
-            block.read_crcs = () if part.crc is None else (part.crc,)
         else:
             for opcode, content in part.others:
                 self.learn(opcode, content)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, PartContents, PartFraming
+from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
+from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
 from odomcorrupt.bags.mcap.framing import Framed, Sequences, frame, frame_added, reframe
-from odomcorrupt.bags.mcap.index import ChunkRows, ChunkSpan, Index, message_indexes, span_ns
+from odomcorrupt.bags.mcap.index import ChunkPlace, ChunkRows, ChunkSpan, Index, message_indexes, span_ns
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import (
     DATA_END,
@@ -28,6 +29,7 @@ from odomcorrupt.bags.mcap.records import (
     record,
     string,
 )
+from odomcorrupt.bags.pipeline import OrderedResults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.output import Output, Shared
+    from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["McapWriter", "Packed", "packed"]
 
@@ -55,11 +58,15 @@ class Packed(NamedTuple):
     shared: Shared | None = None
 
 
-def packed(codec: str, data: NDArray[np.uint8], level: int | None, crc: int | None = None) -> Packed:
-    """Compress a chunk's records, and sum them where that was not done before."""
-    crc = zlib.crc32(data.data) if crc is None else crc
+def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
+    """Compress a chunk's records, and sum them."""
+    crc = crc32(data.data)
     require_level(codec, level)
-    return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
+    if codec == "none":
+        return Packed(data.data, crc, crc)
+    compressed = compress(codec, data, level)
+    # by the thread that has it in its cache
+    return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
 
 
 class McapWriter:
@@ -68,13 +75,27 @@ class McapWriter:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    workers : who compress chunks, while more is written; what is written must then stay as it is
+    whole : whether all messages of the reader are to be written, which is then made sure of
     pack : compresses chunks, as `packed` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
 
-    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        output: Output,
+        reader: BagReader,
+        codec: str | None = None,
+        level: int | None = None,
+        *,
+        workers: Workers | None = None,
+        whole: bool = True,
+    ) -> None:
+        self._whole = whole
+        self._added_count = 0
         self._output = output
+        self._results = OrderedResults(workers)
         self._reader = reader
         self._codec = codec
         self._level = level
@@ -114,16 +135,20 @@ class McapWriter:
                 framed = framed.followed_by(self._added(block))
         if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
-            self._output.write(framed.data.data)
+            self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
             codec = getattr(framing, "codec", "zstd")
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        self._results.finish()
 
     def _own(self, block: Block, framing: object) -> Framed:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
         native = isinstance(framing, McapFraming)
         if native and not isinstance(block.raw, PartFraming):
-            return Framed(block.data, block.table, block.ends, block.crcs)
+            return Framed(block.data, block.table, block.ends)
         table = block.table.copy()
         table["channel"] = self._directory.translate(table["channel"])
         if native:
@@ -136,6 +161,7 @@ class McapWriter:
         """Frame a block's added messages, behind the channels they need."""
         messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
+        self._added_count += len(messages)
         return self._records(framed.table["channel"]).followed_by(framed)
 
     def _records(self, channels: NDArray[np.uint32]) -> Framed:
@@ -149,39 +175,43 @@ class McapWriter:
         stops = np.searchsorted(framed.table["offset"], ends[:-1]).tolist()
         rows = zip((0, *ends[:-1]), ends, (0, *stops), (*stops, framed.table.size), strict=True)
         chunks = [ChunkRows(*row) for row in rows]
-        crcs = framed.crcs or (None,) * len(chunks)
-        for chunk, indexes, crc in zip(chunks, message_indexes(framed.table, chunks), crcs, strict=True):
+        for chunk, indexes in zip(chunks, message_indexes(framed.table, chunks), strict=True):
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
-            start_ns, end_ns = span_ns(framed.table[chunk.start : chunk.stop])
-            chunk_data = self.pack(codec, data, self._level, crc)
-            size = len(chunk_data.data)
-            head = chunk_head(start_ns, end_ns, size=data.size, crc=chunk_data.crc, codec=codec, packed=size)
-            span = ChunkSpan(
-                start_ns,
-                end_ns,
-                position=self._output.position,
-                length=len(head) + size,
-                codec=codec,
-                size=data.size,
-                packed=size,
+            span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
+            self._results.put(
+                partial(self.pack, codec, data, self._level),
+                partial(self._write_chunk, span, indexes),
+                data.size,
+                worth=codec != "none",
             )
-            self._output.write(head)
-            if chunk_data.shared is not None:
-                self._output.write_shared(chunk_data.shared)
-            elif chunk_data.packed_crc is not None:
-                self._output.write_summed(chunk_data.data, chunk_data.packed_crc)
-            else:
-                self._output.write(chunk_data.data)
-            self._output.write(self._index.add_chunk(span, indexes))
+
+    def _write_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]], chunk: Packed) -> None:
+        """Write a chunk and its message indexes."""
+        position, size = self._output.position, len(chunk.data)
+        head = chunk_head(span.start_ns, span.end_ns, size=span.size, crc=chunk.crc, codec=span.codec, packed=size)
+        self._output.write(head)
+        if chunk.shared is not None:
+            self._output.write_shared(chunk.shared)
+        elif chunk.packed_crc is not None:
+            self._output.write_summed(chunk.data, chunk.packed_crc)
+        else:
+            self._output.write(chunk.data)
+        self._output.write(self._index.add_chunk(span, ChunkPlace(position, len(head) + size, size), indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
-        """Write a record as it stands, or a later piece of one (opcode 0)."""
+        """Write a record as it stands, or a later piece of one (opcode 0), behind what waits."""
+        self._results.put_behind(partial(self._write_record_now, opcode, data), len(data))
+
+    def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:
         if opcode:
             self._index.add_record(opcode, bytes(data[: 1 << 20]), self._output.position)
         self._output.write(data)
 
     def _finish(self) -> None:
+        self._results.finish()
         output = self._output
+        if self._whole:
+            require_all(output.name, self._reader, sum(self._index.counts.values()), self._added_count)
         output.write(record(DATA_END, struct.pack("<I", output.crc)))
         begin, output.crc = output.position, 0
         private: list[bytes] = self._reader.summary.private if isinstance(self._reader, McapReader) else []

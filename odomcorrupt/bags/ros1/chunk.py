@@ -95,5 +95,5 @@ def read_chunk(source: Source, head: Head) -> Chunk:
         if size != head.size:
             raise BagError(f"{named}: says it holds {size} bytes, but has {head.size}; the bag is damaged")
     else:
-        data = decompress(codec, source.read_scratch(head.size, head.what), size, named, source.shelf)
+        data = decompress(codec, source.read_scratch(head.size, head.what), size, named, source.shelf, source.budget)
     return Chunk(data, codec, named)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Contents", "read_contents"]
 
+MOST_RECORDS = 1 << 22
+"""What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
 _INDEX_ENTRY = np.dtype([("s", "<u4"), ("ns", "<u4"), ("offset", "<u4")])
 _TIME = np.dtype([("s", "<u4"), ("ns", "<u4")])
 _SECOND_NS = 1_000_000_000
@@ -135,7 +137,11 @@ def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
     starts: list[int] = []
     connections: list[tuple[bytes, bytes]] = []
     at = begin
+    count = 0
     while at < end:
+        count += 1
+        if count > MOST_RECORDS:
+            raise BagError(f"{what}: has more than {MOST_RECORDS} records; the bag is damaged")
         header_end = at + 4 + int.from_bytes(data[at : at + 4], "little")
         after = header_end + 4 + int.from_bytes(data[header_end : header_end + 4], "little")
         if header_end + 4 > end or after > end:

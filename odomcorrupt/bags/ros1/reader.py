@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from typing import TYPE_CHECKING, Self
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
@@ -35,7 +37,7 @@ from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator, Mapping
+    from collections.abc import Container, Generator, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -46,15 +48,23 @@ __all__ = ["Ros1Reader"]
 _BATCH_BYTES = 1 << 20
 
 
+class _Connected(NamedTuple):
+    """A connection record between chunks: its header, and its data."""
+
+    header: bytes
+    data: bytes
+
+
 class Ros1Reader:
     """A ROS 1 bag, file or pipe.
 
     losses : what could not be read, one sentence each, where recovery was asked for
+    count : messages that the last pass has given
     """
 
     kind: Kind = "ros1"
 
-    def __init__(self, path: Path | None, source: Source, *, recover: bool = False) -> None:
+    def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
         self.name = source.name
         self.paths = [] if path is None else [path]
         self.complete = path is not None and source.size is not None
@@ -62,11 +72,12 @@ class Ros1Reader:
         self.channels: Mapping[int, Channel] = self._channels
         self.losses: list[str] = []
         self._recover = recover
+        self._threads = threads
         self._source = self._reading = source
         self._begun = False
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
-        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self._count = 0
+        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self.count = 0
         try:
             self._read_header(source)
         except BagError:
@@ -84,6 +95,7 @@ class Ros1Reader:
             for _ in self._blocks(source):
                 pass
             source.seek(self._data_start)
+            source.budget = Budget()
             return
         if not self._index_at:
             raise BagError(f"{self.name}: is not indexed, its recording was never closed; --recover reads it")
@@ -118,7 +130,7 @@ class Ros1Reader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
         del self.losses[self._header_losses :]
-        self._count = self._seen = 0
+        self.count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
                 self._reading = source
@@ -131,24 +143,39 @@ class Ros1Reader:
             yield from self._blocks(self._source)
             if not self._recover:
                 self._read_index(self._source)
-        if self._count < self._stated and not self.losses:
+        if self.count < self._stated and not self.losses:
             self._lose(
                 BagError(
-                    f"{self.name}: its index tells of {self._stated} messages, {self._count} are there: the bag is "
+                    f"{self.name}: its index tells of {self._stated} messages, {self.count} are there: the bag is "
                     "damaged; --recover saves those"
                 )
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
+        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        parts: Iterator[Chunk | _Connected] = self._parts(source)
+        if self._threads > 1 and self.complete and not self._recover:
+            parts = read_ahead(self._parts(source), _size_of, _is_packed)
+        with closing(parts):  # type: ignore[type-var] # both are generators
+            for part in parts:
+                if isinstance(part, Chunk):
+                    yield from self._finished(part)
+                else:
+                    self._learn(*part)
+
+    def _parts(self, source: Source) -> Generator[Chunk | _Connected, None, None]:
+        """Yield chunks, and connections between them."""
         chunk: Chunk | None = None
         for head in self._heads(source):
             if chunk and not (head.op == INDEX or (head.op == MESSAGE and 0 < len(chunk.open) < _BATCH_BYTES)):
                 done, chunk = chunk, None
-                yield from self._finished(done)
+                yield done
             begin, end = source.position - 8 - len(head.header), source.position + head.size
             try:
                 if head.op == CHUNK:
                     chunk = self._chunk(source, head)
+                elif head.op == CONNECTION and not self._recover:
+                    yield _Connected(head.header, source.read(head.size, head.what))
                 else:
                     chunk = self._take(head, source.read(head.size, head.what), chunk)
             except BagError as error:
@@ -156,7 +183,7 @@ class Ros1Reader:
                 if not (source.skip_to(end) and stands_behind(source, begin, failed=True)):
                     next_record(source, begin)
         if chunk:
-            yield from self._finished(chunk)
+            yield chunk
 
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
@@ -214,7 +241,7 @@ class Ros1Reader:
         except BagError as error:
             self._lose(error)
             block = self._salvaged(chunk)
-        self._count += len(block.table)
+        self.count += len(block.table)
         yield block
 
     def _salvaged(self, chunk: Chunk) -> Block:
@@ -255,9 +282,10 @@ class Ros1Reader:
     def _learn(self, header: bytes, data: bytes) -> None:
         connection = Connection.parse(header, data, self.name)
         msgtype = connection.type.replace("/", "/msg/", 1)
-        self._channels.setdefault(
-            connection.id, Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
-        )
+        channel = Channel(connection.id, connection.topic, msgtype, "ros1", raw=connection)
+        if self._channels.setdefault(connection.id, channel) != channel:
+            topics = f"{self._channels[connection.id].topic} and {connection.topic}"
+            raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
     def _read_index(self, source: Source) -> None:
         """Read connections and chunk infos at the bag's end: that they are all there tells that nothing was cut."""
@@ -278,6 +306,14 @@ class Ros1Reader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _is_packed(part: Chunk | _Connected) -> bool:
+    return isinstance(part, Chunk) and part.codec != "none"
+
+
+def _size_of(part: Chunk | _Connected) -> int:
+    return len(part.data)
 
 
 def _counted(data: bytes) -> int:

@@ -95,7 +95,7 @@ def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
         raise BagError(lost)
     source.seek(here)
     codec = head.fields.get("compression", b"").decode(errors="replace")
-    data = np.frombuffer(bytearray(beginning(codec, source.read(left, head.what))), dtype=np.uint8)
+    data = np.frombuffer(beginning(codec, source.read(left, head.what), source.budget), dtype=np.uint8)
     return Chunk(whole_records(data), codec, f"{source.name}: {head.what}"), lost
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import struct
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel, Message
+from odomcorrupt.bags.block import Block, Channel, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
+from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.connections import Connections
 from odomcorrupt.bags.ros1.framing import Framed, frame, indexes, pack_time
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.output import Output
+    from odomcorrupt.bags.pipeline import Workers
 
 __all__ = ["Ros1Writer"]
 
@@ -37,18 +40,29 @@ class Ros1Writer:
     keeps_rest : whether what is never passed to `write` is there all the same
     codec : of the chunks; None keeps each chunk's own
     level : of compression; None is the fast one
+    workers : who compress chunks, while more is written; what is written must then stay as it is
     pack : compresses chunks, as `compress_for_ros1` does; a batch packs what its bags share once
     """
 
     keeps_rest = False
 
-    def __init__(self, output: Output, reader: BagReader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        output: Output,
+        reader: BagReader,
+        codec: str | None = None,
+        level: int | None = None,
+        workers: Workers | None = None,
+    ) -> None:
         self._output = output
+        self._results = OrderedResults(workers)
         output.summing = False  # a ROS 1 bag has no checksum of its own
         self._codec = codec
         self._level = level
         self.pack = compress_for_ros1
         self._connections = Connections(reader)
+        self._reader = reader
+        self._written = self._added = 0
         self._infos: list[bytes] = []
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
@@ -61,6 +75,7 @@ class Ros1Writer:
     def write(self, block: Block) -> None:
         """Write a block, its added messages behind its own."""
         added = self._frame(block.added)
+        self._added += len(block.added)
         framing = block.raw
         if isinstance(framing, Ros1Framing):
             framed = Framed(block.data, block.table, framing.starts, block.ends)
@@ -73,6 +88,10 @@ class Ros1Writer:
         if framed.data.size:
             for chunk in framed.chunks():
                 self._write_chunk(chunk, self._codec or codec)
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        self._results.finish()
 
     def _frame(self, messages: list[Message]) -> Framed:
         return frame(self._connections.take_records(one.channel for one in messages), messages)
@@ -91,12 +110,22 @@ class Ros1Writer:
     def _write_chunk(self, framed: Framed, codec: str) -> None:
         if framed.data.size >= _CHUNK_LIMIT:
             raise BagError(f"{self._output.name}: a chunk of {framed.data.size} bytes is too large for a ROS 1 bag")
+        self._written += len(framed.table)
+        self._results.put(
+            partial(self.pack, codec, framed.data, self._level),
+            partial(self._write_packed, framed, codec, indexes(framed)),
+            framed.data.size,
+            worth=codec != "none",
+        )
+
+    def _write_packed(
+        self, framed: Framed, codec: str, found: list[tuple[int, int, bytes]], packed: bytes | memoryview
+    ) -> None:
+        """Write a compressed chunk and its indexes."""
         position = self._output.position
-        packed = self.pack(codec, framed.data, self._level)
         header = pack_fields(
             {"compression": codec.encode(), "op": bytes([CHUNK]), "size": struct.pack("<I", framed.data.size)}
         )
-        found = indexes(framed)
         self._output.write(struct.pack("<I", len(header)) + header + struct.pack("<I", len(packed)), packed)
         self._output.write(b"".join(index for _, _, index in found))
         times = framed.table["log_ns"]
@@ -126,6 +155,8 @@ class Ros1Writer:
         return pack_record(header, b" " * (_HEADER_BYTES - len(header)))
 
     def _finish(self) -> None:
+        self._results.finish()
+        require_all(self._output.name, self._reader, self._written, self._added)
         index_at = self._output.position
         connections = self._connections.packed()
         self._output.write(*connections, *self._infos)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 import struct
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["Topic", "columns", "has_log", "read_only", "read_topics", "reported"]
+__all__ = ["Topic", "columns", "count_messages", "harden", "has_log", "read_only", "read_topics", "reported"]
 
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
@@ -25,6 +26,16 @@ _LONGEST = 200
 """Characters of a reason that are told."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 """Tables and columns without which nothing can be read."""
+_TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
+_RULES = re.compile(r"\b(?:CHECK|CONFLICT|GENERATED|AS|WITHOUT|REFERENCES)\b", re.IGNORECASE)
+"""Words of a table's definition that make more of it than columns: what is written could be changed or thrown away."""
+_SWITCHES = {
+    "SQLITE_DBCONFIG_ENABLE_TRIGGER": False,
+    "SQLITE_DBCONFIG_ENABLE_VIEW": False,
+    "SQLITE_DBCONFIG_TRUSTED_SCHEMA": False,
+    "SQLITE_DBCONFIG_DEFENSIVE": True,
+}
+"""What SQLite advises for files of strangers (https://sqlite.org/security.html); Python sets them from 3.12 on."""
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
@@ -93,7 +104,57 @@ def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
     if not whole:
         # With this sqlite reads what there is of a file that was cut; nothing is ever written.
         connection.execute("PRAGMA writable_schema = ON")
+    harden(connection, defensive=whole)
     return connection
+
+
+def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
+    """Switch off what a file's own schema could do: triggers, views and functions in it.
+
+    defensive : not where the schema of a file that was cut is to be read as far as it goes
+    """
+    connection.execute("PRAGMA trusted_schema = OFF").fetchall()
+    connection.execute("PRAGMA cell_size_check = ON").fetchall()
+    for name, on in _SWITCHES.items():
+        if hasattr(sqlite3, name):
+            connection.setconfig(getattr(sqlite3, name), on and defensive)  # type: ignore[attr-defined,unused-ignore]
+
+
+def require_plain(connection: sqlite3.Connection, path: Path) -> None:
+    """Refuse a file in which anything but its rows decides what is read, or what becomes of what is written.
+
+    Raises
+    ------
+    BagError
+        Where there is a trigger or a view, or a table of rosbag2's that computes, checks or replaces rows.
+
+    """
+    for kind, name, table, text in connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"):
+        if kind in ("trigger", "view"):
+            fault = f"has a {kind}, {name!r}"
+        elif kind == "table" and name in _TABLES and _RULES.search(str(text)):
+            fault = f"its table {name} has rules of its own ({' '.join(str(text).split())[:_LONGEST]})"
+        elif kind == "index" and table in _TABLES and text is not None and not _is_plain_index(connection, name):
+            fault = f"its table {table} has an index that computes, {name!r}"
+        elif kind == "table" and str(text).upper().startswith("CREATE VIRTUAL"):
+            fault = f"has a virtual table, {name!r}"
+        else:
+            continue
+        raise BagError(f"{path}: {fault}: no recorder makes that, and it could change what is written; remove it")
+
+
+def _is_plain_index(connection: sqlite3.Connection, name: str) -> bool:
+    """Whether an index is one of whole columns and of all rows."""
+    quoted = '"' + name.replace('"', '""') + '"'
+    fields = connection.execute(f"PRAGMA index_info({quoted})").fetchall()
+    (text,) = connection.execute("SELECT sql FROM sqlite_master WHERE type = 'index' AND name = ?", (name,)).fetchone()
+    return all(field[1] >= 0 for field in fields) and not re.search(r"\bWHERE\b", str(text), re.IGNORECASE)
+
+
+def count_messages(connection: sqlite3.Connection) -> dict[int, tuple[int, int]]:
+    """Return how many messages each topic id has, and their bytes; no message is read for it."""
+    query = "SELECT topic_id, count(*), total(length(data)) FROM messages GROUP BY topic_id"
+    return {topic: (count, int(size)) for topic, count, size in connection.execute(query)}
 
 
 def columns(connection: sqlite3.Connection, table: str) -> list[str]:
@@ -115,6 +176,7 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     known = all(wanted <= set(columns(connection, table)) for table, wanted in _COLUMNS.items())
     if not (known and _COLUMNS.keys() <= tables):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
+    require_plain(connection, path)
     first = connection.execute("SELECT data FROM messages LIMIT 1").fetchone()
     if first and isinstance(first[0], bytes) and first[0].startswith(ZSTD_MAGIC):
         raise BagError(f"{path}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that")

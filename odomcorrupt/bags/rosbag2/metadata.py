@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import lru_cache
 from io import StringIO
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain, read_text, yaml_of, yaml_problem
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info"]
 
 _ROOT = "rosbag2_bagfile_information"
-_LONGEST = 200
-"""Characters of a reason that are told."""
 
 
 class TopicInfo(NamedTuple):
@@ -53,10 +53,10 @@ class Addition:
 def read_info(path: Path) -> dict[str, Any]:
     """Read what a metadata.yaml says."""
     try:
-        document = _parsed(path.read_text(encoding="utf8"))
-    except (OSError, ValueError, _yaml_error()) as error:
+        document = _parsed(read_text(path))
+    except ValueError as error:
         raise BagError(
-            f"{path}: cannot be read: {_line(error)}; without it the directory's files are read as they are"
+            f"{path}: cannot be read: {error}; without it the directory's files are read as they are"
         ) from error
     info = document.get(_ROOT) if isinstance(document, dict) else None
     if not isinstance(info, dict) or not isinstance(info.get("relative_file_paths"), list):
@@ -70,18 +70,10 @@ def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
     try:
         document = deepcopy(_parsed(text))
         change(document.get(_ROOT, document))
-        _faithful().dump(document, out)
-    except (_yaml_error(), AttributeError, KeyError, TypeError, ValueError) as error:
-        raise BagError(f"metadata: not as rosbag2 writes it ({_line(error)}); remove metadata.yaml") from error
+        yaml_of("rt").dump(document, out)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise BagError(f"metadata: not as rosbag2 writes it ({yaml_problem(error)}); remove metadata.yaml") from error
     return out.getvalue()
-
-
-def _line(error: Exception) -> str:
-    """Return an error in one line that is not too long: those of YAML quote what they are about."""
-    problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
-    where = f" in line {mark.line + 1}" if mark is not None else ""
-    text = " ".join(str(problem or error).split())
-    return (text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...") + where
 
 
 def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) -> None:
@@ -147,10 +139,9 @@ def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], 
         "custom_data": {},
         "ros_distro": distro,
     }
-    yaml = _yaml("safe")
+    yaml = yaml_of("safe")
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False
-    yaml.width = 1 << 30
     out = StringIO()
     yaml.dump({_ROOT: info}, out)
     return out.getvalue()
@@ -161,7 +152,9 @@ def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
     metadata = topic.definition.metadata
     qos: Any = metadata.get("offered_qos_profiles", "")
     if "history: keep" in qos or "history: system" in qos or "history: unknown" in qos:
-        qos = _yaml("safe").load(qos)
+        # a text that is none stays one
+        with suppress(ValueError):
+            qos = load_plain(qos)
     entry = {
         "name": topic.name,
         "type": topic.definition.name,
@@ -183,24 +176,4 @@ def _extend(span: dict[str, Any], start_ns: int, end_ns: int) -> None:
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Any:
     """Return a YAML document with its comments and quotes; one that is read and then edited is parsed once."""
-    return _faithful().load(text)
-
-
-def _faithful() -> Any:
-    yaml = _yaml("rt")
-    yaml.preserve_quotes = True
-    yaml.width = 1 << 30
-    return yaml
-
-
-def _yaml(kind: str) -> Any:
-    # Heavy, and needed for directories only.
-    from ruamel.yaml import YAML  # noqa: PLC0415
-
-    return YAML(typ=kind)
-
-
-def _yaml_error() -> type[Exception]:
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
-
-    return YAMLError
+    return load_faithful(text)

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
 from odomcorrupt.bags.rosbag2.metadata import read_info
 from odomcorrupt.errors import BagError
 
@@ -33,35 +34,74 @@ def find_files(directory: Path) -> BagFiles:
     Raises
     ------
     BagError
-        Where there are none, or they are compressed as a whole or message by message.
+        Where there are none, they are compressed as a whole or message by message, one is there twice, or they are not
+        of one recording.
 
     """
     metadata = directory / "metadata.yaml"
-    if metadata.exists():
-        info = read_info(metadata)
-        mode = str(info.get("compression_mode") or "none").lower()
-        if mode != "none":
+    found = _listed(directory, metadata) if metadata.exists() else BagFiles(_named(directory), None)
+    seen: dict[tuple[int, int], str] = {}
+    for file in found.files:
+        if not file.is_file():
+            raise BagError(f"{file}: is no file (a directory, pipe or device); restore it")
+        same = file.stat().st_dev, file.stat().st_ino
+        if same in seen:
             raise BagError(
-                f"{directory}: is compressed {mode} by {mode} ({info.get('compression_format')}); `ros2 bag convert` "
-                "can undo that"
+                f"{directory}: {file.name} is the same file as {seen[same]}: every message would be there twice; "
+                "remove the link, or the second entry of metadata.yaml"
             )
-        # Old versions put the directory's own name before the files'.
-        files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
-        missing = [file.name for file in files if not file.exists()]
-        if missing or not files:
-            raise BagError(f"{metadata}: lists {', '.join(missing) or 'no file'}, which is not there; restore it")
-        return BagFiles(files, metadata.read_text(encoding="utf8"))
-    names = sorted(
-        directory.iterdir(), key=lambda path: [int(x) if x.isdigit() else x for x in _PARTS.split(path.name)]
-    )
-    for suffix in (".db3", ".mcap"):
-        files = [path for path in names if path.suffix == suffix]
-        if files:
-            return BagFiles(files, None)
+        seen[same] = file.name
+    return found
+
+
+def _listed(directory: Path, metadata: Path) -> BagFiles:
+    """Return the files that a metadata.yaml lists."""
+    info = read_info(metadata)
+    mode = str(info.get("compression_mode") or "none").lower()
+    if mode != "none":
+        raise BagError(
+            f"{directory}: is compressed {mode} by {mode} ({info.get('compression_format')}); `ros2 bag convert` "
+            "can undo that"
+        )
+    # Old versions put the directory's own name before the files'.
+    files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
+    missing = [file.name for file in files if not file.exists()]
+    if missing or not files:
+        raise BagError(f"{metadata}: lists {', '.join(missing) or 'no file'}, which is not there; restore it")
+    return BagFiles(files, read_text(metadata))
+
+
+def _named(directory: Path) -> list[Path]:
+    """Return the files of a directory without metadata.yaml, where their names say that they are one recording."""
+    visible = [path for path in directory.iterdir() if not path.name.startswith(".")]
+    names = sorted(visible, key=lambda path: [int(x) if x.isdecimal() else x for x in _PARTS.split(path.name)])
+    files = [path for path in names if path.suffix in (".db3", ".mcap")]
+    if files:
+        if not _is_one_recording(files):
+            held = ", ".join(path.name for path in files[:_SHOWN]) + (", ..." if len(files) > _SHOWN else "")
+            raise BagError(
+                f"{directory}: has no metadata.yaml, and holds {len(files)} bags that are not evidently parts of one "
+                f"recording ({held}); name one of them"
+            )
+        return files
     packed = [path.name for path in names if path.suffix in (".zstd", ".zst")]
     if packed:
         raise BagError(f"{directory}: {packed[0]} is compressed as a whole; decompress it first (`zstd -d`)")
-    raise BagError(f"{directory}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files)")
+    ros1 = [path.name for path in names if path.suffix == ".bag"]
+    more = f"; it holds {ros1[0]}, name that" if ros1 else ""
+    raise BagError(f"{directory}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files){more}")
 
 
-_PARTS = re.compile(r"(\d+)")
+def _is_one_recording(files: list[Path]) -> bool:
+    """Whether names differ in their last number alone, which counts, as rosbag2 names what it splits."""
+    if len(files) == 1:
+        return True
+    parts = [_COUNTED.fullmatch(path.name) for path in files]
+    names = {(part["stem"], part["suffix"]) for part in parts if part}
+    numbers = [int(part["number"]) for part in parts if part]
+    return all(parts) and len(names) == 1 and numbers == list(range(numbers[0], numbers[0] + len(files)))
+
+
+_PARTS = re.compile(r"([0-9]{1,18})")
+_COUNTED = re.compile(r"(?P<stem>.*?)(?P<number>[0-9]{1,18})(?P<suffix>\.[a-z0-9]+)")
+_SHOWN = 6

@@ -36,7 +36,7 @@ class Rosbag2Reader:
 
     complete = True
 
-    def __init__(self, path: Path, *, recover: bool = False) -> None:
+    def __init__(self, path: Path, *, recover: bool = False, threads: int = 1) -> None:
         self.name = str(path)
         found = find_files(path) if path.is_dir() else BagFiles([path], None)
         self.directory = path if path.is_dir() else None
@@ -45,7 +45,7 @@ class Rosbag2Reader:
         self.parts: list[SqliteReader | McapReader] = []
         with ExitStack() as opened:
             for file in found.files:
-                self.parts.append(open_part(file, recover=recover))
+                self.parts.append(open_part(file, recover=recover, threads=threads))
                 opened.push(self.parts[-1])
             self.kind: Kind = self.parts[0].kind
             if any(part.kind != self.kind for part in self.parts):
@@ -66,6 +66,11 @@ class Rosbag2Reader:
     def losses(self) -> list[str]:
         """What could not be read of the files, one sentence each."""
         return [loss for part in self.parts for loss in part.losses]
+
+    @property
+    def count(self) -> int:
+        """How many messages the last pass has given."""
+        return sum(part.count for part in self.parts)
 
     @property
     def part_read(self) -> float | None:
@@ -117,13 +122,13 @@ class Rosbag2Reader:
             part.__exit__(kind, error, trace)
 
 
-def open_part(path: Path, *, recover: bool = False) -> SqliteReader | McapReader:
+def open_part(path: Path, *, recover: bool = False, threads: int = 1) -> SqliteReader | McapReader:
     """Open a file of a bag, by its content."""
     source = Source.of_file(path)
     try:
         begin = source.sniff(16)
         if begin.startswith(magic.MCAP):
-            return McapReader(path, source, recover=recover)
+            return McapReader(path, source, recover=recover, threads=threads)
     except BaseException:
         source.close()
         raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import sqlite3
 from contextlib import closing
 from dataclasses import dataclass
@@ -23,9 +24,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["SqliteFraming", "SqliteReader"]
+__all__ = ["SqliteFraming", "SqliteReader", "kept"]
 
 _BATCH_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 22
+_LARGE_BYTES = 1 << 16
+
+
+def kept(message: Any) -> bytes:
+    """Return what tells a message from every other one: itself, or of a large one its hash."""
+    large = len(message) > _LARGE_BYTES
+    return hashlib.blake2b(message, digest_size=32).digest() if large else bytes(message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +42,8 @@ class SqliteFraming:
     """How a block stood in its file.
 
     rows : (n,) row ids of the messages
-    before : the messages as they were read, to tell which were changed; None of one that was not read
+    before : the messages as they were read, to tell which were changed, large ones as `kept` makes them; None of one
+        that was not read
     """
 
     rows: NDArray[np.int64]
@@ -47,6 +57,7 @@ class SqliteReader:
     damaged : whether sqlite3 finds fault with it; looked at where recovery was asked for
     losses : what could not be read, one sentence each, where recovery was asked for
     lost_rows : row ids of messages that are told of as lost
+    count : messages that the last pass has given
     """
 
     kind: Kind = "sqlite3"
@@ -58,6 +69,7 @@ class SqliteReader:
         self.paths = [path]
         self.losses: list[str] = []
         self.lost_rows: list[int] = []
+        self.count = 0
         self._recover = recover
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
@@ -84,6 +96,7 @@ class SqliteReader:
         """
         self.losses.clear()
         self.lost_rows.clear()
+        self.count = 0
         with (
             reported(self.path, recover=self._recover),
             closing(read_only(self.readable, whole=not self._recover)) as connection,
@@ -91,16 +104,22 @@ class SqliteReader:
             rows: list[int] = []
             of: list[int] = []
             times_ns: list[int] = []
-            data: list[bytes | None] = []
+            data: list[bytes | bytearray | None] = []
             size = 0
             last = -(1 << 63)
-            for row, channel, log_ns, blob in self._rows(connection, only):
+            for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
                     # Pages that point at each other could be read for ever.
                     raise BagError(f"{self.path}: message {row} comes behind message {last}; the bag is damaged")
                 last = row
-                unread = blob is None and only is not None and channel not in only
-                if not (unread or isinstance(blob, bytes)) or channel not in self.channels or type(log_ns) is not int:
+                unread = only is not None and channel not in only and blob is None
+                if large and not unread and channel in self.channels:
+                    blob = _read_large(connection, row, large)  # noqa: PLW2901 - it is what the row has
+                if (
+                    not (unread or isinstance(blob, bytes | bytearray))
+                    or channel not in self.channels
+                    or type(log_ns) is not int
+                ):
                     self._lose(f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged")
                     self.lost_rows.append(row)
                     continue
@@ -109,9 +128,13 @@ class SqliteReader:
                 times_ns.append(log_ns)
                 data.append(blob)
                 size += 0 if unread else len(blob)
+                self.count += 1
+                blob = None  # noqa: PLW2901 - whoever takes the block has it alone
                 if size >= _BATCH_BYTES:
-                    yield _block(rows, of, times_ns, data)
+                    block = _block(rows, of, times_ns, data)
                     rows, of, times_ns, data, size = [], [], [], [], 0
+                    yield block
+                    del block
             if rows:
                 yield _block(rows, of, times_ns, data)
 
@@ -123,14 +146,14 @@ class SqliteReader:
 
     def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> Iterator[tuple[Any, ...]]:
         if self.damaged:
-            return salvaged_rows(connection, str(self.path), self.losses)
-        if only is None:
-            return connection.execute("SELECT rowid, topic_id, timestamp, data FROM messages ORDER BY rowid")
-        wanted = [one for one in self.channels if one in only]
+            return ((*row, 0) for row in salvaged_rows(connection, str(self.path), self.losses))
+        wanted = list(self.channels) if only is None else [one for one in self.channels if one in only]
+        ours = "1" if only is None else f"topic_id IN ({', '.join('?' * len(wanted))})"
+        small = f"typeof(data) != 'blob' OR length(data) <= {_PIECE_BYTES}"
         return connection.execute(
-            f"SELECT rowid, topic_id, timestamp, CASE WHEN topic_id IN ({', '.join('?' * len(wanted))}) THEN data END "  # noqa: S608 - question marks alone
-            "FROM messages ORDER BY rowid",
-            wanted,
+            f"SELECT rowid, topic_id, timestamp, CASE WHEN {ours} AND ({small}) THEN data END, "  # noqa: S608 - question marks alone
+            f"CASE WHEN {small} THEN 0 ELSE length(data) END FROM messages ORDER BY rowid",
+            [] if only is None else wanted,
         )
 
     def __enter__(self) -> Self:
@@ -143,13 +166,25 @@ class SqliteReader:
             self._whole.close()
 
 
-def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes | None]) -> Block:
+def _read_large(connection: sqlite3.Connection, row: int, size: int) -> bytearray:
+    """Return a message piece by piece: at once it would be in memory three times."""
+    out = bytearray(size)
+    with connection.blobopen("messages", "data", row, readonly=True) as blob:
+        for at in range(0, size, _PIECE_BYTES):
+            out[at : at + _PIECE_BYTES] = blob.read(_PIECE_BYTES)
+    return out
+
+
+def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes | bytearray | None]) -> Block:
     table = np.empty(len(rows), dtype=TABLE)
     table["channel"], table["log_ns"] = of, times_ns
     table["length"] = [0 if blob is None else len(blob) for blob in data]
     table["offset"] = np.cumsum(table["length"]) - table["length"]
-    joined = np.frombuffer(bytearray().join(blob for blob in data if blob is not None), dtype=np.uint8)
-    return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), data))
+    read = [blob for blob in data if blob is not None]
+    alone = read[0] if len(read) == 1 and isinstance(read[0], bytearray) else bytearray().join(read)
+    joined = np.frombuffer(alone, dtype=np.uint8)
+    before = [None if blob is None else kept(blob) for blob in data]
+    return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), before))
 
 
 def _sound(connection: sqlite3.Connection) -> bool:

@@ -6,22 +6,22 @@ import os
 import shutil
 import sqlite3
 from contextlib import closing, suppress
-from typing import TYPE_CHECKING, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
 from odomcorrupt.bags.derive_definition import retyped
-from odomcorrupt.bags.output import beside
-from odomcorrupt.bags.rosbag2.database import columns, has_log, read_only, reported
+from odomcorrupt.bags.placement import beside, place, remove, sweep
+from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.bags.rosbag2.salvage import copy_tables
-from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, kept
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
     from types import TracebackType
 
     from odomcorrupt.bags.block import Block
@@ -35,17 +35,21 @@ _AT_ONCE_BYTES = 1 << 30
 class SqliteWriter:
     """One .db3 file being written.
 
+    overwrite : whether it may replace a file
     keeps_rest : what is never passed to `write` is there all the same
     """
 
-    def __init__(self, path: Path, reader: SqliteReader) -> None:
-        self._path = path
-        self._partial = beside(path)
+    def __init__(self, path: Path, reader: SqliteReader, *, overwrite: bool = False) -> None:
+        self._path = Path(os.path.realpath(path))
+        self._partial = beside(self._path)
+        self._overwrite = overwrite
         self._reader = reader
         self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
         self._open: sqlite3.Connection | None = None
         self._journal = ""
+        self._expected: dict[int, tuple[int, int]] = {}
+        self._changes = 0
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
         """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
@@ -89,7 +93,7 @@ class SqliteWriter:
                 # What cannot be understood stays as it is.
                 with suppress(BagError, UnicodeDecodeError):
                     new = edited((raw or b"").decode(), lambda info: add_provenance(info, name, items))
-                    self._connection.execute("UPDATE metadata SET metadata = ? WHERE rowid = ?", (new, row))
+                    self._change("UPDATE metadata SET metadata = ? WHERE rowid = ?", [(new, row)])
 
     def write(self, block: Block) -> None:
         """Update the messages of a block that changed, and insert its added ones."""
@@ -102,25 +106,42 @@ class SqliteWriter:
         read = np.flatnonzero(block.table["length"])
         spans = zip(block.table["offset"][read].tolist(), block.table["length"][read].tolist(), strict=True)
         for at, row, (offset, length) in zip(read.tolist(), framing.rows[read].tolist(), spans, strict=True):
-            if (now := data[offset : offset + length].tobytes()) != framing.before[at]:
-                changed.append((now, row))
+            now = data[offset : offset + length]
+            if kept(now) != framing.before[at]:
+                changed.append((now.tobytes(), row))
         with reported(self._path, writing=True):
             if self._reader.damaged:
                 self._insert_all(block, framing)
             else:
-                self._connection.executemany("UPDATE messages SET data = ? WHERE rowid = ?", changed)
-            self._connection.executemany(
+                self._change("UPDATE messages SET data = ? WHERE rowid = ?", changed)
+            self._change(
                 "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
                 [(one.channel, one.log_ns, one.data) for one in block.added],
             )
+        for one in block.added:
+            self._expect(one.channel, len(one.data))
+
+    def _change(self, statement: str, rows: list[Any]) -> None:
+        """Change as many rows as are given."""
+        self._connection.executemany(statement, rows)
+        self._changes += len(rows)
+
+    def _expect(self, topic: int, size: int, count: int = 1) -> None:
+        known = self._expected.get(topic, (0, 0))
+        self._expected[topic] = (known[0] + count, known[1] + size)
 
     def _insert_all(self, block: Block, framing: SqliteFraming) -> None:
         """Put a block's messages into a file that is made anew."""
-        for row, (channel, log_ns, offset, length) in zip(framing.rows.tolist(), block.table.tolist(), strict=True):
-            self._connection.execute(
-                "INSERT INTO messages (rowid, topic_id, timestamp, data) VALUES (?, ?, ?, ?)",
-                (row, channel, log_ns, block.data[offset : offset + length].tobytes()),
-            )
+        rows = list(zip(framing.rows.tolist(), block.table.tolist(), strict=True))
+        self._change(
+            "INSERT INTO messages (rowid, topic_id, timestamp, data) VALUES (?, ?, ?, ?)",
+            [(row, one[0], one[1], block.data[one[2] : one[2] + one[3]].tobytes()) for row, one in rows],
+        )
+        for _, (channel, _, _, length) in rows:
+            self._expect(channel, length)
+
+    def settle(self) -> None:
+        """Wait for nothing: rows are written at once."""
 
     def contents(self) -> PartContents:
         """Count what the file holds by now."""
@@ -142,7 +163,7 @@ class SqliteWriter:
         known = [name for name in columns(self._connection, table) if name in values]
         marks = ", ".join("?" for _ in known)
         statement = f"INSERT INTO {table} ({', '.join(known)}) VALUES ({marks})"  # noqa: S608 - all names are ours
-        self._connection.execute(statement, [values[name] for name in known])
+        self._change(statement, [[values[name] for name in known]])
 
     def _defines(self, msgtype: str) -> bool:
         query = "SELECT 1 FROM message_definitions WHERE topic_type = ?"
@@ -160,6 +181,10 @@ class SqliteWriter:
         return self
 
     def _begin(self) -> None:
+        sweep(self._path.parent, self._path.name)
+        if not self._reader.damaged:
+            with reported(self._reader.path), closing(read_only(self._reader.readable, whole=False)) as source:
+                self._expected = count_messages(source)
         if self._reader.damaged:
             with (
                 closing(read_only(self._reader.readable, whole=False)) as source,
@@ -177,28 +202,40 @@ class SqliteWriter:
         # No journal: on any failure the whole file goes.
         for pragma in ("journal_mode = DELETE", "journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
             self._connection.execute(f"PRAGMA {pragma}").fetchall()
+        harden(self._connection)
         self._connection.execute("BEGIN")
 
     def _drop_lost(self) -> None:
         """Leave out of a copy what was told of as lost: without recovery nobody could read it."""
-        rows = [(row,) for row in self._reader.lost_rows]
-        self._connection.executemany("DELETE FROM messages WHERE rowid = ?", rows)
+        for row in self._reader.lost_rows:
+            query = "SELECT topic_id, length(data) FROM messages WHERE rowid = ?"
+            for topic, size in self._connection.execute(query, (row,)).fetchall():
+                self._change("DELETE FROM messages WHERE rowid = ?", [(row,)])
+                self._expect(topic, -(size or 0), -1)
+
+    def _require_all(self) -> None:
+        """Refuse a file in which other rows changed than were to change."""
+        done = self._connection.total_changes
+        expected = {topic: seen for topic, seen in self._expected.items() if seen != (0, 0)}
+        if done != self._changes or count_messages(self._connection) != expected:
+            raise BagError(
+                f"{self._path}: {self._changes} rows were to change and {done} did, or messages are missing that were "
+                "not to be touched; the output is not kept, the input has a schema of its own"
+            )
 
     def _finish(self) -> None:
         self._drop_lost()
+        self._require_all()
         self._connection.execute("COMMIT")
         if self._journal == "wal":
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
         self._connection.close()
-        with self._partial.open("rb") as stream:
-            os.fsync(stream.fileno())
-        self._partial.replace(self._path)
+        place(self._partial, self._path, overwrite=self._overwrite)
 
     def _discard(self) -> None:
         if self._open is not None:
             self._open.close()
-        for leftover in self._path.parent.glob(f"{self._partial.name}*"):
-            leftover.unlink()
+        remove(self._partial)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.derive_definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter
-from odomcorrupt.bags.output import Output, beside
+from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.placement import beside, place, sweep
 from odomcorrupt.bags.rosbag2.metadata import Addition, TopicInfo, add_provenance, added, edited, generated
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
@@ -19,10 +22,10 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
     from types import TracebackType
 
     from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
 __all__ = ["Rosbag2Writer"]
@@ -31,10 +34,21 @@ __all__ = ["Rosbag2Writer"]
 class Rosbag2Writer:
     """A directory being written beside its final name, with the files of the reader's bag."""
 
-    def __init__(self, path: Path, reader: Rosbag2Reader, codec: str | None = None, level: int | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        reader: Rosbag2Reader,
+        codec: str | None = None,
+        level: int | None = None,
+        *,
+        overwrite: bool = False,
+        workers: Workers | None = None,
+    ) -> None:
+        self._workers = workers
         self.keeps_rest = all(isinstance(part, SqliteReader) and not part.damaged for part in reader.parts)
-        self._path = path
-        self._partial = beside(path)
+        self._path = Path(os.path.realpath(path))
+        self._partial = beside(self._path)
+        self._overwrite = overwrite
         self._reader = reader
         self._codec = codec
         self._level = level
@@ -70,7 +84,12 @@ class Rosbag2Writer:
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
-        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends, crcs=block.crcs))
+        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        for writer in self._writers:
+            writer.settle()
 
     def _described(self, channel: int) -> TopicInfo:
         if channel in self._fresh:
@@ -107,6 +126,7 @@ class Rosbag2Writer:
 
     def __enter__(self) -> Self:
         try:
+            sweep(self._path.parent, self._path.name)
             self._partial.mkdir()
         except OSError as error:
             raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
@@ -125,7 +145,7 @@ class Rosbag2Writer:
     def _writer(self, part: McapReader | SqliteReader) -> SqliteWriter | McapWriter:
         target = self._partial / part.paths[0].name
         if isinstance(part, McapReader):
-            return McapWriter(Output(target), part, self._codec, self._level)
+            return McapWriter(Output(target), part, self._codec, self._level, workers=self._workers)
         return SqliteWriter(target, part)
 
     def __exit__(
@@ -137,17 +157,7 @@ class Rosbag2Writer:
                 return
             with self._stack:
                 (self._partial / "metadata.yaml").write_text(self._metadata(), encoding="utf8")
-            self._commit()
+            place(self._partial, self._path, overwrite=self._overwrite)
         finally:
             if self._partial.exists():
                 shutil.rmtree(self._partial)
-
-    def _commit(self) -> None:
-        """Make the directory appear under its name, in the place of an older one."""
-        if not self._path.exists():
-            self._partial.replace(self._path)
-            return
-        older = beside(self._path)
-        self._path.replace(older)
-        self._partial.replace(self._path)
-        shutil.rmtree(older)

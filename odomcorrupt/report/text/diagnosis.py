@@ -86,14 +86,18 @@ def _event_line(one: Event) -> str:
         if abs(value) > least
     )
     lasts_s = max(one.end_s - one.start_s, 1e-3)
-    rates = ((c, -v / lasts_s) for c, v in (("along", one.along_m), ("across", one.across_m), ("yaw", one.yaw_rad)))
-    during = f"where(t > {one.start_s:.1f}, where(t < {one.end_s:.1f}, 1, 0), 0)"
-    expression = "; ".join(f"{channel} += {rate:.3g} * {during}" for channel, rate in rates)
+    push = ",".join(
+        f"{name}={value:.4g}"
+        for name, value in (
+            ("along", -one.along_m), ("across", -one.across_m), ("yaw", -one.yaw_rad), ("time", one.start_s),
+            ("duration", lasts_s),
+        )
+    )  # fmt: skip
     x, y = one.place_xy
     return (
         f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
         f"moved {moved or 'hardly'}, and odometry does not know of it (a push, a lift, a bump); left out of the fit. "
-        f"To corrupt with it: {expression}"
+        f"To corrupt with it: --effect push:{push}"
     )
 
 

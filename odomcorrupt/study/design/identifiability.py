@@ -131,7 +131,13 @@ def untried(learned: Learned) -> list[Untestable]:
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
     found = []
     for name, kind in registry().items():
-        if name in have or kind.kind == "noise" or kind.clock or kind.twin_of is not None or kind.needs_sideways:
+        if (
+            name in have
+            or kind.kind in ("noise", "event")
+            or kind.clock
+            or kind.twin_of is not None
+            or kind.needs_sideways
+        ):
             continue
         hint = kind.about.drive if kind.about else ""
         if kind.needs_track and not track:

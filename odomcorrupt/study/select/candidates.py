@@ -70,7 +70,7 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
         kind
         for name, kind in registry().items()
         if name not in have
-        and kind.kind != "noise"
+        and kind.kind not in ("noise", "event")
         and not kind.clock
         and kind.twin_of is None
         and (sideways or not kind.needs_sideways)

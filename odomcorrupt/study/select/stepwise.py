@@ -70,9 +70,7 @@ class Step:
     @property
     def name(self) -> str | None:
         """What was included: the name of an effect, or what depends on what; None if nothing was."""
-        if self.dependence is None:
-            return self.added
-        return f"{self.dependence.channel} over {self.dependence.regressor}"
+        return self.added if self.dependence is None else self.dependence.title
 
     @property
     def alternatives(self) -> tuple[str, ...]:

@@ -1,0 +1,58 @@
+"""How much may come out of compressed chunks: a bag of a few kilobytes must not take a machine's memory or an hour."""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+
+from odomcorrupt.errors import BagError
+
+__all__ = ["VARIABLE", "Budget"]
+
+VARIABLE = "ODOMCORRUPT_UNPACK_GIB"
+"""Environment variable that sets the allowance of a chunk and of a bag, GiB."""
+
+_TIMES = 1000
+"""What a bag may unpack to, in its own size, beyond the allowance; recorders reach 2 to 50, black images a thousand."""
+
+
+class Budget:
+    """What may still come out of a bag's chunks in one pass."""
+
+    def __init__(self) -> None:
+        self._packed = self._unpacked = 0
+
+    @cached_property
+    def allowance(self) -> int:
+        """Bytes that any chunk, and any bag, may unpack to; 1 GiB unless the environment says otherwise."""
+        text = os.environ.get(VARIABLE, "1")
+        try:
+            return int(float(text) * (1 << 30))
+        except (ValueError, OverflowError) as error:
+            raise BagError(f"{VARIABLE}: is {text!r}; write a number of GiB") from error
+
+    def require_chunk(self, size: int, what: str) -> None:
+        """Refuse a chunk that says it becomes too large."""
+        if size > self.allowance:
+            raise BagError(
+                f"{what}: says it unpacks to {size} bytes, more than the {self.allowance} that a chunk may; it is "
+                f"damaged, or to be recorded again in smaller chunks; {VARIABLE}=N allows N GiB"
+            )
+
+    def read(self, size: int) -> None:
+        """Note compressed bytes, which allow for more."""
+        self._packed += size
+
+    def take(self, size: int, what: str) -> None:
+        """Note what came out of a chunk; BagError where that is too much."""
+        self._unpacked += size
+        if self.left <= 0:
+            raise BagError(
+                f"{what}: with it {self._unpacked} bytes have come out of {self._packed}, which no recording packs so "
+                f"small; {VARIABLE}=N allows N GiB"
+            )
+
+    @property
+    def left(self) -> int:
+        """How many bytes may still come out."""
+        return self.allowance + _TIMES * self._packed - self._unpacked

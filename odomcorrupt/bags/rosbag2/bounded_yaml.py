@@ -1,0 +1,152 @@
+"""YAML of strangers: plain data of a bounded size, checked event by event before anything is constructed."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+__all__ = ["load_faithful", "load_plain", "read_text", "yaml_of", "yaml_problem"]
+
+LARGEST_BYTES = 4 << 20
+LARGEST_NODES = 50_000
+"""Two thousand topics; the parser takes 20 us for each."""
+DEEPEST = 24
+LONGEST_S = 20.0
+"""CPU time."""
+_SHOWN = 200
+"""Characters of a problem that are told."""
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a small file; BagError where it is none: a pipe or device would be waited for."""
+    if not path.is_file():
+        raise BagError(f"{path}: is no file (a directory, pipe or device); restore it")
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(LARGEST_BYTES + 1)
+        if len(data) > LARGEST_BYTES:
+            raise BagError(f"{path}: has more than {LARGEST_BYTES} bytes, which no recorder writes")
+        return data.decode()
+    except (OSError, UnicodeDecodeError) as error:
+        if isinstance(error, BagError):
+            raise
+        raise BagError(f"{path}: cannot be read: {_shown(error)}") from error
+
+
+def load_plain(text: str) -> Any:
+    """Return a YAML text as dicts, lists, strings and numbers; ValueError where it is none, or more than is bounded."""
+    return _loaded(text, "safe")
+
+
+def load_faithful(text: str) -> Any:
+    """Return the same with its comments and quotes, to be changed and written again."""
+    return _loaded(text, "rt")
+
+
+def yaml_of(kind: str) -> Any:
+    """Return a YAML reader and writer; lines are never folded."""
+    # Heavy, and needed for directories only.
+    from ruamel.yaml import YAML  # noqa: PLC0415
+
+    yaml = YAML(typ=kind, pure=True)
+    yaml.preserve_quotes = True
+    yaml.width = 1 << 30
+    return yaml
+
+
+def yaml_problem(error: Exception) -> str:
+    """Return an error in one line that is not too long: those of YAML quote what they are about."""
+    mark = getattr(error, "problem_mark", None)
+    where = f" in line {mark.line + 1}" if mark is not None else ""
+    return _shown(getattr(error, "problem", None) or error) + where
+
+
+def _shown(problem: object) -> str:
+    strerror = getattr(problem, "strerror", None)
+    text = " ".join(str(strerror or problem).split())
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+
+
+def _loaded(text: str, kind: str) -> Any:
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - as above
+
+    if len(text) > LARGEST_BYTES:
+        raise ValueError(f"it has more than {LARGEST_BYTES} bytes")
+    try:
+        _require_bounded(yaml_of(kind).parse(text))
+        return yaml_of(kind).load(text)
+    except (YAMLError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise ValueError(yaml_problem(error)) from error
+
+
+def _require_bounded(events: Any) -> None:
+    """Raise ValueError where a document is too deep, too large with its aliases written out, or has keys of many parts.
+
+    events : of the YAML parser
+    """
+    from ruamel.yaml import events as kinds  # noqa: PLC0415 - as above
+
+    begun, bounds = time.thread_time(), _Bounds()
+    for event in events:
+        if isinstance(event, kinds.SequenceEndEvent | kinds.MappingEndEvent):
+            bounds.close()
+        elif isinstance(event, kinds.AliasEvent):
+            bounds.add(event.anchor, alias=True)
+        elif isinstance(event, kinds.CollectionStartEvent):
+            bounds.open(event.anchor, mapping=isinstance(event, kinds.MappingStartEvent))
+        elif isinstance(event, kinds.ScalarEvent):
+            bounds.add(event.anchor)
+        if time.thread_time() - begun > LONGEST_S:
+            raise ValueError(f"it takes more than {LONGEST_S:.0f} s to read")
+
+
+class _Open(NamedTuple):
+    """A list or map that is being read; `nodes` is how many there were before it."""
+
+    mapping: bool
+    anchor: str | None
+    nodes: int
+
+
+class _Bounds:
+    """Counts the nodes of a document, those that aliases stand for each time."""
+
+    def __init__(self) -> None:
+        self._nodes = 0
+        self._sizes: dict[str, int] = {}
+        self._open: list[_Open] = []
+        self._children = [0]
+
+    def add(self, anchor: str | None, *, alias: bool = False) -> None:
+        """Count a scalar, or what an alias stands for."""
+        if alias and anchor not in self._sizes:
+            raise ValueError(f"*{anchor} stands for what it is part of, or for nothing")
+        size = self._sizes[str(anchor)] if alias else 0
+        if anchor is not None and not alias:
+            self._sizes[anchor] = 0
+        self._children[-1] += 1
+        self._nodes += 1 + size
+        if self._nodes > LARGEST_NODES:
+            raise ValueError(f"it has more than {LARGEST_NODES} entries")
+
+    def open(self, anchor: str | None, *, mapping: bool) -> None:
+        """Begin a list or map."""
+        if self._open and self._open[-1].mapping and self._children[-1] % 2 == 0:
+            raise ValueError("a key is a list or a map")
+        self.add(None)
+        self._open.append(_Open(mapping, anchor, self._nodes))
+        self._children.append(0)
+        if len(self._open) > DEEPEST:
+            raise ValueError(f"it is nested more than {DEEPEST} levels deep")
+
+    def close(self) -> None:
+        """End a list or map."""
+        done = self._open.pop()
+        self._children.pop()
+        if done.anchor is not None:
+            self._sizes[done.anchor] = self._nodes - done.nodes

@@ -1,0 +1,136 @@
+"""odomcorrupt score: what the drift of a batch does to somebody's localisation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt.commands._output import refuse_existing, write_text
+from odomcorrupt.commands._param_types import Number
+from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
+
+__all__ = ["command"]
+
+_FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+@click.command("score", short_help="Score a localisation over the runs of a batch; a gate for CI.")
+@click.argument(
+    "runs", metavar="RUNS...", nargs=-1, required=True, type=click.Path(exists=True, file_okay=False, path_type=Path)
+)
+@click.option("--estimate", metavar="TOPIC", help="Topic of the estimate, or an edge of TF as /tf:map.base_link.")
+@click.option(
+    "--outputs",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    help="Where the estimates are: bags, TUM or CSV files named after the runs. [default: beside the runs]",
+)
+@click.option("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
+@click.option(
+    "--truth-bag", "truth_file", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth."
+)
+@click.option(
+    "--align",
+    type=click.Choice(["rigid", "origin", "none"]),
+    default="rigid",
+    help="Best fit of positions, equal first poses, or as recorded. [default: rigid]",
+)
+@click.option("--lost", "lost_m", type=Number("metres", 0.0, 1e6), default=1.0, help="Lost beyond. [default: 1]")
+@click.option(
+    "--lost-for", "lost_s", type=Number("seconds", 0.0, 1e6), default=10.0, help="Or until the end. [default: 10]"
+)
+@click.option("--jump", "jump_m", type=Number("metres", 0.0, 1e6), default=0.5, help="A jump from. [default: 0.5]")
+@click.option("--count-missing", is_flag=True, help="Runs without a whole output are failures, too.")
+@click.option("--baseline", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="An earlier --save.")
+@click.option(
+    "--fail-if", "rules", multiple=True, metavar="RULE",
+    help='Exit with 1 where it holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
+)  # fmt: skip
+@click.option("--each", is_flag=True, help="A line for every run, not only for those that failed.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@click.option("--save", type=_FILE, help="Write the result as JSON: a baseline for later.")
+@click.option("--report", type=_FILE, help="Write all of it as one page of HTML.")
+@click.option("-o", "--output", type=_FILE, help="Picture to write: png, svg or pdf.")
+@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
+def command(runs: tuple[Path, ...], **given: Any) -> int:
+    """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
+
+    Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
+    """
+    from odomcorrupt.scoring.errors import Limits
+    from odomcorrupt.scoring.gate import check, parse_rule
+    from odomcorrupt.scoring.run import score
+
+    _refuse(given)
+    for rule in given["rules"]:
+        parse_rule(rule)
+    baseline = None if given["baseline"] is None else _baseline(given["baseline"])
+    report = score(
+        list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"], outputs=given["outputs"],
+        align=given["align"], limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
+        count_missing=given["count_missing"],
+    )  # fmt: skip
+    verdicts: list[Verdict] = []
+    if given["rules"]:
+        from odomcorrupt.report.json.score import score_json
+
+        verdicts = check(score_json(report), given["rules"], baseline)
+    _tell(report, verdicts, given)
+    return 1 if any(verdict.failed for verdict in verdicts) else 0
+
+
+def _refuse(given: dict[str, Any]) -> None:
+    """Raise before any work where an output could not be written."""
+    output = given["output"]
+    if output is not None and picture_kind(output) is None:
+        raise click.UsageError(f"{output}: no kind of picture; name it .{', '.join(PICTURES)}")
+    if given["baseline"] is not None and not given["rules"]:
+        raise click.UsageError('--baseline: is for a gate; say what must not rise, as in --fail-if "ate_p90 +20%"')
+    if output is not None or given["report"] is not None:
+        need_pictures()
+    for path in (output, given["report"], given["save"]):
+        refuse_existing(path, overwrite=given["overwrite"])
+
+
+def _baseline(path: Path) -> dict[str, Any]:
+    import json
+
+    from odomcorrupt.scoring.errors import ScoreError
+
+    try:
+        table = json.loads(path.read_text(encoding="utf8"))
+    except (OSError, ValueError) as error:
+        raise ScoreError(f"{path}: is no JSON; make a baseline with odomcorrupt score ... --save") from error
+    if not isinstance(table, dict) or "runs" not in table:
+        raise ScoreError(f"{path}: is no result of score; make a baseline with odomcorrupt score ... --save")
+    return table
+
+
+def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any]) -> None:
+    import json
+
+    from odomcorrupt import __version__
+    from odomcorrupt.report.json.score import score_json
+    from odomcorrupt.report.text.score import score_text
+
+    text = json.dumps(score_json(report, verdicts), indent=1, allow_nan=False)
+    click.echo(text if given["as_json"] else score_text(report, every=given["each"]))
+    for verdict in verdicts:
+        click.echo(verdict.sentence + ".", err=given["as_json"])
+    if given["save"] is not None:
+        write_text(given["save"], text + "\n")
+        click.echo(f"wrote {given['save']}", err=True)
+    if given["report"] is not None:
+        from odomcorrupt.report.html.score import score_html
+
+        write_text(given["report"], score_html(report, verdicts, version=__version__))
+        click.echo(f"wrote {given['report']}", err=True)
+    if given["output"] is not None:
+        from odomcorrupt.report.plots.score import draw_score
+
+        save_picture(given["output"], draw_score(report))

@@ -1,0 +1,59 @@
+"""Odometry gets stuck on its way to whoever stamps it, and arrives late in one burst."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.event_window import time_parameter
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+
+_BURST = 1e-3
+"""A burst takes this part of the time that it was stuck for: stamps still grow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latency(Effect):
+    """On a bag: stamps between time and time + delay move to the end of that stretch, close behind each other.
+
+    Poses are right and their stamps are not: a localisation that pairs them with its laser takes poses of before for
+    those of now. f is only what that looks like to a regression.
+    """
+
+    name: ClassVar[str] = "latency"
+    kind: ClassVar[Kind] = "event"
+    summary: ClassVar[str] = "once, messages of the odometry are stuck, and stamped when they arrive in a burst"
+    clock: ClassVar[bool] = True
+    about: ClassVar[About | None] = About(
+        equation="stamp = t + 0.999 (time + delay - t) where time <= t < time + delay; f = shift (a, ay, alpha) "
+        "- 0.999 (v, vy, omega) there",
+        typical="0.05 to 1 s over WiFi or a loaded computer (an estimate)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("time_offset", "odometry_stop"),
+        drive="none: it happens once; stamps that stand and then bunch show it",
+    )
+
+    delay: float = parameter("s", "how long messages are stuck", low=0.0, high=60.0, typical=0.5)
+    time: float = time_parameter()
+
+    @property
+    def window_s(self) -> tuple[float, float]:
+        """When it acts."""
+        return self.time, self.time + self.delay
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f to first order: an offset that shrinks."""
+        shift = self.stamp_shift_s(motion.t_s)
+        twist = stacked(motion.v, motion.vy, motion.omega, motion.v)
+        rate = np.where(shift > 0.0, _BURST - 1.0, 0.0)
+        return TwistError(shift[:, None] * motion.acceleration + rate[:, None] * twist, state)
+
+    def stamp_shift_s(self, t_s: Array) -> Array:
+        """Return how late each message is stamped."""
+        begin, end = self.window_s
+        return np.where((t_s >= begin) & (t_s < end), (1.0 - _BURST) * (end - t_s), 0.0)

@@ -1,0 +1,48 @@
+"""Somebody pushes the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.event_window import duration_parameter, part_inside, time_parameter
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Push(Effect):
+    """f = (along, across, yaw) / duration between time and time + duration, 0 otherwise.
+
+    The robot is moved and its wheels do not notice: a bump, a person who shoves it, a lift over a sill. In a corrupted
+    bag the odometry misses that motion.
+    """
+
+    name: ClassVar[str] = "push"
+    kind: ClassVar[Kind] = "event"
+    summary: ClassVar[str] = "once, the robot is pushed, and the odometry does not notice"
+    about: ClassVar[About | None] = About(
+        equation="f = (along, across, yaw) / duration where time <= t < time + duration, 0 otherwise",
+        typical="5 to 30 cm and up to 20 degrees in half a second (an estimate)",
+        source="engineering judgement; kidnapping of a robot as in Probabilistic Robotics, ch. 8",
+        confused_with=("slip_event", "slip_burst"),
+        drive="none: it happens once; a jump of the truth against the odometry at one time shows it",
+    )
+
+    along: float = parameter("m", "how far it is pushed forwards", low=-10.0, high=10.0, typical=0.2)
+    across: float = parameter("m", "how far it is pushed to the left", low=-10.0, high=10.0, typical=0.1)
+    yaw: float = parameter("rad", "how far it is turned", low=-3.1, high=3.1, typical=0.1)
+    time: float = time_parameter()
+    duration: float = duration_parameter(0.5)
+
+    @property
+    def window_s(self) -> tuple[float, float]:
+        """When it acts."""
+        return self.time, self.time + self.duration
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the push at an even speed."""
+        rate: Array = part_inside(motion, *self.window_s) / self.duration
+        return TwistError(stacked(self.along * rate, self.across * rate, self.yaw * rate, rate), state)

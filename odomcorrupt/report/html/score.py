@@ -1,0 +1,98 @@
+"""Scores of a batch's estimates as one page of HTML."""
+
+from __future__ import annotations
+
+from html import escape
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.report.html.page import page, picture, table
+from odomcorrupt.report.plots.score import draw_along, draw_drift, draw_places
+from odomcorrupt.report.text.score import METRIC_WORDS, metric_text, run_cells, run_heads, sentences
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
+    from odomcorrupt.scoring.statistics import Quantile
+
+__all__ = ["score_html"]
+
+_ROWS = 1000
+"""Runs in the table, at most: the worst ones."""
+
+
+def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str) -> str:
+    """Return the page."""
+    title = f"Localisation under drift: {report.estimate}, {len(report.runs)} runs"
+    first, *rest = sentences(report)
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f'<p class="quiet">Truth: {escape(report.truth)}. Alignment: {escape(report.align)}.</p>',
+        *(f'<p class="verdict{" rejected" if v.failed else ""}">{escape(v.sentence)}.</p>' for v in verdicts),
+        f"<p><strong>{escape(first)}</strong></p>",
+        *(f"<p>{escape(sentence)}</p>" for sentence in rest),
+        picture(
+            "drift", "Error against drift", "One mark per run. Line: the drift at which 5 % of runs are lost, band: "
+            "its 95 % interval.", draw_drift(report),
+        ),
+        picture(
+            "along", "Error along the path", "Position error of each run over the distance driven; lost runs are red.",
+            draw_along(report),
+        ),
+        picture("places", "Where it fails", "Crosses: where runs were lost.", draw_places(report)),
+        "<h2>Over runs</h2>",
+        _summary(report),
+        _sections(report),
+        "<h2>Runs</h2>",
+        _runs(report),
+        *(f'<p class="quiet">Note: {escape(note)}.</p>' for note in report.notes),
+        f'<p class="quiet">{escape(_legend(report, version))}</p>',
+    ]  # fmt: skip
+    return page(title, body)
+
+
+def _summary(report: ScoreReport) -> str:
+    rows = []
+    for name, words in METRIC_WORDS.items():
+        s = report.summary(name)
+        if s.n:
+            quantiles = [_quantile(name, q) for q in (s.median, s.p90, s.p95)]
+            rows.append([escape(words), str(s.n), metric_text(name, s.mean), *quantiles, metric_text(name, s.max)])
+    heads = ("", "runs", "mean", "median (95 % interval)", "p90 (95 % interval)", "p95 (95 % interval)", "max")
+    return table(heads, rows)
+
+
+def _quantile(metric: str, q: Quantile) -> str:
+    high = metric_text(metric, q.high) if isfinite(q.high) else "∞"
+    return f"{metric_text(metric, q.value)} ({metric_text(metric, q.low)} to {high})"
+
+
+def _sections(report: ScoreReport) -> str:
+    rows = [
+        [f"{s.from_m:.1f} to {s.to_m:.1f} m", f"{s.xy_m[0]:.2f}, {s.xy_m[1]:.2f}", str(s.runs),
+         metric_text("_m", s.median_m), metric_text("_m", s.p90_m), f"!{s.failures}" if s.failures else "0"]
+        for s in report.sections
+    ]  # fmt: skip
+    return table(("along the path", "x, y (m)", "runs", "median error", "p90", "losses begin"), rows, "Along the path")
+
+
+def _runs(report: ScoreReport) -> str:
+    worst = sorted(report.runs, key=lambda run: -run.metrics.get("ate_m", float("inf")))[:_ROWS]
+    rows = []
+    for run in worst:
+        cells = [escape(cell) for cell in run_cells(run)]
+        rows.append([*cells[:-1], cells[-1] if run.status == "ok" else f"!{cells[-1]}"])
+    return table(run_heads(), rows, "The worst first")
+
+
+def _legend(report: ScoreReport, version: str) -> str:
+    limits = report.limits
+    return (
+        "ATE and RPE as evo defines them (root mean squares, the truth interpolated at the stamps of the estimate). "
+        f"Lost: more than {limits.lost_m:g} m off for {limits.lost_s:g} s or until the end; diverged: ten times that "
+        f"far. Jump: the error changes by {limits.jump_m:g} m within a second. Intervals of quantiles by order "
+        "statistics, of the break-down point by profile likelihood of a logistic regression on the logarithm of the "
+        f"drift. odomcorrupt {version}"
+    )

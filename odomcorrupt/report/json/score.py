@@ -1,0 +1,69 @@
+"""Scores of a batch's estimates as JSON, described in docs/score.md; a baseline of the gate is such an object."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.scoring.run import METRICS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import RunScore, ScoreReport
+
+__all__ = ["score_json"]
+
+SCHEMA = 1
+
+
+def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[str, Any]:
+    """Return a report, and the verdicts of a gate: metres, radians, seconds; unknown and infinite are null."""
+    found = report.breakdown
+    grown = report.growth
+    told: dict[str, Any] = finite(
+        {
+            "schema": SCHEMA,
+            "estimate": report.estimate,
+            "truth": report.truth,
+            "align": report.align,
+            "limits": asdict(report.limits),
+            "count_missing": report.count_missing,
+            "summary": {name: asdict(report.summary(name)) for name in METRICS},
+            "failed": sum(report.failed(run) for run in report.runs),
+            "counted": len(report.counted),
+            "breakdown": asdict(found),
+            "growth": None if grown is None else asdict(grown),
+            "sections": [asdict(section) for section in report.sections],
+            "runs": [_run(run, report) for run in report.runs],
+            "verdicts": [asdict(verdict) for verdict in verdicts],
+            "notes": list(report.notes),
+        }
+    )
+    return told
+
+
+def _run(run: RunScore, report: ScoreReport) -> dict[str, Any]:
+    counted = run.scored or report.count_missing
+    return {
+        "name": run.name,
+        "seed": run.seed,
+        "run": run.run,
+        "status": run.status,
+        "reason": run.reason,
+        "scored": run.scored,
+        "counted": counted,
+        "failed": report.failed(run),
+        "drift": run.drift,
+        "drift_end_m": run.drift_end_m,
+        "metrics": {name: run.metrics.get(name) for name in METRICS},
+        "failure": None if run.failure is None else asdict(run.failure),
+        "jumps_s": list(run.jumps_s),
+        "coverage": run.coverage,
+        "frame": run.frame,
+        "source": run.source,
+        "events": [{"effect": name, "from_s": begin, "to_s": end} for name, begin, end in run.events],
+        "notes": list(run.notes),
+    }

@@ -1,0 +1,119 @@
+"""Pictures of a score: error against drift with the break-down point, error along the path, and where it fails."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.scoring.run import ScoreReport
+
+__all__ = ["draw_along", "draw_drift", "draw_places", "draw_score"]
+
+_SHOWN = 200
+"""Runs drawn as lines, at most."""
+
+
+def draw_score(report: ScoreReport) -> Figure:
+    """Draw all three pictures beside each other."""
+    with drawing():
+        figure = new_figure(13.5, 4.4)
+        left, middle, right = figure.subplots(1, 3)
+        _drift(left, report)
+        _along(middle, report)
+        _places(right, report)
+    return figure
+
+
+def draw_drift(report: ScoreReport) -> Figure:
+    """Draw ATE against drift, lost runs apart, with the break-down point and its interval."""
+    with drawing():
+        figure = new_figure(8.0, 4.2)
+        _drift(figure.subplots(), report)
+    return figure
+
+
+def draw_along(report: ScoreReport) -> Figure:
+    """Draw the position error of each run along the path, with median and 90 % quantile."""
+    with drawing():
+        figure = new_figure(8.0, 4.2)
+        _along(figure.subplots(), report)
+    return figure
+
+
+def draw_places(report: ScoreReport) -> Figure:
+    """Draw the true path, the estimates, and where runs were lost."""
+    with drawing():
+        figure = new_figure(7.0, 6.0)
+        _places(figure.subplots(), report)
+    return figure
+
+
+def _drift(axes: Axes, report: ScoreReport) -> None:
+    runs = [run for run in report.runs if run.scored and isfinite(run.drift)]
+    above = [run.drift for run in runs if run.drift > 0.0]
+    # perfect odometry has no place on a logarithmic axis: it stands at its left end
+    least = 0.5 * min(above, default=1.0)
+    for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
+        own = [run for run in runs if run.lost is lost]
+        if own:
+            drift = [100.0 * max(run.drift, least) for run in own]
+            axes.plot(
+                drift, [run.metrics["ate_m"] for run in own], marker, color=colour,
+                markersize=4.5, alpha=0.7, markeredgewidth=0.0, label=f"{len(own)} {label}",
+            )  # fmt: skip
+    found = report.breakdown
+    if found.drift is not None:
+        axes.axvline(100.0 * found.drift, color=ORANGE, linewidth=1.5, label="5 % of runs lost")
+        if found.low > 0.0 and isfinite(found.high):
+            axes.axvspan(100.0 * found.low, 100.0 * found.high, color=ORANGE, alpha=0.15, linewidth=0.0)
+    drifts = [max(run.drift, least) for run in runs] + ([found.drift] if found.drift is not None else [])
+    if above and all(run.metrics["ate_m"] > 0.0 for run in runs):
+        axes.set(xscale="log", yscale="log", xlim=(80.0 * min(drifts), 125.0 * max(drifts)))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_locator(NullLocator())
+    axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
+    axes.set_title("Error against the drift that was put in")
+    axes.legend(loc="upper left", fontsize=9)
+
+
+def _along(axes: Axes, report: ScoreReport) -> None:
+    runs = [run for run in report.runs if run.scored]
+    for run in runs[:_SHOWN]:
+        axes.plot(run.distance_m, run.position_m, color=RED if run.lost else BLUE, alpha=0.15, linewidth=0.7)
+    known = [s for s in report.sections if s.runs]
+    middle = [(s.from_m + s.to_m) / 2.0 for s in known]
+    axes.plot(middle, [s.median_m for s in known], color=BLACK, linewidth=1.8, label="median of runs")
+    axes.plot(middle, [s.p90_m for s in known], color=BLACK, linewidth=1.2, linestyle="--", label="9 of 10 runs below")
+    axes.axhline(report.limits.lost_m, color=ORANGE, linewidth=1.0, label="limit of a loss")
+    top = max((s.p90_m for s in known), default=1.0)
+    axes.set(xlabel="distance driven, m", ylabel="position error, m", yscale="log", title="Error along the path")
+    axes.set_ylim(bottom=1e-3 * top)
+    axes.legend(loc="best", fontsize=9)
+
+
+def _places(axes: Axes, report: ScoreReport) -> None:
+    runs = [run for run in report.runs if run.scored]
+    for run in runs[:_SHOWN]:
+        axes.plot(*run.estimate_xy.T, color=SKY, alpha=0.25, linewidth=0.6)
+    axes.plot([], [], color=SKY, label=f"{min(len(runs), _SHOWN)} estimates")
+    axes.plot(*report.clean_xy.T, color=BLACK, linewidth=1.4, label="truth")
+    lost = np.array([run.failure.xy_m for run in runs if run.failure is not None]).reshape(-1, 2)
+    if len(lost):
+        axes.plot(*lost.T, "X", color=RED, markersize=6, label=f"{len(lost)} lost here")
+    low, high = report.clean_xy.min(axis=0), report.clean_xy.max(axis=0)
+    margin = 0.15 * float((high - low).max()) + 0.5
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlabel="x, m", ylabel="y, m", title="Where")
+    axes.legend(loc="best", fontsize=9)

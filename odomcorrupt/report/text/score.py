@@ -1,0 +1,167 @@
+"""Scores of a batch's estimates as plain text, and the sentences that the page shares."""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import degrees, isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
+
+if TYPE_CHECKING:
+    from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
+    from odomcorrupt.scoring.statistics import Quantile
+
+__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_text", "sentences"]
+
+METRIC_WORDS = {
+    "ate_m": "ATE, position", "ate_rad": "ATE, heading", "max_m": "largest position error",
+    "rpe_m": f"RPE over {RPE_M:g} m, position", "rpe_rad": f"RPE over {RPE_M:g} m, heading",
+    "error_10s_m": f"error after {WINDOW_S:g} s", "end_m": "error at the end",
+    "nees": "NEES per degree of freedom", "inside_95": "inside its own 95 % ellipsoid",
+}  # fmt: skip
+"""Rows of the table over runs."""
+
+_WORST = 10
+_STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unreadable")
+
+
+def metric_text(metric: str, value: float) -> str:
+    """Return a metric in a unit that a person thinks in; "-" where it is not known."""
+    if value != value:  # noqa: PLR0124 - NaN alone
+        return "-"
+    if not isfinite(value):
+        return "unbounded"
+    if metric.endswith("_rad"):
+        return f"{degrees(value):.3g} deg"
+    if metric.endswith("_m"):
+        return f"{value * 1e3:.3g} mm" if value < 0.1 else f"{value:.3g} m"
+    return _percent(value) if metric == "inside_95" else f"{value:.3g}"
+
+
+def score_text(report: ScoreReport, *, every: bool = False) -> str:
+    """Return sentences, the table over runs, and a line for each run that failed (`every`: for each run)."""
+    lines = [*sentences(report), ""]
+    lines.append(
+        f"{'over runs':<32}{'n':>5}{'median':>11}{'95 % interval':>22}{'p90':>11}{'95 % interval':>22}{'max':>11}"
+    )
+    for name, words in METRIC_WORDS.items():
+        s = report.summary(name)
+        if s.n:
+            cells = (s.median.value, s.p90.value, s.max)
+            median, p90, largest = (metric_text(name, value) for value in cells)
+            lines.append(
+                f"{words:<32}{s.n:>5}{median:>11}{_interval(name, s.median):>22}{p90:>11}"
+                f"{_interval(name, s.p90):>22}{largest:>11}"
+            )
+    shown = [run for run in report.runs if every or run.status != "ok"]
+    if shown:
+        lines += ["", _row(run_heads())]
+        lines += [_row(run_cells(run)) for run in (shown if every else shown[:_WORST])]
+        if len(shown) > _WORST and not every:
+            lines.append(f"and {len(shown) - _WORST} more; --each and --json have them all")
+    lines += [f"Note: {note}." for note in report.notes]
+    return "\n".join(lines)
+
+
+def sentences(report: ScoreReport) -> list[str]:
+    """Return what there is to say of all runs, a sentence each, the most important first."""
+    counts = Counter(run.status for run in report.runs)
+    failed = sum(report.failed(run) for run in report.runs)
+    told = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
+    lines = [
+        f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed"
+        + (f" ({', '.join(told)})" if told else "")
+        + "."
+    ]
+    left = len(report.runs) - len(report.counted)
+    if left:
+        lines.append(f"Not counted, without a whole output: {left}; --count-missing makes them failures.")
+    lines.append(_breakdown_sentence(report))
+    grown = report.growth
+    if grown is not None:
+        lines.append(
+            f"The ATE of runs that were not lost grows with the drift to the power {grown.exponent:.2f} "
+            f"(95 % interval {grown.low:.2f} to {grown.high:.2f})."
+        )
+    jumps = sum(len(run.jumps_s) for run in report.runs)
+    if jumps:
+        lines.append(
+            f"Jumps of at least {report.limits.jump_m:g} m: {jumps}, in {sum(bool(r.jumps_s) for r in report.runs)} of "
+            f"{len(report.runs)} runs."
+        )
+    lines += _place_sentences(report)
+    nees = report.summary("nees")
+    if nees.n:
+        inside = report.summary("inside_95").median.value
+        kind = "too small" if nees.median.value > 1.5 else "too large" if nees.median.value < 0.67 else "about right"
+        lines.append(
+            f"Its covariances are {kind}: NEES per degree of freedom {nees.median.value:.3g} (1 is calibrated), "
+            f"{_percent(inside)} of the errors inside the 95 % ellipsoids."
+        )
+    return lines
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.3g} %"
+
+
+def _breakdown_sentence(report: ScoreReport) -> str:
+    found = report.breakdown
+    drifts = [run.drift for run in report.counted if isfinite(run.drift)]
+    if not drifts:
+        return "The drift of these runs is not known, and so no break-down point."
+    span = f"runs drift by {_percent(min(drifts))} to {_percent(max(drifts))} of the way, rms over 10 m"
+    failed = sum(report.failed(run) for run in report.counted)
+    if found.drift is None and not failed:
+        low = f"; it lies above {_percent(found.low)} (95 %)" if found.low > 0.0 else ""
+        return f"No break-down point: no run failed ({span}){low}."
+    if found.drift is None and failed < len(report.counted):
+        return f"Too few runs for a break-down point ({span})."
+    if found.drift is None:
+        high = f"; it lies below {_percent(found.high)} (95 %)" if isfinite(found.high) else ""
+        return f"No break-down point: all runs failed ({span}){high}."
+    high = _percent(found.high) if isfinite(found.high) else "more than was tried"
+    return (
+        f"Break-down point: at a drift of {_percent(found.drift)} of the way 5 % of runs fail (95 % interval "
+        f"{_percent(found.low)} to {high}; {span})."
+    )
+
+
+def _place_sentences(report: ScoreReport) -> list[str]:
+    told = []
+    known = [s for s in report.sections if s.runs]
+    worst = max(known, key=lambda s: s.median_m, default=None)
+    if worst is not None:
+        told.append(
+            f"Errors are largest {worst.from_m:.1f} to {worst.to_m:.1f} m along the path, about ({worst.xy_m[0]:.1f}, "
+            f"{worst.xy_m[1]:.1f}): median {metric_text('_m', worst.median_m)}, p90 {metric_text('_m', worst.p90_m)}."
+        )
+    most = max(known, key=lambda s: s.failures, default=None)
+    if most is not None and most.failures > 1:
+        told.append(
+            f"{most.failures} of {sum(s.failures for s in known)} losses begin {most.from_m:.1f} to {most.to_m:.1f} m "
+            f"along the path, about ({most.xy_m[0]:.1f}, {most.xy_m[1]:.1f})."
+        )
+    return told
+
+
+def run_heads() -> list[str]:
+    """Return the heads of the table of runs."""
+    return ["run", "drift", "ATE", "RPE", "10 s", "end", "jumps", "status"]
+
+
+def run_cells(run: RunScore) -> list[str]:
+    """Return a row of the table of runs."""
+    get = run.metrics.get
+    numbers = [metric_text("_m", get(name, float("nan"))) for name in ("ate_m", "rpe_m", "error_10s_m", "end_m")]
+    drift = _percent(run.drift) if isfinite(run.drift) else "-"
+    return [run.name, drift, *numbers, str(len(run.jumps_s)), run.status + (f": {run.reason}" if run.reason else "")]
+
+
+def _row(cells: list[str]) -> str:
+    return f"{cells[0]:<20}" + "".join(f"{cell:>10}" for cell in cells[1:-1]) + f"  {cells[-1]}"
+
+
+def _interval(metric: str, q: Quantile) -> str:
+    return f"{metric_text(metric, q.low)} to {metric_text(metric, q.high)}"

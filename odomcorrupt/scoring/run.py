@@ -1,0 +1,346 @@
+"""Score the estimates of a batch's runs: per run, over runs, against the drift that was put in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
+from odomcorrupt.corruption.drift import LEG_M
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.scoring.errors import Failure, Limits, PathErrors, ScoreError, path_errors
+from odomcorrupt.scoring.estimates import NoEstimateError, find_estimate, read_estimate, read_first
+from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.scoring.errors import Alignment
+    from odomcorrupt.study.io.recording import Trajectory
+
+__all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
+
+Status = Literal["ok", "lost", "diverged", "partial", "missing", "unreadable"]
+
+METRICS = ("ate_m", "ate_rad", "max_m", "rpe_m", "rpe_rad", "error_10s_m", "end_m", "nees", "inside_95")
+"""Numbers of a run, in the order in which they are shown."""
+
+_KEPT = 400
+"""Points kept of each run's errors along the path, for pictures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunScore:
+    """The estimate of one run.
+
+    name : "run_000012", below the point of a sweep "alpha-scale=2/run_000012"
+    seed, run : of the corruption
+    status : "ok", "lost" or "diverged"; "partial": it covers less of the path than `Limits.least_coverage`;
+        "missing": no output; "unreadable": the reason says why
+    reason : a sentence, "" where status is "ok"
+    drift : the odometry's error after 10 m, rms, as a part of these 10 m (of shorter drives, at the end); NaN unknown
+    drift_end_m : the odometry's position error at the end
+    metrics : by the names of `METRICS`; empty where there are no errors
+    failure : when it was lost
+    jumps_s : when it jumped, seconds since the truth's first stamp
+    coverage : part of the truth's path that it covers
+    events : what the model put in at a time: name, from, to (seconds since the first stamp)
+    notes : what reading it left out
+    """
+
+    name: str
+    seed: int
+    run: int
+    status: Status
+    reason: str = ""
+    drift: float = float("nan")
+    drift_end_m: float = float("nan")
+    metrics: Mapping[str, float] = field(default_factory=dict)
+    failure: Failure | None = None
+    jumps_s: tuple[float, ...] = ()
+    coverage: float = 0.0
+    frame: str = ""
+    source: str = ""
+    events: tuple[tuple[str, float, float], ...] = ()
+    notes: tuple[str, ...] = ()
+    distance_m: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    position_m: Array = field(default_factory=lambda: np.zeros(0), repr=False)
+    estimate_xy: Array = field(default_factory=lambda: np.zeros((0, 2)), repr=False)
+
+    @property
+    def lost(self) -> bool:
+        """Whether the estimate itself failed."""
+        return self.status in ("lost", "diverged")
+
+    @property
+    def scored(self) -> bool:
+        """Whether the run counts in numbers over runs: an output that covers the path."""
+        return self.status in ("ok", "lost", "diverged")
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class ScoreReport:
+    """Scores of n runs.
+
+    runs : all of them, in the order of the manifest
+    align, limits, count_missing : how they were scored
+    estimate, truth : where these were read
+    clean_m, clean_xy : (k,) metres driven along the truth, (k, 2) where
+    notes : what concerns all runs
+    """
+
+    runs: tuple[RunScore, ...]
+    estimate: str
+    truth: str
+    align: Alignment
+    limits: Limits
+    count_missing: bool
+    clean_m: Array
+    clean_xy: Array
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        lost = sum(self.failed(run) for run in self.runs)
+        return (
+            f"ScoreReport({len(self.runs)} runs, {lost} failed, median ATE {self.summary('ate_m').median.value:.3g} m)"
+        )
+
+    def failed(self, run: RunScore) -> bool:
+        """Return whether a run counts as a failure: lost, or without a whole output where the user counts these."""
+        return run.lost or (self.count_missing and not run.scored)
+
+    @property
+    def counted(self) -> tuple[RunScore, ...]:
+        """Runs that are in the part of failures: all with an output, and those without if these count."""
+        return tuple(run for run in self.runs if run.scored or self.count_missing)
+
+    def values(self, metric: str) -> Array:
+        """Return a metric of the scored runs (n,); NaN where a run has none."""
+        if metric not in METRICS:
+            raise ScoreError(f"{metric}: is no metric; there are {', '.join(METRICS)}")
+        return np.array([run.metrics.get(metric, float("nan")) for run in self.runs if run.scored])
+
+    def summary(self, metric: str) -> Summary:
+        """Return a metric over the scored runs."""
+        return summarise(self.values(metric))
+
+    @property
+    def breakdown(self) -> Breakdown:
+        """The drift at which 5 % of runs fail, see `statistics.breakdown`."""
+        runs = self.counted
+        return breakdown(
+            np.array([run.drift for run in runs]), np.array([self.failed(run) for run in runs], dtype=bool)
+        )
+
+    @property
+    def growth(self) -> Growth | None:
+        """How ATE grows with the drift over the runs that were not lost."""
+        runs = [run for run in self.runs if run.status == "ok"]
+        return growth(np.array([run.drift for run in runs]), np.array([run.metrics["ate_m"] for run in runs]))
+
+    @property
+    def sections(self) -> list[Section]:
+        """Errors along the path."""
+        runs = [run for run in self.runs if run.scored]
+        paths = [(run.distance_m, run.position_m) for run in runs]
+        lost = [run.failure.distance_m for run in runs if run.failure is not None]
+        return sections(paths, self.clean_m, self.clean_xy, lost)
+
+
+def score(
+    runs: Path | str | Sequence[Path | str],
+    estimate: str | None = None,
+    *,
+    truth: str | None = None,
+    truth_file: Path | str | None = None,
+    outputs: Path | str | None = None,
+    align: Alignment = "rigid",
+    limits: Limits | None = None,
+    count_missing: bool = False,
+) -> ScoreReport:
+    """Return the errors of estimates of a batch's runs.
+
+    Parameters
+    ----------
+    runs
+        Directory of a batch, or of a sweep with batches below it; several are one report.
+    estimate
+        Topic, or edge of TF as "/tf:map.base_link", in the bags with the estimates; None where these are text files.
+    truth
+        Topic or edge of TF with the truth: in the batch's input, else in the run or in the bag with the estimate. None:
+        the odometry before it was corrupted (`clean.tum` of the batch), the truth of a simulation.
+    truth_file
+        Bag, TUM or CSV file with the truth, where it is another one.
+    outputs
+        Directory with the estimates, see `estimates.find_estimate`; None: beside the runs. Of a sweep, its points are
+        directories in it.
+    align
+        See `errors.path_errors`.
+    limits
+        What counts as lost, as a jump, as covered.
+    count_missing
+        Whether runs without a whole output are failures.
+
+    Raises
+    ------
+    ScoreError
+        Where there is no batch, or no run at all has an estimate.
+
+    Examples
+    --------
+    >>> from odomcorrupt.scoring import score
+    >>> report = score("runs", "/amcl_pose", truth="/ground_truth")  # doctest: +SKIP
+    >>> report.summary("ate_m").p90.value  # doctest: +SKIP
+
+    """
+    limits = limits or Limits()
+    roots = [Path(runs)] if isinstance(runs, str | Path) else [Path(one) for one in runs]
+    places = [place for root in roots for place in _batches(root)]
+    found: list[RunScore] = []
+    clean: Trajectory | None = None
+    truths: set[str] = set()
+    frames: set[str] = set()
+    for label, directory, root in places:
+        beside = directory if outputs is None else Path(outputs) / directory.relative_to(root)
+        records = read_records(directory)
+        if not records:
+            raise ScoreError(f"{directory}: the batch has no runs yet; make them with odomcorrupt batch")
+        source = _Truth(directory, truth, None if truth_file is None else Path(truth_file))
+        for number, record in records.items():
+            name = f"{label}/run_{number:06d}" if label else f"run_{number:06d}"
+            blank = RunScore(name, int(record["seed"]), number, "missing", **_put_in(record))
+            one, reference = _scored(blank, directory / record["file"], beside, estimate, source, align, limits)
+            found.append(one)
+            clean = clean or reference
+            truths |= {source.name} if source.name else set()
+            frames |= {source.frame} if source.frame else set()
+    if clean is None or not any(run.metrics for run in found):
+        first = found[0]
+        raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {first.name}: {first.reason}")
+    steps = np.linalg.norm(np.diff(clean.xyt[:, :2], axis=0), axis=1)
+    return ScoreReport(
+        tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, count_missing,
+        np.concatenate(([0.0], np.cumsum(steps))), clean.xyt[:, :2], tuple(_notes(found, truths, frames, align)),
+    )  # fmt: skip
+
+
+def _batches(root: Path) -> list[tuple[str, Path, Path]]:
+    """Return label, directory and root of each batch below a directory."""
+    if (root / BEGINNING).exists():
+        return [("", root, root)]
+    found = sorted(path.parent for path in root.rglob(BEGINNING)) if root.is_dir() else []
+    if not found:
+        raise ScoreError(f"{root}: holds no batch ({BEGINNING} is missing); make one with odomcorrupt batch")
+    return [(str(path.relative_to(root)), path, root) for path in found]
+
+
+def _put_in(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a record of the manifest says of the drift that was put in."""
+    drift = record.get("drift", {})
+    end, distance = drift.get("end_drawn_m", float("nan")), drift.get("distance_m", 0.0)
+    leg = drift.get("leg_drawn_m")
+    part = leg / LEG_M if leg is not None else end / distance if distance > 0.0 else float("nan")
+    events = tuple((e["effect"], float(e["from_s"]), float(e["to_s"])) for e in record.get("events", ()))
+    return {"drift": float(part), "drift_end_m": float(end), "events": events}
+
+
+class _Truth:
+    """The truth of a batch's runs: read once where all share it."""
+
+    def __init__(self, directory: Path, topic: str | None, file: Path | None) -> None:
+        self._directory, self._topic, self._file = directory, topic, file
+        self._shared: Trajectory | None = None
+        self.name = ""
+        self.frame = ""
+
+    def of(self, run_file: Path, estimate_file: Path) -> Trajectory:
+        """Return the truth of a run."""
+        if self._shared is not None:
+            return self._shared
+        if self._file is not None:
+            got = read_estimate(self._file, self._topic)
+        elif self._topic is None:
+            got = read_estimate(self._directory / "clean.tum", None)
+        else:
+            original = Path(read_beginning(self._directory)["input"]["path"])
+            got = read_first([original, run_file, estimate_file], self._topic)
+        self.name, self.frame = got.source, got.frame
+        if self._file is not None or self._topic is None or got.source.startswith(str(_original(self._directory))):
+            self._shared = got.trajectory
+        return got.trajectory
+
+
+def _original(directory: Path) -> Path:
+    return Path(read_beginning(directory)["input"]["path"])
+
+
+def _scored(
+    blank: RunScore,
+    run_file: Path,
+    outputs: Path,
+    estimate: str | None,
+    truth: _Truth,
+    align: Alignment,
+    limits: Limits,
+) -> tuple[RunScore, Trajectory | None]:
+    """Return the score of one run, and its truth where that could be read."""
+    try:
+        path = find_estimate(outputs, run_file, needs_topic=estimate is not None)
+        got = read_estimate(path, estimate)
+    except NoEstimateError as error:
+        return replace(blank, reason=str(error)), None
+    except OdomCorruptError as error:
+        return replace(blank, status="unreadable", reason=str(error)), None
+    reference = truth.of(run_file, path)
+    blank = replace(blank, source=got.source, frame=got.frame, notes=got.notes)
+    try:
+        errors = path_errors(got.trajectory, reference, align=align, covariance=got.covariance)
+    except ScoreError as error:
+        return replace(blank, status="unreadable", reason=str(error)), reference
+    return _judged(blank, errors, limits), reference
+
+
+def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
+    failure = errors.failure(limits)
+    status: Status = "ok"
+    reason = ""
+    if failure is not None:
+        status = failure.kind
+        reason = f"more than {limits.lost_m:g} m off from {failure.t_s:.1f} s ({failure.distance_m:.1f} m) on"
+    if errors.coverage < limits.least_coverage:
+        lost = f"; before that {reason}" if reason else ""
+        status, reason = "partial", f"covers {100.0 * errors.coverage:.0f} % of the path{lost}"
+    kept = np.unique(np.linspace(0, len(errors.t_s) - 1, _KEPT).astype(int))
+    return replace(
+        blank, status=status, reason=reason, metrics=errors.metrics(), failure=failure, coverage=errors.coverage,
+        jumps_s=tuple(errors.t_s[errors.jumps(limits)].tolist()), distance_m=errors.distance_m[kept],
+        position_m=errors.position_m[kept], estimate_xy=errors.estimate_xyt[kept, :2],
+    )  # fmt: skip
+
+
+def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], align: Alignment) -> list[str]:
+    """Return what concerns all runs: frames, alignment and what was left out while reading."""
+    notes = []
+    frames = sorted({run.frame for run in runs if run.metrics})
+    if len(frames) > 1:
+        notes.append(f"the estimates are in different frames: {', '.join(repr(frame) for frame in frames)}")
+    own = {frame for frame in frames if frame}
+    if align == "none" and own and true_frames and own != true_frames:
+        told = " and ".join(", ".join(sorted(names)) for names in (own, true_frames))
+        notes.append(
+            f"not aligned, although the estimate and the truth are in frames called {told}; are they the same?"
+        )
+    elif align == "none":
+        notes.append("not aligned: estimate and truth are taken to be in one frame")
+    if any(name.endswith("clean.tum") for name in truths):
+        notes.append("truth: the odometry before it was corrupted; name a topic with --truth where that is no truth")
+    said = [note for run in runs for note in run.notes]
+    for note in dict.fromkeys(said):
+        count = said.count(note)
+        notes.append(f"{note} ({count} runs)" if count > 1 else note)
+    return notes[:12]

@@ -1,0 +1,212 @@
+"""Numbers over runs: quantiles with exact intervals, growth with the drift, break-down point, errors by place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Breakdown", "Growth", "Quantile", "Section", "Summary", "breakdown", "growth", "sections", "summarise"]
+
+LOST_PART = 0.05
+"""The break-down point is the drift at which this part of runs is lost."""
+
+_CHI2_1_95 = 3.841
+"""Twice the fall of the log likelihood at the ends of a 95 % interval of one parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quantile:
+    """A quantile of the runs and its 95 % interval by order statistics; infinite where too few runs bound it."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One number over n runs that have it: metres, radians or none."""
+
+    n: int
+    mean: float
+    median: Quantile
+    p90: Quantile
+    p95: Quantile
+    max: float
+
+
+def summarise(values: Array) -> Summary:
+    """Return mean, quantiles and maximum of values (n,); those that are NaN do not count."""
+    own = np.sort(values[np.isfinite(values)])
+    if not len(own):
+        nothing = Quantile(*[float("nan")] * 3)
+        return Summary(0, float("nan"), nothing, nothing, nothing, float("nan"))
+    return Summary(
+        len(own), float(own.mean()), _quantile(own, 0.5), _quantile(own, 0.9), _quantile(own, 0.95), float(own[-1])
+    )
+
+
+def _quantile(ordered: Array, q: float) -> Quantile:
+    """Return a quantile; its interval holds it with at least 95 % for any distribution (David & Nagaraja 2003)."""
+    n = len(ordered)
+    counts = np.cumsum([comb(n, k) * q**k * (1.0 - q) ** (n - k) for k in range(n + 1)]) if n <= 1000 else None
+    if counts is None:
+        half = 1.96 * np.sqrt(q * (1.0 - q) * n)
+        lower, upper = int(np.floor(n * q - half)), int(np.ceil(n * q + half)) + 1
+    else:
+        lower = int(np.searchsorted(counts, 0.025, side="right"))
+        upper = int(np.searchsorted(counts, 0.975)) + 1
+    low = float(ordered[lower - 1]) if lower >= 1 else 0.0
+    high = float(ordered[upper - 1]) if upper <= n else float("inf")
+    return Quantile(float(np.quantile(ordered, q)), low, high)
+
+
+@dataclass(frozen=True, slots=True)
+class Growth:
+    """How an error grows with the drift: in proportion to drift to the power `exponent`, with its 95 % interval."""
+
+    exponent: float
+    low: float
+    high: float
+
+
+def growth(drift: Array, error: Array) -> Growth | None:
+    """Return the exponent by least squares of logarithms over runs (n,); None below 8 runs or without a range.
+
+    Source of the interval: normal theory with the residuals' own variance.
+    """
+    usable = (drift > 0.0) & (error > 0.0) & np.isfinite(drift) & np.isfinite(error)
+    x, y = np.log(drift[usable]), np.log(error[usable])
+    if len(x) < 8 or np.ptp(x) < 0.1:
+        return None
+    dx = x - x.mean()
+    slope = float(np.sum(dx * y) / np.sum(dx**2))
+    rest = y - y.mean() - slope * dx
+    deviation = float(np.sqrt(np.sum(rest**2) / (len(x) - 2) / np.sum(dx**2)))
+    return Growth(slope, slope - 2.0 * deviation, slope + 2.0 * deviation)
+
+
+@dataclass(frozen=True, slots=True)
+class Breakdown:
+    """The drift at which 5 % of runs are lost.
+
+    drift : most likely one; None where runs are not lost, or none is kept
+    low, high : 95 % interval by profile likelihood; 0 and infinity where the runs do not bound it
+    width : by which factor the drift grows while the part that is lost goes from 5 to 50 %; None as above
+    """
+
+    drift: float | None
+    low: float
+    high: float
+    width: float | None
+
+
+def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
+    """Return the break-down point of runs (n,) by logistic regression of losses on the logarithm of the drift.
+
+    logit p = logit 0.05 + b (log d - log d5) with b > 0: more drift never helps. d5 is found on a grid, with b
+    maximised at each (profile likelihood), so that runs that part cleanly, or none that is lost, need no exception.
+    Source: Cox & Snell, Analysis of Binary Data, 1989; intervals: Wilks, Ann. Math. Stat. 9, 1938.
+    """
+    usable = np.isfinite(drift) & (drift > 0.0)
+    x, y = np.log(drift[usable]), lost[usable]
+    if len(x) < 5:
+        return Breakdown(None, 0.0, float("inf"), None)
+    reach = 3.0 + np.ptp(x)
+    wide = np.linspace(x.min() - reach, x.max() + reach, 201)
+    inside = _profile(x, y, wide).inside
+    # once more, finer, over what the first pass could not exclude
+    first, last = wide[max(inside[0] - 1, 0)], wide[min(inside[-1] + 1, len(wide) - 1)]
+    found = _profile(x, y, np.linspace(first, last, 401))
+    grid = found.grid
+    low = 0.0 if inside[0] == 0 else float(np.exp(grid[found.inside[0]]))
+    high = float("inf") if inside[-1] == len(wide) - 1 else float(np.exp(grid[found.inside[-1]]))
+    if y.all() or not y.any():
+        return Breakdown(None, low if not y.any() else 0.0, high if y.all() else float("inf"), None)
+    # where a whole range is as likely, its middle
+    best = np.flatnonzero(found.likelihood >= found.likelihood.max() - 1e-6)
+    at = int(best[len(best) // 2])
+    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_logit(LOST_PART) / found.slope[at])))
+
+
+class _Profile(NamedTuple):
+    """Profile likelihood over a grid (k,) of break-down points, logarithms.
+
+    likelihood, slope : (k,) the log likelihood at the best slope, and that slope
+    inside : which points lie in the 95 % interval
+    """
+
+    grid: Array
+    likelihood: Array
+    slope: Array
+    inside: NDArray[np.int64]
+
+
+def _profile(x: Array, lost: NDArray[np.bool_], grid: Array) -> _Profile:
+    slopes = np.geomspace(0.3, 60.0, 40)
+    every = np.stack([_log_likelihood(x, lost, grid, slope) for slope in slopes])
+    best = every.max(axis=0)
+    inside = np.flatnonzero(2.0 * (best.max() - best) <= _CHI2_1_95)
+    return _Profile(grid, best, slopes[every.argmax(axis=0)], inside)
+
+
+def _logit(p: float) -> float:
+    return float(np.log(p / (1.0 - p)))
+
+
+def _log_likelihood(x: Array, lost: NDArray[np.bool_], grid: Array, slope: float) -> Array:
+    """Return log likelihoods (k,) of runs (n,) for break-down points (k,) and one slope."""
+    z = _logit(LOST_PART) + slope * (x[None, :] - grid[:, None])
+    total: Array = -np.logaddexp(0.0, np.where(lost, -z, z)).sum(axis=1)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of the path: from, to (metres driven), where its middle is, and errors of all runs there.
+
+    median_m, p90_m : of the position error over runs, each run's mean in the section
+    runs : how many were there
+    failures : how many were lost from here on
+    """
+
+    from_m: float
+    to_m: float
+    xy_m: tuple[float, float]
+    median_m: float
+    p90_m: float
+    runs: int
+    failures: int
+
+
+def sections(
+    paths: list[tuple[Array, Array]], clean_m: Array, clean_xy: Array, lost_at_m: list[float]
+) -> list[Section]:
+    """Return errors along the path, in 20 sections of equal length.
+
+    Parameters
+    ----------
+    paths : of each run, metres driven (k,) and position error there (k,)
+    clean_m : (n,) metres driven along the truth
+    clean_xy : (n, 2) where that is
+    lost_at_m : metres driven where runs were lost
+
+    """
+    edges = np.linspace(0.0, float(clean_m[-1]), 21)
+    found = []
+    for begin, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        means = [float(e[m].mean()) for d, e in paths if (m := (d >= begin) & (d <= end)).any()]
+        middle = min(int(np.searchsorted(clean_m, (begin + end) / 2.0)), len(clean_m) - 1)
+        x, y = clean_xy[middle].tolist()
+        median, p90 = np.quantile(means, (0.5, 0.9)).tolist() if means else (float("nan"), float("nan"))
+        failures = sum(begin <= at < end or (at == end == edges[-1]) for at in lost_at_m)
+        found.append(Section(begin, end, (x, y), median, p90, len(means), failures))
+    return found

@@ -1,0 +1,169 @@
+"""Corrupted bags of a clean one, made once and kept by content."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import odomcorrupt
+from odomcorrupt.batching.engine import Shard, missing_runs, tasks_of
+from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
+from odomcorrupt.batching.plan import plan
+from odomcorrupt.batching.runner import attempt
+from odomcorrupt.corruption.run import Container
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.model.model_file import read_model
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import PRESETS, preset_named
+from odomcorrupt.scoring.errors import PathErrors, path_errors
+from odomcorrupt.scoring.estimates import read_estimate
+
+if TYPE_CHECKING:
+    from odomcorrupt.scoring.errors import Alignment
+    from odomcorrupt.study.io.recording import Trajectory
+
+__all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
+
+
+@dataclass(frozen=True, slots=True)
+class CorruptedBag:
+    """One corrupted run of a clean bag.
+
+    path : the bag
+    run, seed : which draws
+    clean_tum : the odometry before it was corrupted, a TUM file
+    drift : what the manifest says of its drift, metres and radians
+    """
+
+    path: Path
+    run: int
+    seed: int
+    clean_tum: Path
+    drift: dict[str, float]
+
+    @property
+    def name(self) -> str:
+        """What a baseline calls the run."""
+        return f"seed {self.seed} run {self.run}"
+
+    def errors(
+        self,
+        estimate: Path | str | Trajectory,
+        topic: str | None = None,
+        *,
+        truth: str | None = None,
+        align: Alignment = "rigid",
+    ) -> PathErrors:
+        """Return the errors of an estimate of this run; `errors(...).metrics()["ate_m"]` is its ATE.
+
+        Parameters
+        ----------
+        estimate
+            A trajectory, a TUM or CSV file, or a bag.
+        topic
+            Topic or edge of TF with the estimate, in a bag.
+        truth
+            Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
+        align
+            As `odomcorrupt.scoring.path_errors` has it.
+
+        """
+        covariance = None
+        if isinstance(estimate, str | Path):
+            read = read_estimate(Path(estimate), topic)
+            estimate, covariance = read.trajectory, read.covariance
+        reference = read_estimate(self.clean_tum, None) if truth is None else read_estimate(self.path, truth)
+        return path_errors(estimate, reference.trajectory, align=align, covariance=covariance)
+
+
+class CorruptedBags(Sequence[CorruptedBag]):
+    """The runs of one clean bag, in the order of their numbers."""
+
+    def __init__(self, bags: Sequence[CorruptedBag]) -> None:
+        self._bags = tuple(bags)
+
+    def __len__(self) -> int:
+        return len(self._bags)
+
+    @overload
+    def __getitem__(self, index: int) -> CorruptedBag: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[CorruptedBag]: ...
+    def __getitem__(self, index: int | slice) -> CorruptedBag | Sequence[CorruptedBag]:
+        """Return a run, or some of them."""
+        return self._bags[index]
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return f"CorruptedBags({len(self)} runs of seed {self._bags[0].seed})"
+
+
+def corrupted(
+    clean: Path | str,
+    model: MotionModel | Path | str = "typical",
+    *,
+    runs: int = 40,
+    seed: int = 0,
+    cache: Path,
+    **options: Any,
+) -> CorruptedBags:
+    """Return runs 0 to `runs` - 1 of a seed, made where the cache does not have them.
+
+    Parameters
+    ----------
+    clean
+        The bag.
+    model
+        A model, the file of one, or the name of a preset.
+    runs, seed
+        How many, of which draws.
+    cache
+        Directory in which bags are kept under a hash of the clean bag's bytes, the model, the seed and the options.
+    options
+        Fields of `odomcorrupt.corruption.transform.Options`, such as odom_topic="/odom".
+
+    Raises
+    ------
+    OdomCorruptError
+        Where a run cannot be made.
+
+    """
+    source, chosen = Path(clean), _model(model)
+    if runs < 1:
+        raise OdomCorruptError(f"runs: {runs}; it takes one or more")
+    if not source.exists():
+        raise OdomCorruptError(f"{source}: there is no such bag")
+    fingerprint = fingerprint_of(source)
+    given = Options(**options)
+    text = repr((fingerprint, chosen, seed, given, odomcorrupt.__version__))
+    directory = cache / f"{source.stem}-{hashlib.sha256(text.encode()).hexdigest()[:20]}"
+    file = Path(model) if isinstance(model, str | Path) and Path(model).is_file() else None
+    (job,) = plan(
+        [source], directory, chosen, model_file=file, sweeps=(), posterior=False, seed=seed, options=given,
+        container=Container(), output="full", split=False, typed=(), option_words=(),
+    )  # fmt: skip
+    begin(job, fingerprint)
+    todo = missing_runs(job, range(runs), Shard(1, 1))
+    failures = [failure for task in tasks_of(job, todo, 1) for failure in attempt(task)]
+    if failures:
+        raise OdomCorruptError(f"{source}: run {failures[0][0]} cannot be made: {failures[0][1]}")
+    write_manifest(directory)
+    records = read_records(directory)
+    return CorruptedBags(
+        [
+            CorruptedBag(directory / records[run]["file"], run, seed, directory / "clean.tum", records[run]["drift"])
+            for run in range(runs)
+        ]
+    )
+
+
+def _model(model: MotionModel | Path | str) -> MotionModel:
+    if isinstance(model, MotionModel):
+        return model
+    if isinstance(model, str) and model in PRESETS:
+        return MotionModel(preset_named(model).noise)
+    return read_model(Path(model))

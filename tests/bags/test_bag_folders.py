@@ -1,0 +1,141 @@
+"""Folders of ROS 2 bags: YAML of strangers is bounded, no file is read twice, and only one recording is one bag."""
+
+import os
+import shutil
+import time
+
+import pytest
+from oracles import FIXTURES, OFFICE_MCAP, copy
+
+from odomcorrupt.bags.definition import Definition
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.rosbag2 import bounded_yaml
+from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain
+from odomcorrupt.bags.rosbag2.metadata import TopicInfo, generated
+from odomcorrupt.errors import BagError
+
+OFFICE = FIXTURES / "office_ros2"
+DB = "office_ros2.db3"
+BOMB = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9) if k else ', '.join(['x'] * 9)}]\n" for k in range(9))
+HOSTILE = {
+    "deep list": ("a: " + "[" * 400 + "]" * 400, "nested more than"),
+    "deep map": ("a: " + "{b: " * 400 + "}" * 400, "nested more than"),
+    "deep block": ("".join(" " * k + "a:\n" for k in range(400)), "nested more than"),
+    "list as a key": ("? [a, b]\n: 1\n", "a key is a list or a map"),
+    "map as a key": ("{{a: 1}: 2}", "a key is a list or a map"),
+    "aliases": (BOMB, "more than 50000 entries"),
+    "aliases, merged": (BOMB.replace("[", "{<<: [").replace("]", "]}"), "entries|nested|list or a map|expected"),
+    "itself": ("a: &a [*a]", "part of"),
+    "nobody": ("a: *a", "for nothing|undefined"),
+    "many keys": ("".join(f"k{k}: 1\n" for k in range(60_000)), "more than 50000 entries"),
+    "a tag": ("a: !!python/object/apply:os.system [true]", "metadata.yaml"),
+    "a date": ("a: 2001-99-99", "metadata.yaml|month"),
+    "a number": ("a: " + "9" * 10_000, "metadata.yaml|digits"),
+    "a zero byte": ("a: \0", "special characters|unacceptable"),
+}
+
+
+@pytest.fixture
+def bag(tmp_path):
+    shutil.copytree(OFFICE, tmp_path / "bag")
+    return tmp_path / "bag"
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_metadata_is_a_line_at_once(name, bag):
+    text, words = HOSTILE[name]
+    (bag / "metadata.yaml").write_text(text)
+    begun = time.process_time()
+    with pytest.raises(BagError, match=words) as caught:
+        open_reader(bag)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
+    assert time.process_time() - begun < 15.0
+
+
+@pytest.mark.parametrize("load", [load_plain, load_faithful])
+def test_aliases_and_merges_of_honest_size_are_read(load):
+    assert load("a: &a {x: 1}\nb: *a\nc: [*a, *a]\n") == {"a": {"x": 1}, "b": {"x": 1}, "c": [{"x": 1}, {"x": 1}]}
+    assert load("a: &a {x: 1}\nb: {<<: *a, y: 2}\n")["b"]["x"] == 1
+
+
+def test_a_file_that_is_too_large_or_takes_too_long_is_refused(bag, monkeypatch):
+    monkeypatch.setattr(bounded_yaml, "LONGEST_S", 0.0)
+    with pytest.raises(BagError, match="takes more than"):
+        open_reader(bag)
+    (bag / "metadata.yaml").write_text("a: " + "x" * (5 << 20))
+    with pytest.raises(BagError, match="more than 4194304 bytes"):
+        open_reader(bag)
+
+
+def test_qos_that_is_no_yaml_stays_a_text():
+    for qos in ("- history: keep_last\n  " + "[" * 400, "- history: keep_last\n  x: *y", "{[a]: history: keep"):
+        topic = TopicInfo("/a", "cdr", Definition("std_msgs/msg/String", "", b"", {"offered_qos_profiles": qos}))
+        assert load_plain(generated("mcap", [], [topic], ""))["rosbag2_bagfile_information"][
+            "topics_with_message_count"
+        ]
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", DB])
+@pytest.mark.parametrize("kind", ["pipe", "device", "directory"])
+def test_a_pipe_in_place_of_a_file_is_refused_and_not_waited_for(name, kind, bag):
+    (bag / name).unlink()
+    if kind == "pipe":
+        os.mkfifo(bag / name)
+    elif kind == "device":
+        (bag / name).symlink_to("/dev/zero")
+    else:
+        (bag / name).mkdir()
+    with pytest.raises(BagError, match="is no file"):
+        open_reader(bag)
+
+
+@pytest.mark.parametrize("way", ["listed", "listed elsewhere", "symlink", "hard link"])
+def test_no_file_is_read_twice(way, bag, tmp_path):
+    text = (bag / "metadata.yaml").read_text()
+    if way.startswith("listed"):
+        second = DB if way == "listed" else f"office_ros2/{DB}"
+        line = next(line for line in text.splitlines(keepends=True) if line.strip() == f"- {DB}")
+        (bag / "metadata.yaml").write_text(text.replace(line, line + line.replace(DB, second), 1))
+    else:
+        (bag / "metadata.yaml").unlink()
+        (bag / DB).rename(bag / "part_0.db3")
+        if way == "symlink":
+            (bag / "part_1.db3").symlink_to("part_0.db3")
+        else:
+            (bag / "part_1.db3").hardlink_to(bag / "part_0.db3")
+    with pytest.raises(BagError, match="is the same file as"):
+        copy(bag, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("names", "fine"),
+    [
+        (["a_0", "a_1", "a_2"], True),
+        (["a_9", "a_10", "a_11"], True),
+        (["2024_01_02_3"], True),
+        (["office", "mystery"], False),
+        (["a_0", "a_2"], False),
+        (["a_0", "b_1"], False),
+        (["a_1", "a_01"], False),
+        (["a_0", ".hidden"], True),
+    ],
+)
+def test_a_folder_without_metadata_is_one_bag_only_if_its_names_count(names, fine, tmp_path):
+    (tmp_path / "in").mkdir()
+    for name in names:
+        shutil.copyfile(OFFICE_MCAP, tmp_path / "in" / f"{name}.mcap")
+    if fine:
+        with open_reader(tmp_path / "in") as reader:
+            assert len(reader.parts) == sum(not name.startswith(".") for name in names)
+        return
+    with pytest.raises(BagError, match="not evidently parts of one recording") as caught:
+        open_reader(tmp_path / "in")
+    assert all(f"{name}.mcap" in str(caught.value) for name in names)
+
+
+def test_a_folder_of_a_ros1_bag_names_it(tmp_path):
+    (tmp_path / "run.bag").touch()
+    with pytest.raises(BagError, match=r"it holds run\.bag, name that"):
+        open_reader(tmp_path)

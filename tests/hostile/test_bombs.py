@@ -1,0 +1,191 @@
+"""Bags of a few kilobytes that would become gigabytes, or a million records: one line, in bounded memory and time."""
+
+from __future__ import annotations
+
+import bz2
+import sqlite3
+import struct
+import subprocess
+import sys
+import time
+from contextlib import closing
+
+import lz4.frame
+import pytest
+import zstandard
+
+from odomcorrupt.bags.budget import VARIABLE, Budget
+from odomcorrupt.bags.codecs import beginning
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import BagError
+
+MB = 1 << 20
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def packed(opcode, *parts):
+    return struct.pack("<BQ", opcode, sum(map(len, parts))) + b"".join(parts)
+
+
+def string(text):
+    return struct.pack("<I", len(text)) + text.encode()
+
+
+def mcap_of(chunks, codec="zstd"):
+    """Return an MCAP whose chunks hold these bytes, and say so."""
+    pack = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}[codec]
+    out = [MAGIC, packed(1, string("ros2"), string("tests"))]
+    for data in chunks:
+        small = pack(data)
+        head = struct.pack("<QQQI", 0, 0, len(data), 0) + string(codec) + struct.pack("<Q", len(small))
+        out.append(packed(6, head, small))
+    return b"".join([*out, packed(15, bytes(4)), packed(2, bytes(20)), MAGIC])
+
+
+def fields(**values):
+    return b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in values.items())
+
+
+def written(header, data):
+    return struct.pack("<I", len(header)) + header + struct.pack("<I", len(data)) + data
+
+
+HEAD = fields(conn=bytes(4), op=b"\x02", time=bytes(8))
+CONNECTION = written(fields(conn=bytes(4), op=b"\x07", topic=b"/a"), fields(topic=b"/a", type=b"a/B", md5sum=b"*"))
+
+
+def ros1_of(chunks):
+    """Return a ROS 1 bag whose chunks hold these bytes, packed with bz2."""
+
+    body = b""
+    for data in chunks:
+        header = fields(compression=b"bz2", op=b"\x05", size=struct.pack("<I", len(data)))
+        body += written(header, bz2.compress(data))
+    begin = b"#ROSBAG V2.0\n"
+    for _ in range(2):
+        at = struct.pack("<Q", len(begin) + len(body))
+        head = fields(chunk_count=bytes(4), conn_count=bytes(4), index_pos=at, op=b"\x03")
+        begin = b"#ROSBAG V2.0\n" + written(head, b" " * 100)
+    return begin + body
+
+
+def message(size):
+    """Return a channel and a message of zeros: whole records."""
+    channel = packed(4, struct.pack("<HH", 1, 0), string("/zeros"), string("json"), struct.pack("<I", 0))
+    return channel + packed(5, struct.pack("<HIQQ", 1, 0, 1, 1), bytes(size))
+
+
+def read(path, recover):
+    with open_reader(path, recover=recover) as reader:
+        for _ in reader.blocks():
+            pass
+        return reader.losses
+
+
+BOMBS = {
+    "one mcap chunk": lambda: mcap_of([message(60 * MB)]),
+    "repeated mcap chunks": lambda: mcap_of([message(5 * MB)] * 12),
+    "repeated lz4 chunks": lambda: mcap_of([message(15 * MB)] * 8, "lz4"),
+    "one bz2 chunk": lambda: ros1_of([bytes(60 * MB)]),
+    "repeated bz2 chunks": lambda: ros1_of([CONNECTION + written(HEAD, bytes(8 * MB))] * 8),
+}
+
+
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("name", BOMBS)
+def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "0.04" if "lz4" not in name else "0.01")
+    monkeypatch.setattr("odomcorrupt.bags.budget._TIMES", 100)
+    path = tmp_path / ("in.bag" if "bz2" in name else "in.mcap")
+    path.write_bytes(BOMBS[name]())
+    if recover:
+        assert any(VARIABLE in loss for loss in read(path, recover))
+        return
+    with pytest.raises(BagError, match=f"{VARIABLE}=N allows N GiB") as caught:
+        read(path, recover)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_allowance_can_be_lifted_and_a_wrong_one_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap_of([message(3 * MB)] * 3))
+    monkeypatch.setenv(VARIABLE, "1e-3")
+    with pytest.raises(BagError, match=VARIABLE):
+        read(path, recover=False)
+    monkeypatch.setenv(VARIABLE, "0.1")
+    assert read(path, recover=False) == []
+    for text in ("much", "inf", "nan", ""):
+        monkeypatch.setenv(VARIABLE, text)
+        with pytest.raises(BagError, match="write a number of GiB"):
+            read(path, recover=False)
+
+
+@pytest.mark.parametrize("codec", ["zstd", "bz2", "lz4"])
+def test_the_beginning_of_a_cut_bomb_goes_as_far_as_the_budget(codec, monkeypatch):
+    monkeypatch.setenv(VARIABLE, str(8 / 1024))
+    pack = {"zstd": zstandard.compress, "bz2": bz2.compress, "lz4": lz4.frame.compress}[codec]
+    whole = pack(bytes(64 * MB))
+    for cut in (whole[: len(whole) // 2], whole[:-1], whole):
+        assert len(beginning(codec, cut, Budget())) <= 8 * MB + 1000 * len(cut)
+    sound = pack(bytes(range(256)) * 4096)
+    assert bytes(beginning(codec, sound, Budget())) == bytes(range(256)) * 4096
+
+
+ZEROS = {"zeros": b"\0" * 9, "private records": packed(0x80), "schemas": packed(0x7F)}
+
+
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("name", ZEROS)
+def test_a_chunk_of_a_million_empty_records_is_refused(name, recover, tmp_path, monkeypatch):
+    for module in ("chunk_messages", "resync"):
+        monkeypatch.setattr(f"odomcorrupt.bags.mcap.{module}.MOST_RECORDS", 10_000)
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap_of([ZEROS[name] * 200_000]))
+    begun = time.process_time()
+    if recover:
+        assert read(path, recover)
+    else:
+        with pytest.raises(BagError, match="is of no kind, or one of more than"):
+            read(path, recover)
+    assert time.process_time() - begun < 5.0
+
+
+def peak_mb(code, *words):
+    """Return the memory that a program takes beyond what importing takes, MB."""
+    program = (
+        "import resource, sys; from odomcorrupt.bags.open import open_reader\nfrom pathlib import Path\n"
+        "import odomcorrupt.bags.mcap.reader, odomcorrupt.bags.rosbag2.reader\n"
+        "def peak(): return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024\nbefore = peak()\n"
+        f"{code}\nprint(peak() - before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True)
+    return float(done.stdout.splitlines()[-1])
+
+
+READ = """
+with open_reader(Path(sys.argv[1])) as reader:
+    for block in reader.blocks():
+        pass
+"""
+
+
+def test_a_large_chunk_is_in_memory_once(tmp_path):
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap_of([message(200 * MB)]))
+    assert peak_mb(READ, str(path)) < 240
+
+
+def test_a_large_message_of_a_database_is_in_memory_once_or_not_at_all(tmp_path):
+    path = tmp_path / "in.db3"
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("CREATE TABLE topics (id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
+        columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB"
+        connection.execute(f"CREATE TABLE messages ({columns})")
+        connection.execute("INSERT INTO topics VALUES (1, '/zeros', 'a/msg/B'), (2, '/other', 'a/msg/B')")
+        connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 1, zeroblob(?))", (200 * MB,))
+        connection.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (2, 2, x'01')")
+    assert peak_mb(READ, str(path)) < 240
+    assert peak_mb(READ.replace("blocks()", "blocks({2})"), str(path)) < 40
+    with open_reader(path) as reader:
+        (block,) = reader.blocks({2})
+        assert block.table["length"].tolist() == [0, 1]

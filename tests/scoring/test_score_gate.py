@@ -1,0 +1,123 @@
+"""The gate finds what it must, leaves alone what has not changed, and gives one verdict for one pair of results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from odomcorrupt.scoring.errors import ScoreError
+from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule
+
+
+def pair(rng, rise, scatter=0.2, n=40):
+    level = 0.5 * rng.standard_normal(n)
+    old, new = np.exp(level + scatter / np.sqrt(2.0) * rng.standard_normal((2, n)))
+    return old, new * (1.0 + rise)
+
+
+@pytest.mark.parametrize("statistic", ["median", "p90"])
+def test_20_percent_is_found_in_95_of_100_trials_and_1_of_100_is_falsely_red(statistic):
+    """benchmarks/gate.py counts a thousand trials and other scatters."""
+    rng = np.random.default_rng(1)
+    found = sum(compare_paired(*pair(rng, 0.2), statistic=statistic).rise for _ in range(100))
+    false = sum(compare_paired(*pair(rng, 0.0), statistic=statistic).rise for _ in range(100))
+    assert found >= 93
+    assert false <= 3
+
+
+def test_a_thousand_runs_do_not_turn_a_rise_of_5_percent_red():
+    found = compare_paired(*pair(np.random.default_rng(9), 0.05, n=1000), rise=0.2)
+    assert not found.rise
+    assert found.p < 1e-3
+    assert found.low < 1.05 < found.high
+
+
+def test_a_rise_of_the_worst_runs_alone_is_found_by_their_quantile():
+    old, new = pair(np.random.default_rng(3), 0.0, 0.05, 100)
+    new = np.where(old >= np.quantile(old, 0.8), 2.0 * new, new)
+    assert compare_paired(old, new, statistic="p90").rise
+    assert not compare_paired(old, new, statistic="median").rise
+
+
+def test_one_pair_of_results_has_one_verdict():
+    old, new = pair(np.random.default_rng(4), 0.1)
+    assert compare_paired(old, new, statistic="p90") == compare_paired(old, new, statistic="p90")
+
+
+def test_equal_results_are_no_rise():
+    old, _ = pair(np.random.default_rng(5), 0.0)
+    found = compare_paired(old, old)
+    assert (found.rise, found.ratio, found.p) == (False, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("n", [12, 60, 300])
+def test_the_signed_rank_test_is_scipys(n):
+    stats = pytest.importorskip("scipy.stats")
+    d = np.random.default_rng(n).normal(0.15, 1.0, n)
+    method = "exact" if n < 200 else "approx"
+    expected = stats.wilcoxon(d, alternative="greater", method=method, correction=n >= 200).pvalue
+    assert _signed_rank(d) == pytest.approx(expected, rel=2e-3)
+
+
+def result(values, failed=(), seed=7, missing=()):
+    return {
+        "runs": [
+            {"name": f"run_{i:06d}", "seed": seed, "metrics": {"ate_m": None if i in missing else float(v)},
+             "scored": i not in missing, "counted": i not in missing, "failed": i in failed}
+            for i, v in enumerate(values)
+        ]
+    }  # fmt: skip
+
+
+def test_a_rule_says_what_happened_and_how_many_pairs_it_saw():
+    old, new = pair(np.random.default_rng(6), 0.5)
+    (verdict,) = check(result(new, missing={3}), ["ate_p90 +20%"], result(old))
+    assert verdict.failed
+    assert "FAILED" in verdict.sentence
+    assert "39 pairs" in verdict.sentence
+    assert "1 pairs left out" in verdict.sentence
+
+
+def test_more_losses_are_found_by_the_runs_that_differ():
+    values = np.ones(40)
+    red, same = (check(result(values, failed=range(n)), ["lost +10%"], result(values))[0] for n in (10, 2))
+    assert red.failed
+    assert not same.failed
+
+
+def test_an_absolute_rule_needs_no_baseline():
+    low, high = check(result([0.1, 0.2, 0.3], failed={1}), ["ate_max > 0.5", "lost > 10%"])
+    assert not low.failed
+    assert high.failed
+
+
+def test_few_pairs_say_what_they_can_find():
+    old, new = pair(np.random.default_rng(8), 0.0, scatter=0.8, n=12)
+    (verdict,) = check(result(new), ["ate_median +20%"], result(old))
+    assert "only a rise of" in verdict.sentence
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ("ate_p90 20%", "not understood"),
+        ("speed_p90 +20%", "no metric speed_p90"),
+        ("ate_p90 +0%", "more than 0"),
+        ("ate_p90 +0.2", "percentage"),
+    ],
+)
+def test_a_rule_that_is_none_is_refused_with_an_example(rule, said):
+    with pytest.raises(ScoreError, match=said):
+        parse_rule(rule)
+
+
+def test_what_cannot_be_compared_is_said():
+    values = np.ones(40)
+    with pytest.raises(ScoreError, match="--baseline"):
+        check(result(values), ["ate_p90 +20%"])
+    with pytest.raises(ScoreError, match="no run in common"):
+        check(result(values), ["ate_p90 +20%"], result(values, seed=8))
+    with pytest.raises(ScoreError, match="takes 8 or more"):
+        check(result(values[:5]), ["ate_p90 +20%"], result(values))
+    with pytest.raises(ScoreError, match="no result of score"):
+        check(result(values), ["ate_p90 +20%"], {"runs": 3})

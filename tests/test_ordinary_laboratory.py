@@ -1,0 +1,136 @@
+"""The generator of ordinary recordings keeps to the definitions of docs/effects.md, and its judge to its protocol."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from ordinary import verdicts
+from ordinary.bags import read_odometry, write_bag
+from ordinary.cases import FIRST_SEED, SITUATIONS, cases
+from ordinary.causes import CAUSES
+from ordinary.machine import Rig, body_motion, odometry_of, stream
+from ordinary.page import page
+from ordinary.platforms import PLATFORMS
+from ordinary.routes import Route, driven
+from ordinary.truths import TRUTHS, make_truth
+
+ROUTE = Route("rooms", 6.0, 5.0)
+
+
+def _made(robot, flaw=None, heading="wheels", seed=3, seconds=90.0):
+    """Return body and odometry of a robot without chance and counts, its gyro's white noise apart."""
+    platform = replace(PLATFORMS[robot], noise_m=0.0, ticks=0.0)
+    rig = Rig(heading)
+    motion = driven(ROUTE, platform, seconds, stream(seed, "driver"), np.zeros(3))
+    body = body_motion(motion, flaw, platform, rig, seed, np.zeros(3))
+    return body, odometry_of(body, flaw, platform, rig, seed, (3.0, 2.5, 1.0))
+
+
+@pytest.mark.parametrize(("robot", "heading"), [("cart", "wheels"), ("burger", "gyro"), ("racer", "steering")])
+def test_odometry_without_a_flaw_is_the_truth(robot, heading):
+    body, odometry = _made(robot, heading=heading)
+    true = body.at(odometry.time_s)
+    departs = odometry.xyt - (true - true[0])
+    assert np.max(np.hypot(*departs.T[:2])) < {"wheels": 0.001, "gyro": 0.01, "steering": 0.3}[heading]
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "expected"),
+    [
+        ("wheel_scale", {"e": 0.02}, lambda v, w: (0.02 * v, 0.02 * w)),
+        ("unequal_wheels", {"e": 0.01}, lambda v, w: (0.01 * 0.45 * w / 4, 0.01 * v / 0.45)),
+        ("wheelbase", {"e": 0.05}, lambda v, w: (0.0 * v, -0.05 / 1.05 * w)),
+        ("turn_asymmetry", {"k": 0.03}, lambda v, w: (0.0 * v, 0.03 * abs(w))),
+    ],
+)
+def test_truth_minus_odometry_is_as_the_documents_define(name, sizes, expected):
+    body, odometry = _made("cart", (name, sizes))
+    v, w = odometry.twist.T
+    for true, said, effect in zip((body.v, body.true_w), (v, w), expected(v, w), strict=True):
+        way = np.interp(odometry.time_s, body.time_s, np.cumsum(true) / 200.0)
+        departs = np.abs(way - way[0] - np.cumsum(said + effect) / 50.0)
+        assert np.max(departs) < 0.01
+
+
+def test_a_late_stamp_is_later_by_the_offset_alone():
+    _, clean = _made("cart")
+    _, late = _made("cart", ("time_offset", {"offset": 0.02}))
+    assert np.allclose(late.stamp_s - clean.stamp_s, 0.02)
+    assert np.array_equal(late.xyt, clean.xyt)
+
+
+def test_play_costs_its_travel_at_each_reversal_and_nothing_else():
+    _, clean = _made("cart")
+    _, play = _made("cart", ("backlash", {"travel": 0.01}))
+    way = np.abs(np.cumsum(play.twist[:, 0] - clean.twist[:, 0])) / 50.0
+    # the middle of the axle moves by half of what one wheel loses
+    assert way.max() >= 0.005
+    assert np.median(np.abs(way / 0.005 - np.round(way / 0.005))) < 0.02
+
+
+def test_the_same_seed_gives_the_same_drive_and_a_flaw_changes_no_chance():
+    first, again = _made("skid", seed=5), _made("skid", seed=5)
+    assert np.array_equal(first[1].xyt, again[1].xyt)
+    flawed = _made("skid", ("wheel_scale", {"e": 0.02}), seed=5)
+    assert np.array_equal(first[0].xyt, flawed[0].xyt)
+
+
+@pytest.mark.parametrize("kind", list(TRUTHS))
+def test_every_truth_tells_where_the_robot_is(kind, tmp_path):
+    body, odometry = _made("cart", heading="gyro")
+    truth = make_truth(kind, body, (0.0, 0.0, 0.0), odometry, 3, np.zeros(3))
+    write_bag(tmp_path / "run.mcap", odometry, truth.messages)
+    stamps, xyt = read_odometry(tmp_path / "run.mcap")
+    assert np.allclose(stamps, odometry.stamp_s, atol=1e-6)
+    assert np.allclose(xyt, odometry.xyt, atol=1e-9)
+    pose = truth.messages[0]
+    if pose.kind in ("pose", "pose_cov"):
+        assert np.median(np.abs(pose.rows - body.at(pose.stamp_s))[:, :2]) < 0.05
+
+
+def test_pilots_and_the_frozen_run_share_no_seed_and_every_cause_is_planted():
+    frozen, pilot = cases(), cases(pilot=True)
+    assert min(case.seed for case in frozen) >= FIRST_SEED > max(case.seed for case in pilot)
+    assert len({case.seed for case in frozen}) == len(frozen) >= 300
+    assert {case.cause for case in frozen} == {"", *CAUSES}
+    assert {case.situation for case in frozen[:10]} == set(SITUATIONS)
+    assert 0.35 < np.mean([not case.cause for case in frozen]) < 0.45
+
+
+def _row(cause, found, **more):
+    case = {"situation": "clock", "number": 1, "seed": 20_001, "setting": 1, "cause": cause}
+    answer = {"found": [{"effect": name, "confidence": told} for name, told in found], "unknown": []}
+    expected = {"before_m": 0.05, "floor_m": 0.01, "attainable_m": 0.011, "nats": 99.0, "excited": bool(cause)}
+    return {"key": "clock/1", "case": case, "answer": answer, "expected": expected, "after_m": 0.012} | more
+
+
+def test_verdicts_follow_the_protocol():
+    assert verdicts.false_alarms(_row("", [("backlash", 0.3)]))
+    assert verdicts.wrong_and_sure(_row("time_offset", [("accel_slip", 0.99)]))
+    assert not verdicts.wrong_and_sure(_row("time_offset", [("accel_slip", 0.89), ("time_offset", 0.99)]))
+    assert not verdicts.wrong_and_sure(_row("channel_lag", [("time_offset", 0.99)]))
+    assert not verdicts.right(_row("channel_lag", [("time_offset", 0.99)]))
+    assert verdicts.right(_row("channel_lag", [("turn_lag", 0.5)]))
+    assert verdicts.harmed(_row("time_offset", [], after_m=0.06))
+    assert verdicts.refusals(_row("time_offset", [], uses={"batch": "exit 1: no", "correct": ""})) == [
+        "batch: exit 1: no"
+    ]
+
+
+def test_an_event_is_found_by_its_time():
+    case = _row("push", [], event={"start_s": 100.0, "end_s": 102.0, "angle": 0.2, "way": 0.1})
+    assert not verdicts.right(case)
+    case["answer"]["events"] = [{"time_s": 99.0}]
+    assert verdicts.right(case)
+
+
+def test_the_page_lists_every_miss():
+    text = page([_row("time_offset", [("accel_slip", 0.99)], flaw=["time_offset", {"offset": 0.01}], uses={})])
+    assert "accel_slip 0.990" in text
+    assert "planted `time_offset` offset=0.01" in text
+    assert "--pilot --key clock/1" in text

@@ -1,0 +1,133 @@
+"""stdout and stderr that are full, closed, or read by nobody, names that would take over a terminal, and Ctrl-C."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from odomcorrupt.standard_streams import TextStream, visible
+
+FIXTURES = Path(__file__).parent.parent / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
+OURS = [sys.executable, "-m", "odomcorrupt"]
+WITHOUT = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+WORDS = {"info": ["info", OFFICE], "help": ["--help"], "json": ["info", OFFICE, "--json"], "bag": [OFFICE, "-"]}
+
+
+def called(words, *, redirected="", env=None):
+    """Run a command, its streams redirected; return exit code (negative for a signal), stdout and stderr."""
+    line = [*OURS, *words]
+    if redirected:
+        line = ["bash", "-c", f'exec "$@" {redirected}', "bash", *line]
+    done = subprocess.run(line, capture_output=True, check=False, env=WITHOUT if env is None else env)
+    return done.returncode, done.stdout.decode(), done.stderr.decode()
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+@pytest.mark.parametrize("words", WORDS.values(), ids=WORDS)
+@pytest.mark.parametrize(("redirected", "reason"), [("> /dev/full", "No space left"), (">&-", "Bad file descriptor")])
+def test_a_stdout_that_takes_nothing_is_said_in_a_line(words, redirected, reason, unbuffered):
+    env = WITHOUT | ({"PYTHONUNBUFFERED": "1"} if unbuffered else {})
+    code, _, said = called(words, redirected=redirected, env=env)
+    assert code == 1
+    assert said.startswith(f"odomcorrupt: stdout: cannot be written: {reason}")
+    assert said.count("\n") == 1, said
+
+
+@pytest.mark.parametrize("redirected", ["2> /dev/full", "2>&-"])
+@pytest.mark.parametrize(("words", "expected"), [(["info", OFFICE], 0), (["info", "/nowhere"], 1), (["info"], 2)])
+def test_a_stderr_that_takes_nothing_changes_no_exit_code(words, expected, redirected):
+    assert called(words, redirected=redirected)[0] == expected
+
+
+def test_what_is_written_does_not_end_up_in_a_closed_stream_s_place(tmp_path):
+    out = tmp_path / "out.mcap"
+    assert called([OFFICE, str(out), "--seed", "7"], redirected=">&- 2>&- <&-")[0] == 0
+    again = tmp_path / "again.mcap"
+    assert called([OFFICE, str(again), "--seed", "7"])[0] == 0
+    assert out.read_bytes() == again.read_bytes()
+
+
+def test_a_closed_stdin_is_said():
+    code, _, said = called(["info", "-"], redirected="<&-")
+    assert (code, said.count("\n")) == (1, 1)
+    assert "stdin: cannot be read" in said
+
+
+@pytest.mark.parametrize("words", WORDS.values(), ids=WORDS)
+def test_a_pipe_that_is_closed_early_ends_as_cat_does(words):
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([*OURS, *words], stdout=write, stderr=subprocess.PIPE, check=False, env=WITHOUT)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (-signal.SIGPIPE, b"")
+
+
+def test_what_a_command_writes_is_written_though_nobody_reads_its_words(tmp_path):
+    out = tmp_path / "out.mcap"
+    read, write = os.pipe()
+    os.close(read)
+    line = [*OURS, "integrate", OFFICE, str(out)]
+    done = subprocess.run(line, stdout=write, stderr=subprocess.PIPE, check=False, env=WITHOUT)
+    os.close(write)
+    assert done.returncode == -signal.SIGPIPE
+    assert b"Traceback" not in done.stderr
+    assert out.read_bytes().startswith(b"\x89MCAP")
+
+
+@pytest.mark.parametrize("delay_s", [0.03, 0.06, 0.1, 0.15, 0.25])
+def test_an_interrupt_while_it_begins_is_no_traceback(delay_s):
+    program = f"print(flush=True); import sys; sys.argv[1:] = ['info', {OFFICE!r}]\n"
+    program += "from odomcorrupt.__main__ import main\nmain()"
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.readline()
+    time.sleep(delay_s)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate()
+    assert process.returncode in {-signal.SIGINT, 130, 0}
+    assert b"Traceback" not in said
+
+
+EVIL = "/odom\x1b]0;title\x07\r\x1b[2K\x9b31m\u202eabc\nNote: all is well"
+
+
+def evil_bag(path):
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel(EVIL, "json", 0)
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_control_characters_of_names_are_shown_escaped(more, tmp_path):
+    _, out, said = called(["info", str(evil_bag(tmp_path / "in.mcap")), *more])
+    both = out + said
+    assert not set(both) & {"\x1b", "\x07", "\r", "\x9b", "\u202e"}
+    assert "\nNote: all is well" not in both
+    assert "x1b" in both or "u001b" in both
+    _, out, said = called([str(tmp_path / "in.mcap"), str(tmp_path / "\x1b[31mout.mcap")])
+    assert "\x1b" not in out + said
+    assert said.count("\n") == 1
+
+
+def test_names_are_shown_as_they_are_but_for_controls():
+    assert visible("/odöm \N{ROBOT FACE}\t\n\x1b") == "/odöm \N{ROBOT FACE}\\t\\n\\x1b"
+
+
+def test_a_line_of_progress_still_erases_the_one_before():
+    buffer = io.BytesIO()
+    stream = TextStream(buffer, "utf8")
+    stream.write("\r\x1b[K5 s\r\x1b[K\n\tx")
+    stream.flush()
+    assert buffer.getvalue() == b"\r\x1b[K5 s\\r\\x1b[K\n\tx"
