@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
@@ -23,10 +24,12 @@ SPEED_BIAS = 1e-3
 TURN_BIAS = 1e-3
 """Deviation of a scale error of turns, and of one that grows with speed, per m/s: 4e-4 was seen where nothing else
 could err."""
+LAG_BIAS_S = 0.01
+"""Deviation of a lag of turns behind travel, seconds: where in a sweep walls are seen decides its effective time."""
 LOCAL_BIAS = 1e-3
 """Deviation of the scale of a part of the map: keyframes half a metre apart are placed to a millimetre or two."""
 CELL_M = 2.0
-SHARED = 4
+SHARED = 5
 """So many of the columns, the first ones, are of the instrument: a fit of the noise leaves these free."""
 _MOST_CELLS = 150
 
@@ -50,6 +53,9 @@ def bias_roots(problem: Problem) -> Array:
     columns = [_of_travel(along * weight[:, None]) for weight in (scale, SPEED_BIAS * matched * speed)]
     turn = -TURN_BIAS * matched * step[:, 2]
     columns += [np.column_stack((np.zeros((len(step), 2)), part)) for part in (turn, turn * speed)]
+    kind = registry().get("channel_lag")
+    if kind is not None:
+        columns += [LAG_BIAS_S * matched[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
     cell = np.floor(nodes.truth_xyt[:, :2] / CELL_M).astype(np.int64)
     _, place, count = np.unique(
         np.column_stack((problem.run.astype(np.int64), cell)), axis=0, return_inverse=True, return_counts=True
