@@ -1,15 +1,15 @@
-"""What can go wrong, as types. Every message says what: the value found; the way out."""
+"""Exception types. Every message says what failed, the value found, and the way out."""
 
 
 class OdomCorruptError(Exception):
-    """Root of all errors that a user can cause or cure; the command line exits with 1."""
+    """Base class of all errors that a user can cause or fix; the command line exits with 1."""
 
 
 class BagError(OdomCorruptError, OSError):
     """A bag cannot be read or written."""
 
     def __str__(self) -> str:
-        """Return the sentence alone: OSError would add an errno that we do not have."""
+        """Return the message alone, without the errno of an OSError."""
         return str(self.args[0]) if self.args else ""
 
 
@@ -18,11 +18,11 @@ class TopicError(OdomCorruptError):
 
 
 class MapError(OdomCorruptError):
-    """A map cannot be read, or does not say what is asked of it."""
+    """A map cannot be read, or lacks what is needed."""
 
 
 class ModelError(OdomCorruptError, ValueError):
-    """A model file, a law or its coefficients make no sense."""
+    """A model file, a noise law or its coefficients are invalid."""
 
 
 class EffectError(ModelError):
@@ -34,4 +34,4 @@ class RecordingError(OdomCorruptError):
 
 
 class FitError(OdomCorruptError):
-    """A recording does not carry what a fit needs."""
+    """A recording does not contain the data that a fit needs."""

@@ -1,4 +1,4 @@
-"""What this process asks of the C library."""
+"""Memory settings of the C library for this process."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _KEPT_BYTES = 32 << 20
 
 
 def keep_freed_memory() -> None:
-    """Have freed memory stay with the process, where the C library is glibc.
+    """Keep freed memory in the process instead of returning it to the kernel, with glibc.
 
-    Codecs return each chunk in fresh memory, and to get that from the kernel costs more than to unpack into it.
+    Codecs allocate memory for each chunk, and getting it from the kernel takes longer than decompressing into it.
     """
     if sys.platform != "linux":
         return

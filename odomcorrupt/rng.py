@@ -1,7 +1,7 @@
 """Seeded streams of random numbers.
 
 A stream is a function of (seed, run, name, ordinal) alone: the same in a single call and in a batch, on any number of
-workers, for any cut of the bag into blocks.
+workers, for any division of the bag into blocks.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ SEED_LIMIT = 2**63
 
 
 def draw_seed() -> int:
-    """Return a fresh seed, short enough to be typed again; never derived from the clock."""
+    """Return a random seed from the operating system's entropy, short enough to be typed."""
     return secrets.randbelow(2**32)
 
 
 def stream(seed: int, run: int, name: str, ordinal: int = 0) -> np.random.Generator:
-    """Return the generator of one purpose (`name`: "noise" or an effect) of one run.
+    """Return the random generator of one purpose (`name`: "noise" or an effect) of one run.
 
-    Two purposes, ordinals or runs never share numbers: each is a spawn key of its own below the seed.
+    Different names, ordinals or runs have independent streams: each has its own spawn key of the seed.
     """
     if not 0 <= seed < SEED_LIMIT:
         raise ModelError(f"seed: {seed}; it must be a whole number from 0 to 2^63 - 1")

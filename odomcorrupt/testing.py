@@ -1,6 +1,6 @@
-"""The contract of an effect, for ours and for third parties': `check_effect(MyEffect)` in a test of their own.
+"""Contract test for effects, including third-party ones: call `check_effect(MyEffect)` in a test.
 
-It needs nothing but odomcorrupt; a broken promise raises `ContractError` with a sentence that says which.
+It needs no other package; a violation raises `ContractError` with a sentence that says which.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _SIGMAS = 6.0
 
 
 class ContractError(AssertionError):
-    """An effect does not keep what effects promise."""
+    """An effect violates the contract of effects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +52,14 @@ class Drive:
 
     @property
     def motion(self) -> Motion:
-        """Its motion, as an odometry without error has it."""
+        """Its motion, as reported by odometry without error."""
         return motion_of((self.stamps_ns - self.stamps_ns[0]) * 1e-9, self.xyt, track_m=TRACK_M)
 
 
 def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0, *, sideways: bool = False) -> Drive:
-    """Return a drive with all that is hard: stops, reverse, turns on the spot, headings beyond pi, a repeated stamp.
+    """Return a test drive with stops, reverse, turns on the spot, headings beyond pi and a repeated stamp.
 
-    sideways : whether the robot also slides from side to side
+    sideways : whether the robot also moves sideways
     """
     t_s = np.arange(round(seconds * rate_hz) + 1) / rate_hz
     t_s += 0.2 / rate_hz * np.sin(7.0 * t_s)
@@ -75,12 +75,12 @@ def contract_drive(seconds: float = 30.0, rate_hz: float = 50.0, *, sideways: bo
 
 
 def check_effect(effect_class: type[Effect]) -> None:
-    """Check that an effect keeps all promises of `effects.effect.Effect`.
+    """Check that an effect fulfils the contract of `effects.effect.Effect`.
 
     Raises
     ------
     ContractError
-        With what it does not keep.
+        If it does not; the message says what is violated.
 
     """
     _check_facts(effect_class)
@@ -103,7 +103,7 @@ def _require(promise: object, effect: Effect | type[Effect], what: str) -> None:
 
 
 def _samples(effect_class: type[Effect]) -> list[Effect]:
-    """Return the effect at its typical values, with every word it knows, and against its sign where it has one."""
+    """Return the effect at its typical values, with each of its options, and with negated amplitudes if allowed."""
     sizes = {p.name: p.typical if p.amplitude else p.identity for p in parameters(effect_class)}
     found = [effect_class(**sizes)]
     for word, options in choices(effect_class).items():
@@ -159,7 +159,7 @@ def _check_numbers(effect: Effect) -> None:
     for field in dataclasses.fields(Motion):
         same = np.array_equal(getattr(motion, field.name), getattr(before, field.name))
         _require(same, effect, f"changes {field.name} of the motion it is given")
-    # a state is never used up: going on from a copy gives the same, and so does going on from it again
+    # states are immutable: continuing from a copy, or twice from the same state, gives the same
     for again in (kept, state):
         _require(np.array_equal(effect.twist_error(motion, again).f, f), effect, "changes the state it is given")
     _require(effect.acts, effect, "does not act at its typical size")
@@ -248,25 +248,25 @@ def _check_moments(effect: Effect) -> None:
         lost = steps - reported
         dt = motion.dt_s[:, None]
         samples.append(f + np.divide(lost, dt, out=np.zeros_like(lost), where=dt > 0.0))
-    # a few rows far from each other: what lies between them is hardly independent
+    # a few rows far from each other: neighbouring rows are correlated
     rows = np.linspace(5, len(motion) - 1, 24).astype(int)
     _compare(effect, np.array(samples)[:, rows], moments.mean[rows], moments.variance[rows])
 
 
 def _loud(effect: Effect) -> Effect:
-    """Return the effect so strong that what is rare happens often enough to be counted."""
+    """Return the effect with rare events made frequent enough to be counted."""
     sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
     loud: Effect = replace(effect, **sizes)  # type: ignore[type-var]
     return loud
 
 
 def _compare(effect: Effect, samples: Array, mean: Array, variance: Array) -> None:
-    """Require that samples (r, ...) have these moments, within what their number and their tails allow."""
+    """Require that samples (r, ...) have this mean and variance, within the error of their number and kurtosis."""
     count = len(samples)
     off = np.abs(samples.mean(axis=0) - mean)
     deviation = samples.std(axis=0)
     allowed = _SIGMAS * deviation / np.sqrt(count)
-    # rare events: where hardly any sample saw one, their own spread says nothing, but the stated one does
+    # rare events: where few samples contain one, use the stated variance instead of the sample variance
     allowed = np.maximum(allowed, _SIGMAS * np.sqrt(np.nan_to_num(variance) / count)) + 1e-12
     _require((off <= allowed).all(), effect, "samples do not have the stated mean")
     square = (samples - mean) ** 2

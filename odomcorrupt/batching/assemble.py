@@ -1,4 +1,4 @@
-"""An overlay and its original put together: the bag that a full run would have been."""
+"""Merge of an overlay with its original bag, equal to the bag of a full run."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ __all__ = ["assemble"]
 
 
 def assemble(overlay: Path, source: Path, target: Path, container: Container) -> int:
-    """Write the original with the overlay's messages in the place of its own; return how many were replaced.
+    """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
 
     Raises
     ------
     BatchError
-        Where the overlay is not one of this original.
+        If the overlay does not belong to this original.
 
     """
     with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
@@ -67,9 +67,9 @@ def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Message
 
 
 class _Messages:
-    """An overlay's messages one by one: they stand in the order of the original's.
+    """An overlay's messages one by one, in the order of the original.
 
-    provenance : what the overlay says of how it came about, known at its end
+    provenance : the overlay's metadata on its origin, complete at its end
     """
 
     def __init__(self, reader: BagReader, path: Path) -> None:
@@ -90,7 +90,7 @@ class _Messages:
         return next(self._stream, ("", 0, memoryview(b"")))
 
     def require_end(self, source: Path) -> None:
-        """Refuse an overlay that has more than its original."""
+        """Raise BatchError where the overlay has messages that its original lacks."""
         left = sum(1 for _ in self._stream)
         if left:
             raise BatchError(f"{self._path}: has {left} messages more than {source}; name the input it was made from")

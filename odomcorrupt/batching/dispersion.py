@@ -1,4 +1,4 @@
-"""How far the runs of a batch spread, against what the linearised model predicts."""
+"""Dispersion of the runs of a batch, compared with the prediction of the linearised model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SHOWN_RUNS, BAND_POINTS = 60, 120
 
 @dataclass(frozen=True, slots=True)
 class SpreadRow:
-    """The spread after a distance: root mean squares about the mean, metres and radians, of runs and as predicted."""
+    """Dispersion after a distance: standard deviations (m, rad) of the runs and predicted, and the mean error."""
 
     after_m: float
     position_m: float
@@ -44,11 +44,12 @@ class SpreadRow:
 
 @dataclass(frozen=True, slots=True)
 class SpreadReport:
-    """A batch's spread.
+    """Dispersion of a batch.
 
-    random_effects : names of effects that draw, of which the prediction knows nothing
-    clean_xy (n, 2), runs_xy : paths for a picture; band : (m, 3) distance, predicted position and heading deviations
-    errors : (k, j, 3) metres gone, position and heading error of each run at each mark
+    random_effects : names of random effects, which the prediction does not include
+    clean_xy (n, 2), runs_xy : paths for plots, metres
+    band : (m, 3) distance in m, predicted standard deviations of position in m and heading in rad
+    errors : (k, j, 3) distance in m, position error in m and heading error in rad of each run at each mark
     """
 
     directory: str
@@ -62,19 +63,19 @@ class SpreadReport:
 
 
 class _Quiet:
-    """Draws nothing but zeros."""
+    """Source of standard normals that are all zero."""
 
     def standard_normal(self, shape: tuple[int, int]) -> Array:
         return np.zeros(shape)
 
 
 def measure(directory: Path) -> SpreadReport:
-    """Read what a batch noted of its runs, and predict it from the clean path.
+    """Return the dispersion of the runs of a batch directory, measured and predicted from its clean path.
 
     Raises
     ------
     BatchError
-        Where there is no batch of two runs.
+        If the directory has no batch of at least two runs.
 
     """
     begun = read_beginning(directory)
@@ -113,14 +114,14 @@ def measure(directory: Path) -> SpreadReport:
 
 
 def _quiet(model: MotionModel, clean: TumPath) -> Knots:
-    """Return the path that the effects alone make, with the sums of the noise's variances along it."""
-    # the same path with no luck, good or bad
+    """Return the path with the effects but zero noise, and the sums of the noise's variances along it."""
+    # the same path with zero in place of every random number
     path = NoisyPath(model, 0, 0, normals=_Quiet())
     return path.feed(clean.stamps_ns, clean.xyt)
 
 
 def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: Knots) -> Array:
-    """Return covariances (n, 3, 3) of the error: of the noise, and of what differs from robot to robot."""
+    """Return error covariances (n, 3, 3): of the noise, and of the parameters drawn for each run."""
     k = model.noise.coefficients
     broad = {s.parameter: float(np.hypot(getattr(k, s.parameter), s.deviation)) for s in spreads if s.effect is None}
     noise = _quiet(replace(model, noise=replace(model.noise, coefficients=replace(k, **broad))), clean)
@@ -134,7 +135,7 @@ def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath,
 
 
 def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: Knots) -> Array:
-    """Return by how much (n, 3) one standard deviation of an effect's parameter moves the path."""
+    """Return the displacement (n, 3) of the path by one standard deviation of a parameter."""
     for part in (1.0, -1.0, 0.1, -0.1):
         effects: list[Any] = list(model.effects)
         i = spread.effect or 0
@@ -150,7 +151,7 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: Knots
 
 
 def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path, clean: TumPath) -> Array:
-    """Return a run's path (n, 2): drawn again, as it is in the bag; its robot is read."""
+    """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:
         model = parse_model((directory / record["robot"]).read_text(encoding="utf8"))
     knots = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)

@@ -1,4 +1,4 @@
-"""Who does the work: this process, a pool of processes, or the workers of a Dask cluster. The bytes are the same."""
+"""Execution of a batch in this process, a process pool or a Dask cluster, with the same bytes as result."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RESTARTS = 3
 
 
 class Shard:
-    """Every count-th run, from the number-th on, counted from 1: what one of `count` machines makes."""
+    """One machine's part of a batch: every count-th run from the number-th on, counted from 1."""
 
     __slots__ = ("count", "number")
 
@@ -44,12 +44,12 @@ class Shard:
         self.count = count
 
     def has(self, run: int) -> bool:
-        """Whether a run is one of this shard's."""
+        """Whether a run belongs to this shard."""
         return run % self.count == self.number - 1
 
 
 def count_missing(job: Job, runs: range, shard: Shard) -> int:
-    """Return how many runs of a shard are not made yet, without a list of them."""
+    """Return the number of runs of a shard that are not made yet, without building a list."""
     made = sum(run in runs and shard.has(run) for run in read_records(job.directory))
     return len(runs[shard.number - 1 :: shard.count]) - made
 
@@ -57,7 +57,7 @@ def count_missing(job: Job, runs: range, shard: Shard) -> int:
 def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -> list[int]:
     """Return the runs of a shard that are not made yet, leftovers of earlier attempts removed.
 
-    verify : whether a run counts as made only where its checksum is that noted, too
+    verify : whether a run counts as made only if its checksum is the recorded one, too
     """
     made = read_records(job.directory, verify=verify)
     missing = [run for run in runs if shard.has(run) and run not in made]
@@ -66,7 +66,7 @@ def missing_runs(job: Job, runs: range, shard: Shard, *, verify: bool = False) -
 
 
 def tasks_of(job: Job, runs: Sequence[int], workers: int) -> list[Task]:
-    """Cut runs into passes, so that every worker has some and none has too many at once."""
+    """Divide runs into passes over the bag, at least one for each worker where possible and of limited size."""
     size = (
         sum(file.stat().st_size for file in job.source.iterdir()) if job.source.is_dir() else job.source.stat().st_size
     )
@@ -76,19 +76,19 @@ def tasks_of(job: Job, runs: Sequence[int], workers: int) -> list[Task]:
 
 
 class Audience(Protocol):
-    """Whoever hears how tasks get on."""
+    """Callbacks for the progress of tasks."""
 
     shown: bool
 
     def done(self, task: Task, failures: list[Failure]) -> None:
-        """Hear that a task is done."""
+        """Report that a task is done."""
 
     def under_way(self, task: Task, part: float | None, past_s: float) -> None:
-        """Hear how far a task's pass has got; only where `shown`."""
+        """Report the part of the bag read by a task's pass, 0 to 1, and its seconds; only if `shown`."""
 
 
 def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
-    """Make tasks in this process, or in `jobs` others."""
+    """Run tasks in this process, or in `jobs` worker processes."""
     if jobs == 1:
         for task in tasks:
             audience.done(task, attempt(task, partial(audience.under_way, task) if audience.shown else None))
@@ -102,7 +102,7 @@ def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
 
 
 def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
-    """Make tasks in processes, and take those that are done out of `left`; a worker that dies ends the pool."""
+    """Run tasks in a process pool and remove finished ones from `left`; a worker that dies ends the pool."""
     context = multiprocessing.get_context("spawn")
     news = context.Queue() if audience.shown else None
     with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
@@ -132,13 +132,13 @@ def _prepare_worker(news: Any) -> None:
     global _news  # noqa: PLW0603 - a worker's own, set once
     _news = news
     if news is not None:
-        # what nobody reads any more must not keep a worker alive
+        # unread progress messages must not keep a worker alive
         news.cancel_join_thread()
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
 
 
 def _attempt_numbered(number: int, task: Task) -> list[Failure]:
-    """Make a task in a worker."""
+    """Run a task in a worker."""
     if _news is None:
         return attempt(task)
     return attempt(task, lambda part, past_s: _news.put((number, part, past_s)))
@@ -152,12 +152,12 @@ def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
 
 
 def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:
-    """Make runs on the workers of a Dask cluster, which see the same files; a task whose worker died goes to another.
+    """Run tasks on a Dask cluster with access to the same files; a task whose worker died is repeated on another.
 
     Raises
     ------
     BatchError
-        Where dask is not installed, or the scheduler cannot be reached.
+        If dask is not installed, or the scheduler cannot be reached.
 
     """
     try:
@@ -172,7 +172,7 @@ def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, aud
         raise BatchError(f"{address}: no Dask scheduler answers ({error}); start one with `dask scheduler`") from error
     with client:
         threads = max(1, sum(client.nthreads().values()))
-        # four rounds for each: what a lost worker had begun is little
+        # four tasks for each worker: little is lost with one
         tasks = [task for job, runs in job_runs for task in tasks_of(job, runs, 4 * threads)]
         futures = {client.submit(attempt, task, pure=False, retries=2): task for task in tasks}
         try:

@@ -1,4 +1,4 @@
-"""What a batch will take, measured on the beginning of its bag."""
+"""Estimate of a batch's size and time, measured on the beginning of its bag."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TRIED_RUNS = 4
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one run takes: bytes, seconds of one core; and its bytes as an overlay."""
+    """Cost of one run: bytes, seconds of one core, and bytes as an overlay."""
 
     bytes: int
     seconds: float
@@ -39,7 +39,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What many runs take, and the bytes that are free where they go."""
+    """Cost of a number of runs, and the free bytes of the target's file system."""
 
     runs: int
     bytes: int
@@ -49,7 +49,7 @@ class Need:
 
 
 class _First:
-    """The beginning of a bag."""
+    """A reader limited to the beginning of a bag."""
 
     def __init__(self, reader: BagReader, most_bytes: int) -> None:
         self.kind, self.name, self.paths = reader.kind, reader.name, reader.paths
@@ -62,7 +62,7 @@ class _First:
         self._most_bytes = most_bytes
 
     def blocks(self, only: Any = None) -> Iterator[Block]:  # noqa: ARG002 - the protocol's signature
-        """Yield blocks until enough is read, and odometry may have come by."""
+        """Yield blocks until the byte limit, and beyond it until there has been odometry."""
         self.read_bytes = 0
         for block in self._reader.blocks():
             self.read_bytes += block.data.size
@@ -79,12 +79,12 @@ class _First:
 
 
 def bytes_of(path: Path) -> int:
-    """Return the size of a bag, file or directory."""
+    """Return the size of a bag (file or directory), bytes."""
     return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
 
 
 def estimate(job: Job) -> Estimate:
-    """Try a few runs on the beginning of the bag, beside nothing that anyone keeps."""
+    """Return the cost of one run, from a few runs on the beginning of the bag in a temporary directory."""
     size = bytes_of(job.source)
     with tempfile.TemporaryDirectory() as scratch:
         whole = _try(
@@ -97,7 +97,7 @@ def estimate(job: Job) -> Estimate:
         overlay = _try(job, "overlay", 1, Path(scratch) / "overlay")
     part = 1.0
     if whole.cut:
-        # sqlite3 files are copied whole, but are as large as what is read of them
+        # sqlite3 files are copied as a whole, but their size is that of what is read
         read = whole.read_bytes if whole.copied else whole.bytes
         part = min(1.0, read / size)
     copied = whole.copied and job.output == "full"
@@ -131,7 +131,7 @@ def _try(job: Job, output: Output, runs: int, directory: Path) -> _Trial:
 
 
 def require_space(need: Need, where: str) -> None:
-    """Refuse what the disk cannot hold."""
+    """Raise BatchError where the runs need more than the free disk space."""
     if need.bytes > need.free_bytes:
         raise BatchError(
             f"{where}: {need.runs} runs need about {need.bytes / 1e9:.3g} GB, {need.free_bytes / 1e9:.3g} GB are free; "
@@ -140,6 +140,6 @@ def require_space(need: Need, where: str) -> None:
 
 
 def free_bytes(directory: Path) -> int:
-    """Return what is free where a directory is, or will be."""
+    """Return the free bytes of a directory's file system; the directory need not exist yet."""
     there = next(one for one in (directory, *directory.parents) if one.exists())
     return shutil.disk_usage(there).free

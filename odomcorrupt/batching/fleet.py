@@ -1,4 +1,4 @@
-"""A fleet: the distribution that several learned robots are draws from, so that new robots of it can be drawn."""
+"""A fleet: the parameter distribution of several learned robots, from which further robots are drawn."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ __all__ = ["fleet_model"]
 
 
 def fleet_model(robots: Mapping[str, MotionModel]) -> MotionModel:
-    """Return a model whose parameters are the mean of the robots and whose standard errors are their spread.
+    """Return a model with the mean parameters of the robots, and their between-robot deviation as standard errors.
 
-    The spread between robots is the sample variance less the mean squared standard error of the fits, which is no
-    difference of robots (the moment estimator of a random-effects model: DerSimonian & Laird, Controlled Clinical
-    Trials 7(3), 1986), and not below 0. Parameters are taken as independent: a handful of robots says little about
-    their correlation. A robot without an effect has it at the value where it does nothing; shapes, such as time
-    constants, are averaged over those that have it.
+    The variance between robots is the sample variance less the mean squared standard error of the fits, at least 0
+    (the moment estimator of a random-effects model: DerSimonian & Laird, Controlled Clinical Trials 7(3), 1986).
+    Parameters are treated as independent: a handful of robots does not determine their correlation. A robot without
+    an effect counts with the effect's identity value; shapes, such as time constants, are averaged over the robots
+    that have the effect.
 
     Parameters
     ----------
     robots
-        Models by name (of their files), two or more.
+        Models by file name, two or more.
 
     Raises
     ------
     ModelError
-        Where there are fewer than two, or their noise laws, steps or an effect's words differ.
+        If there are fewer than two, or their noise laws, steps or an effect's options differ.
 
     """
     if len(robots) < 2:
@@ -77,7 +77,7 @@ def _effect_names(models: Sequence[MotionModel]) -> list[str]:
 
 
 def _effect(name: str, robots: Mapping[str, MotionModel], errors: dict[str, float]) -> Effect:
-    """Return an effect at the mean of the robots; its spreads are put into `errors`."""
+    """Return an effect at the mean of the robots; the deviations between robots are added to `errors`."""
     own = {robot: e for robot, model in robots.items() for e in model.effects if e.name == name}
     have = list(own.values())
     _require_same(
@@ -100,7 +100,7 @@ def _effect(name: str, robots: Mapping[str, MotionModel], errors: dict[str, floa
 
 
 def _spread(values: Sequence[float], errors: Sequence[Mapping[str, float]], name: str) -> tuple[float, float]:
-    """Return mean and standard deviation between robots of a parameter."""
+    """Return a parameter's mean and its standard deviation between robots."""
     n = len(values)
     mean = math.fsum(values) / n
     sample = math.fsum((value - mean) ** 2 for value in values) / (n - 1)

@@ -1,4 +1,4 @@
-"""What a batch makes of one input and one model: which files, and by which command each can be made alone."""
+"""The runs of one input and one model: their files, and the command that makes each of them alone."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Output = Literal["full", "overlay", "trajectories"]
 class Job:
     """One directory of runs.
 
-    source, directory : absolute, for workers elsewhere
-    model, spreads : of all runs, and the parameters that are drawn anew for each
-    split : whether changed messages go into chunks of their own
-    model_text : of the directory's model.toml
-    model_words, option_words : how a single run is told its model, where none is drawn, and everything else
-    shown_source, shown_directory : the paths as they were typed
-    condition : the map that no run may leave; None without one
+    source, directory : absolute paths, for workers on other machines
+    model, spreads : model of all runs, and the parameters drawn for each run
+    split : whether changed messages are written in chunks of their own
+    model_text : content of the directory's model.toml
+    model_words, option_words : command-line arguments of a single run: model (if not drawn), and all others
+    shown_source, shown_directory : paths as typed
+    condition : map to which every run is constrained; None without one
     """
 
     source: Path
@@ -51,7 +51,7 @@ class Job:
     condition: MapCondition | None = None
 
     def model_of(self, run: int) -> MotionModel:
-        """Return the model of a run: that of all, or the robot that is drawn for it."""
+        """Return the model of a run: the common one, or one with the run's drawn parameters."""
         return draw_robot(self.model, self.spreads, self.seed, run) if self.spreads else self.model
 
     def name_of(self, run: int) -> str:
@@ -61,15 +61,15 @@ class Job:
         return f"run_{run:06d}{suffix}"
 
     def path_of(self, run: int) -> Path:
-        """Return where a run's file goes."""
+        """Return the path of a run's file."""
         return self.directory / self.name_of(run)
 
     def robot_of(self, run: int) -> str:
-        """Return the name of the file with a run's drawn robot."""
+        """Return the name of the file with a run's drawn model."""
         return f"robots/{run:06d}.toml"
 
     def command_of(self, run: int) -> str:
-        """Return the command that makes this run alone, as a whole bag, in the directory where the batch was called."""
+        """Return the shell command that makes this run alone, as a whole bag, from the batch's working directory."""
         name = self.name_of(run)
         if self.output != "full":
             name = f"run_{run:06d}" + ("" if self.source.is_dir() else self.source.suffix)
@@ -80,7 +80,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Runs of one job that are made in one pass over its input."""
+    """Runs of one job made in one pass over its input."""
 
     job: Job
     runs: tuple[int, ...]

@@ -1,8 +1,8 @@
-"""What a batch keeps of itself: what it was begun with, which runs are made, and the manifest.
+"""State of a batch on disk: its configuration, the records of its runs, and the manifest.
 
-A run is written in a hidden folder. Its record, with size and checksum, is on the disk before it appears under its
-name, so a file under its name is whole and noted, whenever a batch was killed. A record without such a file counts for
-nothing.
+A run is written in a hidden folder. Its record, with size and checksum, is on disk before its file is renamed to its
+final name, so every file with a final name is complete and recorded, even if a batch was killed. A record without
+such a file is ignored.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ _WORDS = {
 
 
 class BatchError(OdomCorruptError):
-    """A batch cannot be begun, gone on with or read."""
+    """A batch cannot be started, continued or read."""
 
 
 def fingerprint_of(source: Path) -> str:
-    """Return a hash of every byte of a bag."""
+    """Return a hash of all bytes of a bag."""
     digest = hashlib.blake2b(digest_size=16)
     files = sorted(file for file in source.iterdir() if file.is_file()) if source.is_dir() else [source]
     try:
@@ -99,7 +99,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
 
 
 def read_beginning(directory: Path) -> dict[str, Any]:
-    """Return what a batch was begun with; BatchError where there is none, or it is not as a batch writes it."""
+    """Return a batch's configuration (batch.json); BatchError where it is missing or invalid."""
     path = directory / BEGINNING
     try:
         table = _parsed(_read(path))
@@ -123,14 +123,14 @@ def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
 
 
 def _read(path: Path) -> bytes:
-    """Return the bytes of a file that a batch wrote; ValueError where it is none, or larger than it ever is."""
+    """Return the bytes of a file of a batch; ValueError where it is no regular file, or too large."""
     found = path.stat()
     _require(stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES)
     return path.read_bytes()
 
 
 def _parsed(text: bytes) -> Any:
-    """Return what a JSON text says; ValueError where it is none, or nested more deeply than anybody means."""
+    """Return the value of a JSON text; ValueError where it is invalid, or nested too deeply."""
     try:
         return json.loads(text)
     except RecursionError as error:
@@ -138,19 +138,19 @@ def _parsed(text: bytes) -> Any:
 
 
 def begin(job: Job, fingerprint: str) -> None:
-    """Begin a batch in its directory, or go on with the one that is there.
+    """Start a batch in its directory, or continue the one that is there.
 
     Raises
     ------
     BatchError
-        Where that one was begun with something else, or the directory holds other things.
+        If that one has another configuration, or the directory holds other files.
 
     """
     now = _beginning(job, fingerprint)
     if not (job.directory / BEGINNING).exists():
         if job.directory.exists() and any(not _left_of_a_beginning(file) for file in job.directory.iterdir()):
             raise BatchError(f"{job.shown_directory}: holds files, but no batch; name another directory")
-        # whoever comes second finds the first one's
+        # a second process finds the file of the first
         with suppress(BagError):
             _make_room(job)
             write_whole(job.directory / BEGINNING, (json.dumps(now, indent=2) + "\n").encode(), overwrite=False)
@@ -173,20 +173,20 @@ def _make_room(job: Job) -> None:
 
 
 def _left_of_a_beginning(path: Path) -> bool:
-    """Whether a file is what a batch leaves that is killed before it has begun."""
+    """Whether a file is a remnant of a batch that was killed before it had started."""
     return path.name == PARTS or (path.name.startswith(".") and path.name.endswith(".partial"))
 
 
 @contextmanager
 def locked(job: Job, *, shared: bool) -> Iterator[None]:
-    """Keep others out of a batch while its runs are made.
+    """Hold the lock of a batch while its runs are made.
 
-    shared : shards let each other in
+    shared : whether other shards may work at the same time
 
     Raises
     ------
     BatchError
-        Where somebody else is at work in it.
+        If another process holds the lock.
 
     """
     with (job.directory / BEGINNING).open("rb") as stream:
@@ -208,7 +208,7 @@ def _compared(table: Mapping[str, Any], key: str) -> Any:
 
 
 def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
-    """Write a small file beside its name, and rename it."""
+    """Write a small file under a temporary name, and rename it."""
     output = Output(path, overwrite=overwrite)
     output.open()
     try:
@@ -219,14 +219,14 @@ def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
 
 
 class Content(NamedTuple):
-    """How many bytes a run's file or directory has, and their CRC-32."""
+    """Size of a run's file or directory in bytes, and its CRC-32."""
 
     size: int
     crc: int
 
 
 def content_of(path: Path) -> Content:
-    """Return size and checksum of a run's file, or of a directory's files with their names."""
+    """Return size and CRC-32 of a run's file, or of a directory's file names and contents."""
     crc = 0
     for file in _files(path):
         crc = crc32(file.name.encode(), crc) if file != path else crc
@@ -245,26 +245,26 @@ def _size(path: Path) -> int:
 
 
 def note(job: Job, records: Iterable[Mapping[str, Any]]) -> None:
-    """Put the records of runs on the disk, in a file of this process alone."""
+    """Append the records of runs to a file of this process alone, and flush it to disk."""
     lines = "".join(json.dumps(record) + "\n" for record in records).encode()
     path = job.directory / PARTS / f"{socket.gethostname()}-{os.getpid()}.jsonl"
     with path.open("ab", buffering=0) as stream:
-        # a line that a kill cut short must not swallow the next one
+        # an incomplete last line of a killed process must not merge with the next
         stream.write(b"\n" + lines if stream.tell() else lines)
         os.fsync(stream.fileno())
 
 
 def read_records(directory: Path, *, verify: bool = False) -> dict[int, dict[str, Any]]:
-    """Return the records of the runs whose files are there and as large as noted, by run.
+    """Return the records, by run number, of the runs whose files exist with the recorded size.
 
-    verify : whether their checksums must be those noted, too
+    verify : whether their checksums must match, too
     """
     records: dict[int, dict[str, Any]] = {}
     try:
         for part in [directory / MANIFEST, *sorted((directory / PARTS).glob("*.jsonl"))]:
             if part.exists():
                 for line in _read(part).splitlines():
-                    # a line that a kill cut short, or that somebody broke, tells of nothing
+                    # an incomplete or damaged line is ignored
                     with suppress(ValueError, KeyError, TypeError):
                         record = _parsed(line)
                         _require_record(record)
@@ -275,7 +275,7 @@ def read_records(directory: Path, *, verify: bool = False) -> dict[int, dict[str
 
 
 def _require_record(record: Any) -> None:
-    """Raise ValueError, KeyError or TypeError where a record is none; its names are those of its run, in the folder."""
+    """Raise ValueError, KeyError or TypeError where a record is invalid, or names files other than its run's."""
     run, errors = record["run"], record["errors"]
     _require(type(run) is int and 0 <= run < 1 << 62)
     _require(re.fullmatch(rf"run_{run:06d}(\.\w+)?", record["file"]) is not None)
@@ -296,9 +296,9 @@ def _is_as_noted(directory: Path, record: Mapping[str, Any], *, verify: bool) ->
 
 
 def write_manifest(directory: Path) -> int:
-    """Put all records into the manifest, in the order of runs; return how many there are.
+    """Write all records to the manifest in the order of runs; return their number.
 
-    Shards may end at the same time: whoever wrote last looks once more whether it knew all parts.
+    Shards may end at the same time: the records are read again if any part has changed meanwhile.
     """
     while True:
         seen = _parts(directory)
@@ -313,7 +313,7 @@ def _parts(directory: Path) -> list[tuple[str, int]]:
 
 
 def sweep_leftovers(job: Job, missing: Iterable[int]) -> None:
-    """Remove what killed processes of this machine had half written, and links in the place of runs to be made."""
+    """Remove incomplete files of killed processes of this machine, and links under the names of runs to be made."""
     for room in (job.directory, job.directory / ROBOTS):
         sweep(room)
     for run in missing:

@@ -1,4 +1,4 @@
-"""Plausible copies of one robot: parameters that are distributions, drawn once per run."""
+"""Model parameters drawn once per run from their distributions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TRIES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """A parameter that is a distribution: of an effect, counted from 0, or of the noise (None)."""
+    """Standard deviation of a drawn parameter, of an effect (index from 0) or of the noise (None)."""
 
     effect: int | None
     parameter: str
@@ -36,9 +36,9 @@ class Spread:
 
 
 def spreads_of(model: MotionModel, only: Container[str] | None) -> tuple[Spread, ...]:
-    """Return what is drawn: all parameters with a standard error, or those of them that are named in `only`.
+    """Return the distributions of all parameters with a standard error, or of those of them named in `only`.
 
-    Names are those of `standard_errors`: "rot_trans", "wheel_scale.e".
+    Names are the keys of `standard_errors`, such as "rot_trans" and "wheel_scale.e".
     """
 
     def deviation(name: str) -> float:
@@ -57,9 +57,9 @@ def spreads_of(model: MotionModel, only: Container[str] | None) -> tuple[Spread,
 
 
 def stated_spreads(path: Path) -> frozenset[str]:
-    """Return the parameters that a model file gives as "0.004 +- 0.001": a person meant them as distributions.
+    """Return the names of the parameters written as "0.004 +- 0.001" in a model file.
 
-    A fit's own standard errors are written apart, and drawn on demand only.
+    The standard errors of a fit are stored elsewhere in the file, and drawn only on request.
     """
     table = tomllib.loads(path.read_text(encoding="utf8"))
     stated = {name for name, value in table.get("noise", {}).items() if _is_spread(value)}
@@ -73,11 +73,10 @@ def _is_spread(value: Any) -> bool:
 
 
 def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: int) -> MotionModel:
-    """Return the robot of a run: the model with drawn parameters, rounded as its file will have them.
+    """Return the model of a run: drawn parameters, rounded to the precision of its file, and no standard errors.
 
-    Every parameter has a stream of its own, so one more distribution changes no value that it does not hang together
-    with. Parameters that the model's correlation ties together are drawn, and where one is beyond its bounds drawn
-    again, together. A robot is certain of itself: it carries no standard errors.
+    Every parameter has a random stream of its own, so a further distribution changes no parameter that it is not
+    correlated with. Correlated parameters are drawn jointly; where one is out of bounds, all of them are drawn again.
     """
     named = {_name(model, spread): spread for spread in spreads}
     known = model.correlation.among(named)
@@ -88,12 +87,12 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
         factor = known.among(names).factor() if len(names) > 1 else [[1.0]]
         robot = _drawn(robot, [named[name] for name in names], factor, seed, run)
     robot = replace(robot, standard_errors={}, correlation=Correlation())
-    # one number of the file has nine digits: the run alone, made from its file, must have the same bytes
+    # the file has nine digits: a single run made from it must have the same bytes
     return parse_model(format_model(robot))
 
 
 def drawn_values(robot: MotionModel, spreads: tuple[Spread, ...]) -> dict[str, float]:
-    """Return the values of a robot that were drawn, by the names of `standard_errors`."""
+    """Return the drawn parameters of a model, by the keys of `standard_errors`."""
     values = {}
     for spread in spreads:
         if spread.effect is None:
@@ -105,7 +104,7 @@ def drawn_values(robot: MotionModel, spreads: tuple[Spread, ...]) -> dict[str, f
 
 
 def _name(model: MotionModel, spread: Spread) -> str:
-    """Return a parameter's name among the standard errors."""
+    """Return a parameter's key in `standard_errors`."""
     return spread.parameter if spread.effect is None else f"{model.effects[spread.effect].name}.{spread.parameter}"
 
 
@@ -117,7 +116,7 @@ def _mean(model: MotionModel, spread: Spread) -> float:
 def _drawn(
     model: MotionModel, spreads: Sequence[Spread], factor: Sequence[Sequence[float]], seed: int, run: int
 ) -> MotionModel:
-    """Return a model with parameters drawn whose errors are factor (n, n) times standard normals."""
+    """Return a model with parameters drawn from a normal distribution with Cholesky factor (n, n)."""
     names = [_name(model, spread) for spread in spreads]
     streams = [
         stream(seed, run, f"robot {name}", 0 if spread.effect is None else spread.effect)
@@ -140,7 +139,7 @@ def _drawn(
 
 
 def _with(model: MotionModel, spread: Spread, value: float) -> MotionModel | None:
-    """Return a model with one parameter changed; None where that is beyond its bounds."""
+    """Return a model with one parameter changed; None where the value is out of bounds."""
     if spread.effect is None:
         if not value >= 0.0:
             return None

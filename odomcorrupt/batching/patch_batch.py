@@ -1,6 +1,6 @@
-"""Portions of a bag: the messages that may change, of several blocks, gathered into one small buffer.
+"""Portions of a bag: the messages of several blocks that may change, gathered in one small buffer.
 
-Numpy then works on hundreds of messages at a time, and a run patches a copy of the small buffer, never the whole bag.
+NumPy then processes hundreds of messages at a time, and a run patches a copy of that buffer, not of the whole bag.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ PORTION_MESSAGES = 2000
 """Messages that are patched at once: more would save no more time."""
 
 
-class LateTopic(Exception):  # noqa: N818 - a signal, not an error: the pass begins again
-    """A topic changes of which earlier messages were passed over; `channel` is its id."""
+class LateTopic(Exception):  # noqa: N818 - a signal, not an error: the pass is repeated
+    """A topic changes whose earlier messages were skipped; `channel` is its id."""
 
     def __init__(self, channel: int) -> None:
         super().__init__(channel)
@@ -47,11 +47,11 @@ class LateTopic(Exception):  # noqa: N818 - a signal, not an error: the pass beg
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a block's messages that may change lie: in the block, and among the portion's.
+    """Offsets of a block's messages that may change, in the block and in the portion.
 
-    rows : (n,) in the block's table
-    begins, ends : (n,) of their records in the block's data, bytes, headers included
-    moves : for each length of record: the length, (m,) begins in the block, (m,) begins in the portion
+    rows : (n,) indices into the block's table
+    begins, ends : (n,) offsets of their records in the block's data, bytes, headers included
+    moves : for each record length: the length, offsets (m,) in the block and (m,) in the portion, bytes
     """
 
     rows: NDArray[np.int64]
@@ -62,13 +62,13 @@ class Place:
 
 @dataclass(slots=True)
 class Portion:
-    """Some blocks in a row, and what of them may change.
+    """Consecutive blocks, and their messages that may change.
 
-    blocks, places : the blocks, kept where the output wants them, and where their messages lie
-    own_targets : of each block that is kept
-    growth : odometry that was put in order meanwhile; None where time began anew
-    table, data : the messages that may change; offsets into data, which holds their records with headers
-    targets : in `data`; first_ns : when time began, log time of the first of them in oldest_ns
+    blocks, places : the blocks, if the output needs them, and the offsets of their messages
+    own_targets : targets of each kept block
+    growth : odometry sorted meanwhile; None at a restart of time
+    table, data : messages that may change; data holds their records with headers, at the table's offsets
+    targets : messages to move, in `data`; first_ns : first stamp, the origin of clock effects
     """
 
     blocks: list[Block] = field(default_factory=list)
@@ -86,7 +86,7 @@ class Portion:
         return int(min(target.time_ns[0] for target in self.targets))
 
     def put_back(self, number: int, patched: NDArray[np.uint8]) -> Block:
-        """Return a block with what a run has patched (the portion's data) in its place."""
+        """Return a block with the messages of a run's patched portion."""
         place = self.places[number]
         if place is not None:
             for length, theirs, mine in place.moves:
@@ -97,16 +97,16 @@ class Portion:
 def portions(
     shared: SharedTransform, reader: BagReader, *, keep: bool, whole: set[int] | None, writer: BagWriter | None = None
 ) -> Iterator[Portion]:
-    """Read a bag and yield it in portions; the last one may have no messages.
+    """Yield a bag in portions; the last one may be empty.
 
-    writer : where channels are added that all runs share
+    writer : receives the channels added to all runs
     keep : whether blocks are kept until every run has written them
-    whole : channels of which something changes, of which all messages are wanted; grows. None: targets' channels only
+    whole : ids of changing channels, all of whose messages are gathered; grows. None: the targets' channels only
 
     Raises
     ------
     LateTopic
-        Where a channel turns out to change after some of its messages were passed over.
+        If a channel turns out to change after some of its messages were skipped.
 
     """
     gatherer = _Gatherer(reader, keep=keep, whole=whole)
@@ -155,7 +155,7 @@ class _Gatherer:
             self._portion.own_targets.append(targets)
 
     def _notice(self, block: Block, changing: set[int], whole: set[int]) -> None:
-        # a topic may have several publishers: it is wanted whole
+        # a topic may have several publishers: all of its channels are gathered
         topics = {(self._reader.channels[one].topic, self._reader.channels[one].msgtype) for one in changing - whole}
         if topics:
             changing |= {one.id for one in self._reader.channels.values() if (one.topic, one.msgtype) in topics}
@@ -169,7 +169,7 @@ class _Gatherer:
                 self._passed.add(number)
 
     def _gather(self, block: Block, rows: NDArray[np.int64]) -> Place:
-        """Copy the records of some rows behind the portion's."""
+        """Append the records of some rows to the portion."""
         offsets = block.table["offset"][rows]
         begins, ends = record_begins(block, rows), offsets + block.table["length"][rows]
         lengths = ends - begins
@@ -189,7 +189,7 @@ class _Gatherer:
         return Place(rows, begins, ends, moves)
 
     def _move_targets(self, block: Block, rows: NDArray[np.int64], targets: list[Target]) -> None:
-        """Say where targets lie in the portion, together with those of earlier blocks that are alike."""
+        """Add targets with their offsets in the portion, merged with equal ones of earlier blocks."""
         starts = self._tables[-1]["offset"]
         for target in targets:
             layout = target.layout
@@ -207,7 +207,7 @@ class _Gatherer:
                 known[number] = _joined(known[number], here)
 
     def done(self, shared: SharedTransform) -> Portion:
-        """Return the portion, and begin the next one."""
+        """Return the portion, and start the next one."""
         portion = self._portion
         portion.growth, shared.growth = shared.growth, []
         portion.first_ns = shared.first_ns
@@ -218,7 +218,7 @@ class _Gatherer:
 
 
 def record_begins(block: Block, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where the records (n,) of messages begin in the block's data, bytes, headers included."""
+    """Return the offsets (n,) of message records in the block's data, bytes, headers included."""
     framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
     if isinstance(framing, Ros1Framing):
         return framing.starts[rows]

@@ -1,4 +1,4 @@
-"""The jobs of a batch, one for each input and each point of a sweep, a directory each; and how they are made."""
+"""The jobs of a batch, one directory for each input and each point of a sweep, and their execution."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ __all__ = ["BatchSpec", "Made", "plan", "require_odometry", "run_batch", "seed_o
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchSpec:
-    """What is to be made of every input.
+    """Configuration of a batch.
 
-    model : of all runs
-    seed : of all draws
-    model_file : where the model was read from, whose "a +- b" are drawn for each run
-    posterior : draw everything that has a standard error
-    sweeps : as in "alpha-scale=0.5,1,2"
-    points : how many Sobol points cover the ranges of the sweeps
-    options, container : what is moved, and how bags are read and written
-    output : whole bags, changed topics alone, or paths
-    split : whether changed messages go into chunks of their own
-    condition : the map that no run may leave
-    model_words : how the model is said on the command line of a single run; None: by the directory's model.toml
-    map_words : how the map is said there
+    model : model of all runs
+    seed : seed of all draws
+    model_file : file of the model, whose parameters "a +- b" are drawn for each run
+    posterior : whether all parameters with a standard error are drawn
+    sweeps : such as "alpha-scale=0.5,1,2"
+    points : number of Sobol points in the ranges of the sweeps
+    options, container : options of corruption, and of reading and writing
+    output : whole bags, changed topics only, or paths
+    split : whether changed messages are written in chunks of their own
+    condition : map to which every run is constrained
+    model_words : command-line arguments for the model of a single run; None: the directory's model.toml
+    map_words : command-line arguments for the map
     """
 
     model: MotionModel
@@ -78,7 +78,7 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     Raises
     ------
     BatchError
-        Where inputs would share a directory, or an output cannot be had of them.
+        If inputs would share a directory, or do not support the requested output.
 
     """
     stems = [source.stem for source in inputs]
@@ -104,7 +104,7 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
             model, text = variant.model, format_model(variant.model)
             words: tuple[str, ...] = by_file
             if not variant.name and spec.model_file is not None:
-                # the file as it is now: somebody may edit it later
+                # the file as it is now: it may be edited later
                 text, words = spec.model_file.read_text(encoding="utf8"), (*by_file, *(spec.model_words or ()))
             elif not variant.name and spec.model_words is not None:
                 words = spec.model_words
@@ -139,7 +139,7 @@ def _is_sqlite(source: Path, container: Container) -> bool:
 
 
 def _option_words(options: Options, container: Container) -> list[str]:
-    """Return how frames, topics and containers are said on a command line."""
+    """Return the command-line arguments for frames, topics and containers."""
     values = (
         ("--odom-topic", options.odom_topic),
         ("--odom-frame", options.odom_frame),
@@ -157,13 +157,13 @@ def _option_words(options: Options, container: Container) -> list[str]:
 
 
 def seed_of(directory: Path) -> int:
-    """Return the seed of the batch in a directory, or a fresh one."""
+    """Return the seed of the batch in a directory, or a new one."""
     there = next(iter(sorted(directory.rglob("batch.json"))), None)
     return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
 
 
 def require_odometry(jobs: Sequence[Job]) -> None:
-    """Raise at once where all runs would: no odometry, or a model that is none."""
+    """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.container.recover) as reader:
             Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
@@ -171,14 +171,14 @@ def require_odometry(jobs: Sequence[Job]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """What a call made: how many runs, and those that could not be made, with the reason."""
+    """Result of a batch call: number of runs made, and failed runs with their reasons."""
 
     runs: int
     failures: tuple[Failure, ...]
 
 
 class _Counter:
-    """Collects failures, and passes on how tasks get on."""
+    """Collects failures, and forwards progress."""
 
     def __init__(self, audience: Audience | None) -> None:
         self._audience = audience
@@ -205,21 +205,21 @@ def run_batch(
     dask: str | None = None,
     audience: Audience | None = None,
 ) -> Made:
-    """Make the runs of jobs that are missing, and their manifests.
+    """Make the missing runs of jobs and their manifests; return the number made and the failures.
 
     Parameters
     ----------
-    jobs, runs : jobs and the numbers of their runs
-    processes : how many work at once
-    shard : which part of the runs to make, where several machines share them
-    verify : whether runs whose bytes are not those noted are made again
-    dask : address of a Dask scheduler whose workers make them
-    audience : hears how far the runs have got
+    jobs, runs : jobs, and the numbers of their runs
+    processes : number of processes
+    shard : part of the runs to make, where several machines share them
+    verify : whether runs whose checksums differ from their records are made again
+    dask : address of a Dask scheduler
+    audience : callbacks for progress
 
     Raises
     ------
     BatchError
-        Where a directory has another batch already.
+        If a directory contains another batch.
 
     """
     require_odometry(jobs)
@@ -243,7 +243,7 @@ def run_batch(
 
 
 def _collect(job: Job, runs: range) -> None:
-    """Put all paths into one file, when the last of them is there."""
+    """Write all paths to one file, once all of them exist."""
     if job.output == "trajectories":
         made = read_records(job.directory)
         if set(runs) <= made.keys():

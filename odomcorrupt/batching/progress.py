@@ -1,4 +1,4 @@
-"""How far a pass over a bag has got, told while it goes on."""
+"""Progress of a pass over a bag."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PAUSE_S = 0.3
 
 
 class ProgressCallback(Protocol):
-    """Whoever hears of it."""
+    """Callback for progress."""
 
     def __call__(self, part: float | None, past_s: float, /) -> None:
-        """Take the part of the bag's bytes that is read, None where that is not known, and the seconds of it."""
+        """Process the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
 
 
 class Watched:
-    """A reader that tells how far it has got; all else is as the reader has it."""
+    """A reader that reports progress; otherwise equal to the given reader."""
 
     def __init__(self, reader: BagReader, beat: ProgressCallback) -> None:
         self._reader = reader

@@ -1,4 +1,4 @@
-"""What each run of a batch has of its own: its noisy path, its curve, its patches."""
+"""State of one run of a batch: noisy path, correction C(t), patches."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ __all__ = ["MarkMeter", "RunState"]
 
 
 class MarkMeter:
-    """Notes the error after round distances and at the end, of the last stretch.
+    """Errors of the last stretch after each of the distances `MARKS_M` and at the end.
 
-    marks : (metres gone, noisy minus clean x and y in metres, heading in radians) after each of `MARKS_M`
+    marks : (distance in metres, noisy minus clean x and y in metres, heading in radians)
     """
 
     def __init__(self) -> None:
         self.restart()
 
     def restart(self) -> None:
-        """Begin again: time did."""
+        """Start a new stretch: the stamps have jumped back."""
         self.marks: list[tuple[float, float, float, float]] = []
         self._last: tuple[float, float, float, float] | None = None
 
     def add(self, knots: Knots) -> None:
-        """Take the next part of the path."""
+        """Process the next part of the path."""
         if not len(knots):
             return
         while len(self.marks) < len(MARKS_M) and knots.travelled_m[-1] >= MARKS_M[len(self.marks)]:
@@ -53,7 +53,7 @@ class MarkMeter:
         self._last = (float(knots.travelled_m[-1]), *_error(knots, len(knots) - 1))
 
     def result(self) -> list[tuple[float, float, float, float]]:
-        """Return the marks, and the end as the last of them."""
+        """Return the errors at the marks, the last of them at the end."""
         return [*self.marks, *([self._last] if self._last is not None else [])]
 
 
@@ -63,10 +63,10 @@ def _error(knots: Knots, i: int) -> tuple[float, float, float]:
 
 
 class RunState:
-    """One run over a drive that is read for many.
+    """One run of a batch, over a bag that is read once for many runs.
 
-    path : where the odometry is moved to, in place of the noisy path that the model draws
-    drift, marks : what to tell of it
+    path : corrupted path, instead of the noisy path that the model draws
+    drift, marks : meters of its error
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class RunState:
         self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
 
     def grow(self, parts: Iterable[Arrivals | None]) -> None:
-        """Draw the next parts of the path; None is where time began anew."""
+        """Draw the next parts of the path; None marks a restart of time."""
         for part in parts:
             if part is None:
                 self._path.restart()
@@ -105,7 +105,7 @@ class RunState:
                     watcher.add(knots)
 
     def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
-        """Return, for each block of a portion, the transforms that say how this run's odometry is corrected."""
+        """Return, for each block of a portion, the transforms with this run's correction."""
         found = []
         for block, targets in zip(portion.blocks, portion.own_targets, strict=True):
             beside = Block(block.data, block.table)
@@ -114,7 +114,7 @@ class RunState:
         return found
 
     def patched(self, portion: Portion) -> NDArray[np.uint8]:
-        """Return a portion's data (size,) with its targets moved as this run moves them."""
+        """Return a portion's data (size,) with this run's correction applied to its targets."""
         self._curve.forget(portion.oldest_ns)
         if self._new_frame:
             return portion.data

@@ -1,4 +1,4 @@
-"""Runs of a batch made in one pass over the bag: read once, patched and written for each."""
+"""Runs of a batch in one pass over the bag: read once, patched and written for each run."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ Failure = tuple[int, str]
 
 
 def attempt(task: Task, beat: ProgressCallback | None = None) -> list[Failure]:
-    """Make the runs of a task; where that fails, those that are missing once more, each alone.
+    """Make the runs of a task, after an error each missing run alone; return the failures.
 
-    beat : hears how far the pass has got
+    beat : callback for progress
     """
     try:
         if beat is None:
             make(task)
         else:
             make(task, lambda reader: Watched(reader, beat))
-    except Exception:  # noqa: BLE001 - whatever ails one of many runs, the others are to be made
+    except Exception:  # noqa: BLE001 - an error of one run must not stop the others
         return [failure for run in task.runs if (failure := _alone(task.job, run)) is not None]
     return []
 
@@ -69,7 +69,7 @@ def _alone(job: Job, run: int) -> Failure | None:
         return None
     try:
         make(Task(job, (run,)))
-    except Exception as error:  # noqa: BLE001 - as above; it is told at the end
+    except Exception as error:  # noqa: BLE001 - as above; reported at the end
         return run, str(error) or type(error).__name__
     return None
 
@@ -77,7 +77,7 @@ def _alone(job: Job, run: int) -> Failure | None:
 def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -> None:
     """Make the runs of a task in one pass.
 
-    part : returns what is read of the input's reader, where that is not the whole
+    part : wrapper of the input's reader, such as a limit to its beginning
     """
     whole: set[int] = set()
     while True:
@@ -90,7 +90,7 @@ def make(task: Task, part: Callable[[BagReader], Any] = lambda reader: reader) -
 
 
 def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) -> None:
-    """Make the runs in a hidden folder, note them, and give them their names."""
+    """Make the runs in a hidden folder, record them, and rename them to their final names."""
     job, room = task.job, beside(task.job.directory / "making")
     try:
         room.mkdir()
@@ -146,7 +146,7 @@ def _make(
 
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
-    """Return the transforms that a run adds to each block, None where it adds none."""
+    """Return the transforms that a run adds to each block; None where it adds none."""
     if one.edge is None or shared.driver.frames is None:
         return None
     return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
@@ -154,7 +154,7 @@ def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Me
 
 @dataclass(frozen=True, slots=True)
 class _Run:
-    """A run being made; its sink is None where the bag is copied as it is."""
+    """A run being made; its sink is None where the bag is copied unchanged."""
 
     strand: RunState
     sink: Sink | None
@@ -180,7 +180,7 @@ def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers
 
 
 def _put_beside(job: Job, home: Path, one: _Run) -> None:
-    """Make what no sink makes: a copy of the bag where nothing moves, and the file of a drawn robot."""
+    """Write a copy of the bag where nothing changes, and the model file of a run with drawn parameters."""
     run, model = one.strand.run, one.strand.model
     if one.sink is None:
         container = replace(job.container, overwrite=True)
@@ -193,7 +193,7 @@ def _put_beside(job: Job, home: Path, one: _Run) -> None:
 
 
 def _is_copy(job: Job, model: MotionModel) -> bool:
-    """Whether a run changes nothing, so that the file itself is copied."""
+    """Whether a run changes nothing, so that the file is copied."""
     silent = model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
     return silent and job.output == "full"
 

@@ -1,4 +1,4 @@
-"""What all runs of a batch share: reading, finding and ordering, done once for all of them."""
+"""The steps common to all runs of a batch: reading, odometry source, sorting by stamp."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["SharedTransform"]
 
 
 class _Reach(Curve):
-    """How far a curve would be known, without one: that depends on stamps alone, the same for all runs."""
+    """Extent in time of every run's C(t), without its values: it depends on stamps alone."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -28,19 +28,19 @@ class _Reach(Curve):
 
     @property
     def known_until_ns(self) -> int | None:
-        """The last stamp of the present stretch, None while it has none."""
+        """Last stamp of the current stretch; None while it is empty."""
         return self.until_ns
 
     def restart(self) -> None:
-        """End the present stretch."""
+        """End the current stretch."""
         self.until_ns = None
 
 
 class SharedTransform(Transform):
-    """Decides for all runs when a block is ready and what of it moves; moves nothing itself.
+    """Transform that determines, for all runs, when a block is ready and its targets; patches nothing.
 
-    growth : odometry in order since it was last taken; None where time began anew
-    taken : the targets of the block that `blocks` has just given
+    growth : sorted odometry since it was last taken; None marks a restart of time
+    taken : targets of the block that `blocks` yielded last
     """
 
     def __init__(self, options: Options) -> None:
@@ -54,15 +54,15 @@ class SharedTransform(Transform):
 
     @property
     def first_ns(self) -> int:
-        """When time began."""
+        """First stamp, nanoseconds."""
         return self._first_ns or 0
 
     def restart(self) -> None:
-        """Note that time began anew."""
+        """Record a restart of time."""
         self.growth.append(None)
 
     def add(self, knots: Knots) -> None:
-        """Ignore a path: there is none."""
+        """Do nothing: there is no path."""
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):

@@ -1,4 +1,4 @@
-"""Where one run of a batch goes: a whole bag, only what changed, or its path."""
+"""Outputs of a run of a batch: a whole bag, an overlay of the changed topics, or its path."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ class Sink(Protocol):
     """The output of one run; it appears when its context ends without an error."""
 
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Take a portion, and the portion's data (size,) as the run has patched it.
+        """Write a portion, given its data (size,) as patched by the run.
 
-        added : for each block messages of this run alone, behind those that all runs add
+        added : for each block, messages of this run alone, appended after those of all runs
         """
 
     def __enter__(self) -> Self: ...
@@ -48,14 +48,14 @@ class Sink(Protocol):
 
 
 def provenance(job: Job, run: int) -> dict[str, str]:
-    """Return what a run's bag says of how it came about."""
+    """Return the metadata of a run's bag: seed, run, version, model."""
     model = format_model(job.model_of(run))
     own = {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
     return own if job.condition is None else own | job.condition.provenance()
 
 
 class BagSink:
-    """A run that is written as a bag; the model is said in it where the format has a place."""
+    """A run written as a bag, with its model in the metadata where the format has any."""
 
     def __init__(self, job: Job, run: int, writer: Any) -> None:
         self._job, self._run = job, run
@@ -63,7 +63,7 @@ class BagSink:
 
     @property
     def writer(self) -> BagWriter:
-        """What writes the bag."""
+        """Writer of the bag."""
         writer: BagWriter = self._writer
         return writer
 
@@ -84,9 +84,9 @@ class BagSink:
 
 
 class MultiSink:
-    """The writers of all runs, as one to add channels to.
+    """Writers of all runs, addressed as one to add channels.
 
-    keeps_rest : whether messages that do not change need not be read: their files have them, or nobody writes them
+    keeps_rest : whether unchanged messages need not be read: the file is copied, or they are not written
     """
 
     def __init__(self, writers: Sequence[BagWriter]) -> None:
@@ -100,7 +100,7 @@ class MultiSink:
 
 
 class FullSink(BagSink):
-    """A whole bag, the same bytes as of a run made alone."""
+    """A whole bag, byte-identical to that of a single run."""
 
     def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
         c = job.container
@@ -110,7 +110,7 @@ class FullSink(BagSink):
         super().__init__(job, run, writer)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write the blocks, which the next run patches in its turn."""
+        """Write the blocks; the next run patches the same ones."""
         for number in range(len(portion.blocks)):
             block = portion.put_back(number, data)
             if added is not None:
@@ -120,7 +120,7 @@ class FullSink(BagSink):
 
 
 class _Foreign:
-    """A reader as if it were of another format, so that a writer gives ids and definitions anew."""
+    """A reader presented as one of another format, so that a writer assigns new ids and definitions."""
 
     complete = True
 
@@ -132,7 +132,7 @@ class _Foreign:
 
 
 class OverlaySink(BagSink):
-    """An MCAP of the topics that changed, whole."""
+    """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.container
@@ -143,7 +143,7 @@ class OverlaySink(BagSink):
         self._native = _is_mcap(reader)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], _added: Added = None) -> None:
-        """Write what changed."""
+        """Write the changed topics."""
         if len(portion.table):
             raw = McapFraming("chunk", "zstd") if self._native else None
             own = Block(data, portion.table, raw)

@@ -1,4 +1,4 @@
-"""Even coverage of ranges: Sobol points, the same for everybody."""
+"""Sobol points: even coverage of several parameter ranges, without randomness."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MOST_POINTS = 1 << 14
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A range of a parameter; `log`: covered evenly in its logarithm."""
+    """Range of a parameter; `log`: with even coverage of its logarithm."""
 
     name: str
     low: float
@@ -29,7 +29,7 @@ class Range:
     log: bool
 
     def at(self, part: float) -> str:
-        """Return the value at a part of the range, 0 to 1, with four digits."""
+        """Return the value at a fraction of the range, 0 to 1, with four digits."""
         if self.log:
             return f"{self.low * (self.high / self.low) ** part:.4g}"
         return f"{self.low + part * (self.high - self.low):.4g}"
@@ -41,7 +41,7 @@ def parse_range(text: str) -> Range | None:
     Raises
     ------
     ModelError
-        Where its ends make no sense.
+        If its ends are not finite, not ascending, or not positive for `log`.
 
     """
     match = re.fullmatch(r"\s*([^=]+?)\s*=\s*([^,]+?)\.\.([^,:]+?)(:log)?\s*", text)
@@ -54,7 +54,7 @@ def parse_range(text: str) -> Range | None:
 
 
 def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, str]]]:
-    """Return names and values of `count` points that cover all ranges together evenly.
+    """Return names and values of `count` points that cover the product of all ranges evenly.
 
     The points are the first ones of a Sobol sequence, without scrambling and each in the middle of its cell: the same
     for every seed and machine. Powers of two cover best.
@@ -63,7 +63,7 @@ def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, st
     Raises
     ------
     ModelError
-        Where the count is out of bounds.
+        If the count is out of bounds.
 
     """
     if not 1 <= count <= _MOST_POINTS:

@@ -1,4 +1,4 @@
-"""Whole bags with the changed messages in chunks of their own: the rest is cut out and compressed once for all runs."""
+"""Whole bags with changed messages in chunks of their own; unchanged ones are compressed once for all runs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ __all__ = ["Rests", "SplitSink"]
 
 
 class Rests:
-    """What is left of a portion's blocks without the messages that change, cut out and compressed once for all runs."""
+    """A portion's blocks without the messages that change, extracted and compressed once for all runs."""
 
     def __init__(self) -> None:
         self._portion: Portion | None = None
@@ -53,17 +53,17 @@ class Rests:
         return self._blocks
 
     def compress(self, codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
-        """Compress and sum for an MCAP, what all runs share once."""
+        """Return a chunk compressed for an MCAP, with checksums; data common to all runs is compressed once."""
         chunk: Packed = self._once(packed, codec, data, level)
         return chunk
 
     def compress_for_ros1(self, codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-        """Compress for a ROS 1 bag, what all runs share once."""
+        """Return a chunk compressed for a ROS 1 bag; data common to all runs is compressed once."""
         chunk: bytes | memoryview = self._once(compress_for_ros1, codec, data, level)
         return chunk
 
     def _once(self, how: Any, codec: str, data: NDArray[np.uint8], level: int | None) -> Any:
-        # a block of several chunks is packed chunk by chunk
+        # a block of several chunks is compressed chunk by chunk
         key = (data.__array_interface__["data"][0], data.size, codec)
         if key in self._packed:
             return self._packed[key]
@@ -76,12 +76,12 @@ class Rests:
 
 
 def _without(block: Block, place: Place) -> Block:
-    """Return a block without some of its messages; what is no message stays."""
+    """Return a block without some of its messages; other records are kept."""
     order = np.argsort(place.begins, kind="stable")
     begins, ends = place.begins[order], place.ends[order]
     gaps = gaps_between(begins, ends, block.data.size)
     if gaps is None:
-        # records that lie in each other: go through the bytes
+        # overlapping records: mark byte by byte
         gone = np.zeros(block.data.size, dtype=bool)
         for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
             gone[begin:end] = True
@@ -104,7 +104,7 @@ def _without(block: Block, place: Place) -> Block:
     framing = own.raw
     if isinstance(framing, Ros1Framing):
         framing = Ros1Framing(framing.codec, moved(framing.starts[rest]))
-    # a chunk of which nothing is left is none
+    # an empty chunk is omitted
     chunk_ends = tuple(np.unique(moved(np.array(own.ends, dtype=np.int64)))) if own.ends else ()
     chunk_ends = tuple(int(end) for end in chunk_ends if end > 0)
     left = Block(data, table, framing, ends=chunk_ends)
@@ -135,7 +135,7 @@ class SplitSink(BagSink):
         return self
 
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write what stays, and behind it what changed and what is added."""
+        """Write the unchanged messages, then the changed and added ones."""
         blocks = self._rests.of(portion)
         first_row = first_byte = 0
         for _, numbers in groupby(range(len(blocks)), lambda number: _part(portion.blocks[number])):
@@ -155,16 +155,16 @@ class SplitSink(BagSink):
 
 
 class _Changed:
-    """The changed messages of some blocks of one file of a bag, as a chunk of their own.
+    """Changed messages of some blocks of one file of a bag, as one chunk.
 
-    rows, span : of the portion's table, and bytes of its data
+    rows, span : rows of the portion's table, and bytes of its data
     """
 
     def __init__(self, portion: Portion, numbers: list[int], rows: slice, span: slice, added: list[Message]) -> None:
         self._portion, self._numbers, self._rows, self._span, self._added = portion, numbers, rows, span, added
 
     def block(self, data: NDArray[np.uint8]) -> Block:
-        """Return the block, of the portion's data (size,) as a run has patched it."""
+        """Return the block, from the portion's data (size,) as patched by a run."""
         portion = self._portion
         own = data[self._span]
         table = portion.table[self._rows].copy()

@@ -1,4 +1,4 @@
-"""What a batch made, in a few lines and in sentences."""
+"""Text of a batch's result."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def brief(
     failures: Sequence[Failure],
     losses: Sequence[str],
 ) -> Summary:
-    """Return how many runs there are and how far they drift, what failed, and what to type next."""
+    """Return the summary of a batch: number of runs, drift, failures, next command."""
     tone: Tone = "bad" if failures else "good"
     lines = [Line("FAILED" if failures else "MADE", f"{made_now} runs made now, {len(records)} in {directory}", tone)]
     lines.append(Line("seed", str(seed)))
@@ -48,7 +48,7 @@ def brief(
 def sentences(
     directory: Path, count: int, made_now: int, seed: int, failures: Sequence[Failure], losses: Sequence[str]
 ) -> str:
-    """Return the same in sentences, with the numbers of the runs that failed."""
+    """Return the summary in sentences, with the numbers of the failed runs."""
     said = f"{made_now} runs made now, {count} in {directory}, seed {seed}."
     if failures:
         first, reason = failures[0]

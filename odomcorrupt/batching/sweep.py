@@ -1,4 +1,4 @@
-"""Sweeps: the same batch at several strengths, of several models."""
+"""Sweeps: a batch for each of several parameter values or models."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ _VARIANCES = {"quadratic": frozenset({"rot_rot", "rot_trans", "trans_trans", "tr
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A model of a sweep, and the directory its runs go to, "" where nothing is swept."""
+    """A model of a sweep, and the directory of its runs, "" without a sweep."""
 
     name: str
     model: MotionModel
 
 
 def variants(model: MotionModel, sweeps: Sequence[str], points: int = 0) -> list[Variant]:
-    """Return every combination of what is swept, written as NAME=VALUE,VALUE or as a range NAME=LOW..HIGH.
+    """Return the models of all combinations of sweeps, each NAME=VALUE,VALUE or a range NAME=LOW..HIGH.
 
-    NAME is alpha-scale (all noise times a factor), model (files), a coefficient, or EFFECT.PARAMETER; an effect that
-    the model does not have is added. Ranges are covered together by `points` points of a Sobol sequence.
+    NAME is alpha-scale (factor on all noise), model (files), a coefficient, or EFFECT.PARAMETER; an effect that the
+    model lacks is added. The product of all ranges is sampled at `points` points of a Sobol sequence.
 
     Raises
     ------
     ModelError
-        Where a name is not known, or a value makes no sense.
+        If a name is unknown, or a value is invalid.
 
     """
     axes = []
@@ -59,7 +59,7 @@ def variants(model: MotionModel, sweeps: Sequence[str], points: int = 0) -> list
         if not equals or not all(values) or len(set(values)) < len(values):
             raise ModelError(f"--sweep {text}: write a name and different values, as in alpha-scale=0.5,1,2")
         axes.append([(name.strip(), value) for value in values])
-    # a model comes first: what else is swept changes it
+    # models first: the other sweeps change them
     axes.sort(key=lambda axis: axis[0][0] != "model")
     found = []
     covered = sobol_points(ranges, points) if ranges else [[]]

@@ -1,4 +1,4 @@
-"""Paths as TUM files, and those of a whole batch as one npz."""
+"""Paths as TUM files, and all paths of a batch as one npz."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _LINE = "%d.%09d %.9f %.9f 0 0 0 %.12f %.12f\n"
 
 
 class TumPath:
-    """A path read back: stamps_ns (n,), xyt (n, 3) metres and radians."""
+    """A path: stamps_ns (n,), xyt (n, 3) in metres and radians."""
 
     __slots__ = ("stamps_ns", "xyt")
 
@@ -40,7 +40,7 @@ class TumPath:
 
 
 def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
-    """Return TUM lines: time, position, unit quaternion."""
+    """Return TUM lines (time, position, unit quaternion) of planar poses xyt (n, 3), metres and radians."""
     seconds, rest = np.divmod(stamps_ns, 1_000_000_000)
     half = xyt[:, 2] / 2.0
     columns = (seconds, rest, xyt[:, 0], xyt[:, 1], np.sin(half), np.cos(half))
@@ -49,7 +49,7 @@ def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
 
 
 def read_tum(path: Path) -> TumPath:
-    """Read a TUM file of planar poses; stamps keep their nanoseconds."""
+    """Return the planar poses of a TUM file, with stamps to the nanosecond."""
     text = path.read_bytes()
     stamps = [line.split(b" ", 1)[0] for line in text.splitlines()]
     numbers = np.loadtxt(io.BytesIO(text), ndmin=2)
@@ -58,7 +58,7 @@ def read_tum(path: Path) -> TumPath:
 
 
 class TumSink:
-    """The path of one run, or with no model the clean one; stamps are shifted as the bag's would be."""
+    """TUM file of one run's path, or without a model of the clean path; clock effects shift the stamps as in a bag."""
 
     def __init__(self, path: Path, model: MotionModel | None) -> None:
         self._output = Output(path, overwrite=True)
@@ -67,14 +67,14 @@ class TumSink:
         self._waiting: list[Knots] = []
 
     def restart(self) -> None:
-        """Go on: a TUM file has no stretches."""
+        """Do nothing: a TUM file has no stretches."""
 
     def add(self, knots: Knots) -> None:
         """Take the next part of the path."""
         self._waiting.append(knots)
 
     def put(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
-        """Write the path as far as it has grown."""
+        """Write the path so far."""
         for knots in self._waiting:
             xyt = knots.clean_xyt if self._clean else knots.clean_xyt + knots.error_xyt
             t_s = (knots.stamps_ns - portion.first_ns) * np.float64(1e-9)
@@ -98,9 +98,9 @@ class TumSink:
 
 
 def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[Path]) -> None:
-    """Write all paths of a batch, one run in memory at a time: as numpy.load reads them.
+    """Write all paths of a batch to an npz file, with one run in memory at a time.
 
-    runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3).
+    Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
     """
     output = Output(path, overwrite=True)
     output.open()
@@ -121,7 +121,7 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
 
 
 class _Sink(io.RawIOBase):
-    """An output as a stream that cannot seek: zip files are written forwards."""
+    """An output as a stream without seeking, for zip files."""
 
     def __init__(self, output: Output) -> None:
         self._output = output

@@ -1,1 +1,1 @@
-"""The corrupting half: odometry in blocks becomes a noisy path, the path a correction, the correction patches."""
+"""Bag corruption: odometry -> noisy path -> correction C(t) of the odom frame -> patched messages."""

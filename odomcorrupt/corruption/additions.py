@@ -1,4 +1,4 @@
-"""Messages that were not in the bag before: the clean odometry beside the noisy one, and the correction as TF."""
+"""Messages added to a bag: the clean odometry on a topic of its own, and the correction as a TF edge."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TF = "tf2_msgs/msg/TFMessage"
 
 @dataclass(slots=True)
 class TruthTopic:
-    """Keeps the driving odometry as it was, on a topic of its own: same bytes, same times, published alike."""
+    """Copy of the clean odometry on another topic: same bytes, same log times, same QoS."""
 
     topic: str
     reader: BagReader
@@ -55,7 +55,7 @@ class TruthTopic:
 
 @dataclass(slots=True)
 class CorrectionEdge:
-    """Publishes the correction as the transform from a new frame to odom, at every stamp of the odometry."""
+    """TF edge from a new frame to odom that carries the correction, one transform for each odometry message."""
 
     frame: str
     reader: BagReader
@@ -69,7 +69,7 @@ class CorrectionEdge:
         Raises
         ------
         TopicError
-            Where the new frame is the odom frame itself, or empty.
+            If the new frame is the odom frame itself, or empty.
 
         """
         if plain(self.frame) in ("", odom):
@@ -87,7 +87,7 @@ class CorrectionEdge:
             self.count += len(rows)
 
     def _open(self, odometry: Channel) -> Channel:
-        """Publish like the bag's own TF, where it has one."""
+        """Return the channel of the transforms: with the encoding and QoS of the bag's own /tf, where it has one."""
         for channel in self.reader.channels.values():
             if channel.msgtype in TRANSFORMS and "static" not in channel.topic:
                 return self.writer.add_channel(channel.topic, channel.msgtype, channel)

@@ -1,8 +1,8 @@
-"""The curve C(t): noisy pose composed with the inverse of the clean one, the rigid motion of the odom frame.
+"""The correction C(t): noisy pose composed with the inverse of the clean pose, a rigid motion of the odom frame.
 
-It is known at odometry stamps, interpolated in SE(2) between them, held before and after. A message may use what the
-odometry had told `PATIENCE_NS` of log time after it, and no older than `MEMORY_NS`: so the curve is the same for a
-file, for a pipe and for any cut into blocks.
+It is known at odometry stamps, interpolated in SE(2) between them and held constant before and after. A message uses
+only odometry that arrived at most `PATIENCE_NS` of log time after it and at most `MEMORY_NS` before it, so the curve
+is the same for a file, a pipe and any division into blocks.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ MEMORY_NS = 10_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """The correction at n stamps.
+    """Correction at n stamps.
 
-    xyt : (n, 3) of the odom frame, metres and radians
-    sums : (SUMS or more, n) running sums for covariances
-    origin_xy : (2, n) where the sums began, metres
-    stretch : (n,) which stretch each belongs to, counted from 0
-    held : (n,) whether the curve ended before the stamp
+    xyt : (n, 3) motion of the odom frame, metres and radians
+    sums : (SUMS or more, n) running sums for covariances, see `covariance`
+    origin_xy : (2, n) origin of these sums, metres
+    stretch : (n,) index of the stretch (time between two restarts) of each stamp, from 0
+    held : (n,) whether the stamp lies after the end of the curve, so that the last value is held
     """
 
     xyt: Array
@@ -90,7 +90,7 @@ class _Stretch:
         return self._told(xyt, sums, stamps_ns > self.stamps_ns[last])
 
     def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """Return the knots that have all these stamps, where each message may use its own; that is the usual case."""
+        """Return indices of the samples at exactly these stamps; None where a message has none that it may use."""
         i = np.maximum(np.searchsorted(self.stamps_ns, stamps_ns, side="right") - 1, 0)
         ahead_ns = self.time_ns[i] - time_ns
         exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
@@ -102,7 +102,7 @@ class _Stretch:
 
 
 class Curve:
-    """The curve as far as it is known."""
+    """C(t) from the odometry read so far, in stretches between restarts of time."""
 
     def __init__(self) -> None:
         self._stretches: list[_Stretch] = []
@@ -111,15 +111,15 @@ class Curve:
 
     @property
     def known_until_ns(self) -> int | None:
-        """The last stamp of the present stretch, None while it has none."""
+        """Last stamp of the current stretch; None while it is empty."""
         return int(self._stretches[-1].stamps_ns[-1]) if self._open else None
 
     def restart(self) -> None:
-        """End the present stretch."""
+        """End the current stretch."""
         self._open = False
 
     def extend(self, knots: Knots, time_ns: NDArray[np.int64]) -> None:
-        """Add knots to the present stretch; time_ns (n,) is the log time at which each was reached."""
+        """Append path samples to the current stretch; time_ns (n,) is the log time at which each became known."""
         if not len(knots):
             return
         if not self._open:
@@ -135,7 +135,7 @@ class Curve:
         self._stretches[-1].extend(knots, time_ns)
 
     def forget(self, before_ns: int) -> None:
-        """Drop what no message from log time `before_ns` on may use."""
+        """Drop samples that no message from log time `before_ns` on may use."""
         limit_ns = before_ns - MEMORY_NS
         while len(self._stretches) > 1 and self._stretches[1].began_ns < limit_ns:
             del self._stretches[0]
@@ -143,7 +143,7 @@ class Curve:
             stretch.forget(limit_ns)
 
     def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
-        """Return the correction for n messages by header stamp and log time."""
+        """Return the correction at the header stamps (n,) of messages with log times (n,), nanoseconds."""
         if len(self._stretches) == 1:
             return self._stretches[0].at(stamps_ns, time_ns)
         n = len(stamps_ns)
@@ -164,7 +164,7 @@ class Curve:
         return out
 
     def _owner(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return which stretch each message belongs to: by log time, and near a restart by the nearer stamp."""
+        """Return the index (n,) of each message's stretch: by log time, near a restart that with the nearer stamp."""
         began = np.array([s.began_ns for s in self._stretches], dtype=np.int64)
         owner = np.maximum(np.searchsorted(began, time_ns, side="right") - 1, 0)
         for new in range(1, len(self._stretches)):

@@ -1,8 +1,8 @@
-"""What noise does to a path's uncertainty, to first order, as running sums.
+"""First-order covariance of a noisy path, as running sums.
 
-A heading error e made where the robot was at q turns everything after it about q: it moves a later point p by
-J (p - q) e, with J = [[0, -1], [1, 0]]. So all a covariance at p needs are the sums of the errors' variances times
-1, q and q q'; sums are taken along the noisy path, for that is what a filter linearises about.
+A heading error e at position q rotates the rest of the path about q: a later point p moves by J (p - q) e, with
+J = [[0, -1], [1, 0]]. The covariance at p is therefore a function of the sums of the errors' variances times 1, q
+and q q'. Sums are taken along the noisy path, about which a filter linearises.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ _BODY_FIRST, _BODY_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """Variance of a number now, and its covariance (5,) with the five sums."""
+    """Present variance of a random coefficient, and its covariance (5,) with the five sums."""
 
     variance: float
     with_sums: Array
 
 
 class Grown(NamedTuple):
-    """What n intervals add.
+    """Covariance terms of n intervals.
 
-    path : (WANDER, n) to the running sums
-    body : (6, n), of each interval's own error in the body: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
+    path : (WANDER, n) increments of the running sums
+    body : (6, n) covariance of each interval's own error, body frame: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
     """
 
     path: Array
@@ -65,7 +65,7 @@ class Grown(NamedTuple):
 
 
 def wanders(effect: Effect, track_m: float | None) -> bool:
-    """Whether an effect draws something whose variance it states."""
+    """Whether an effect has a random part whose variance it states."""
     none = np.zeros(0)
     still = Motion(
         none, none, none, none, none, np.zeros((0, 3)), none, none, none, none, track_m=track_m
@@ -74,28 +74,28 @@ def wanders(effect: Effect, track_m: float | None) -> bool:
 
 
 class Wander:
-    """Follows the numbers of all random effects from batch to batch; any cut gives the same bits."""
+    """Covariance of the random effects, carried from batch to batch; any division into batches gives the same bits."""
 
     def __init__(self) -> None:
         self._memories: list[_Memory] = []
 
     def restart(self) -> None:
-        """Begin a new path; the numbers go on."""
+        """Begin a new path; the random coefficients keep their values."""
         self._memories = [_Memory(memory.variance, np.zeros(5)) for memory in self._memories]
 
     def grow(self, gains: tuple[Gain, ...], dt_s: Array, middle_xy: Array, travel_rad: Array) -> Grown:
-        """Return what n intervals add.
+        """Return the covariance terms of n intervals.
 
         Parameters
         ----------
         gains : tuple of Gain
-            The same ones, in the same order, at every call.
+            Random coefficients; the same, in the same order, at every call.
         dt_s : (n,)
             Lengths of the intervals, seconds.
         middle_xy : (2, n)
-            Noisy positions half-way, metres from the path's start.
+            Noisy positions at the middle of each interval, metres from the path's start.
         travel_rad : (n,)
-            Where the body's x axis points while it translates.
+            Direction of the body's x axis during the translation, radians.
 
         """
         if not self._memories:
@@ -122,7 +122,7 @@ class Wander:
 
 
 def wandered_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
-    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (WANDER, n) and positions (2, n)."""
+    """Return pose covariances (n, 3, 3) in odom axes due to random effects, from sums (WANDER, n), positions (2, n)."""
     n = sums.shape[1]
     five = np.empty((n, 5, 5))
     five[:, _FIRST, _SECOND] = five[:, _SECOND, _FIRST] = sums.T
@@ -154,13 +154,13 @@ and of such drives every second matrix would be none of a covariance.
 
 @dataclass(frozen=True, slots=True)
 class NoiseSteps:
-    """n noisy increments.
+    """Variances and geometry of n noisy increments.
 
-    variances : of the four draws
+    variances : of the four draws (rot1, trans, across, rot2)
     start_xy, end_xy : (2, n) noisy positions, metres from the path's start
-    travel_rad : (n,) where the body's x axis points while it translates
-    bearing_rad : (n,) where trans acts, against the body's x axis; None along it
-    along_m, across_m : (n,) the noisy travel
+    travel_rad : (n,) direction of the body's x axis during the translation
+    bearing_rad : (n,) direction of the trans noise relative to the body's x axis; None: along it
+    along_m, across_m : (n,) noisy travel along and across the body's x axis, metres
     arc : whether rot1 is spread evenly over the translation
     """
 
@@ -175,14 +175,14 @@ class NoiseSteps:
 
 
 def sum_terms(steps: NoiseSteps) -> Array:
-    """Return what each increment adds to the running sums, (SUMS, n)."""
+    """Return the terms that each increment adds to the running sums, (SUMS, n)."""
     v = steps.variances
     (x1, y1), (x2, y2) = (steps.start_xy + steps.end_xy) / 2.0 if steps.arc else steps.start_xy, steps.end_xy
     body = 0.0 if steps.bearing_rad is None else steps.bearing_rad
     world = steps.travel_rad + body
     c, s, cb, sb = np.cos(world), np.sin(world), np.cos(body), np.sin(body)
     heading = v.rot1 + v.rot2
-    # in the body at mid heading, the step swings by half of rot1 less half of rot2; an arc's rot1 swings nothing
+    # in the body frame at mid heading, the step rotates by half of rot1 less half of rot2; an arc's rot1 by nothing
     first, last = 0.0 if steps.arc else 0.5, -0.5
     shear, both = first**2 * v.rot1 + last**2 * v.rot2, first * v.rot1 + last * v.rot2
     terms = np.empty((SUMS, len(c)))
@@ -205,9 +205,9 @@ def sum_terms(steps: NoiseSteps) -> Array:
 
 
 def pose_covariance(sums: Array, xy_m: Array) -> Array:
-    """Return covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (SUMS or more, n) and positions (2, n).
+    """Return pose covariances (n, 3, 3) of x, y, yaw in odom axes, from sums (SUMS or more, n) and positions (2, n).
 
-    Positions are noisy and counted from where the sums began, metres.
+    Positions are the noisy ones relative to the origin of the sums, metres.
     """
     s0, sx, sy, sxx, sxy, syy, txx, txy, tyy = sums[:9]
     x, y = xy_m
@@ -223,12 +223,12 @@ def pose_covariance(sums: Array, xy_m: Array) -> Array:
 
 
 def twist_covariance(grown: Array, dt_s: Array) -> Array:
-    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals in which the body's sums grew by (6, n)."""
+    """Return covariances (n, 3, 3) of vx, vy, yaw rate over intervals dt_s (n,) with body sums (6, n)."""
     return _symmetric(*grown / (dt_s * dt_s))
 
 
 def _symmetric(*upper: Array) -> Array:
-    """Return matrices (n, 3, 3) from xx, xy, yy, x-yaw, y-yaw, yaw-yaw (n,) each, the floor added."""
+    """Return matrices (n, 3, 3) from xx, xy, yy, x-yaw, y-yaw, yaw-yaw, (n,) each; `FLOOR` is added to the diagonal."""
     out = np.empty((len(upper[0]), 3, 3))
     for values, (i, j) in zip(upper, ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
         out[:, i, j] = out[:, j, i] = values + FLOOR if i == j else values

@@ -1,4 +1,4 @@
-"""How far a run has drifted, and how far it was expected to."""
+"""Drift of a run: drawn, and expected to first order."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0,
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Position (m) and heading (rad) errors, expected and drawn; expected ones are the noise's standard deviations.
+    """Position (m) and heading (rad) errors of a run, expected (standard deviation of the noise) and drawn.
 
-    The leg values are root mean squares over legs of `LEG_M`, None where the robot went less far.
+    The leg values are root mean squares over legs of `LEG_M`; None for a shorter path.
     """
 
     distance_m: float
@@ -46,7 +46,7 @@ class Drift:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean message rate, None where it cannot be told."""
+        """Mean message rate, Hz; None for fewer than two messages or no duration."""
         return (self.messages - 1) / self.duration_s if self.duration_s > 0.0 and self.messages > 1 else None
 
 
@@ -68,17 +68,17 @@ def _place(knots: Knots, i: int) -> _Place:
 
 
 class PathWatcher(Protocol):
-    """Whoever wants to see the path go by."""
+    """Callback that receives the noisy path, part by part."""
 
     def restart(self) -> None:
-        """Learn that time began anew."""
+        """Begin a new stretch: the stamps have jumped back."""
 
     def add(self, knots: Knots) -> None:
-        """Take the next part of the path."""
+        """Process the next part of the path."""
 
 
 class DriftMeter:
-    """Watches the noisy path go by; a restart of time begins a new stretch, of which the last one tells the end."""
+    """Drift of a path that arrives in parts; after a restart of time the end values are those of the last stretch."""
 
     def __init__(self) -> None:
         self._messages = self._jumps = 0
@@ -90,14 +90,14 @@ class DriftMeter:
         self._end: _Place | None = None
 
     def restart(self) -> None:
-        """Close a stretch."""
+        """End the current stretch."""
         if self._start is not None and self._end is not None:
             self._distance_m += self._end.travelled_m
             self._duration_s += (self._end.stamp_ns - self._start.stamp_ns) * 1e-9
         self._start = self._mark = None
 
     def add(self, knots: Knots) -> None:
-        """Take the next part of the path."""
+        """Process the next part of the path."""
         if not len(knots):
             return
         self._messages += len(knots)
@@ -112,7 +112,7 @@ class DriftMeter:
         self._end = _place(knots, len(knots) - 1)
 
     def result(self) -> Drift | None:
-        """Return the drift so far; None where there was no odometry at all."""
+        """Return the drift so far; None where there was no odometry."""
         if self._end is None:
             return None
         self.restart()
@@ -126,7 +126,7 @@ class DriftMeter:
 
 def _expected(end: _Place, sums_before: Array) -> tuple[float, float]:
     noisy = end.clean_xyt[:2] + end.error_xyt[:2] - end.origin_xy
-    grown = (end.sums - sums_before)[:SUMS, None]  # what wanders goes on from leg to leg: no sum of legs
+    grown = (end.sums - sums_before)[:SUMS, None]  # random effects are correlated between legs: no sum over legs
     variances = np.diagonal(pose_covariance(grown, noisy[:, None])[0])
     return float(np.sqrt(max(variances[0] + variances[1], 0.0))), float(np.sqrt(max(variances[2], 0.0)))
 

@@ -1,4 +1,4 @@
-"""The poses that drive the model: of an odometry topic, or of a TF edge where there is no odometry."""
+"""The odometry source: the odometry topic, or else the TF edge, whose poses the model is applied to."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ __all__ = ["Driver", "stamps_or_log_ns"]
 
 
 class Driver:
-    """Finds and reads the odometry that drives the model.
+    """Odometry source of a bag: finds its topic and reads its poses.
 
-    topic : where it is, as asked for until it is seen; None for any TF topic
-    frames : known from its first message on, or from the options
-    by_edge : whether a TF edge drives
-    zero_stamps : how many of its stamps are zero, for which log times stand in
-    faults : poses of it that mean nothing
+    topic : its topic, as requested until the first message; None for any TF topic
+    frames : of its first message, or of the options
+    by_edge : whether the source is a TF edge
+    zero_stamps : number of zero stamps, replaced by log times
+    faults : counts of unusable poses
     """
 
     def __init__(self, topic: str | None, odom_frame: str | None, base_frame: str | None) -> None:
@@ -57,7 +57,7 @@ class Driver:
 
     @property
     def elsewhere(self) -> str:
-        """Where else to look, as the end of a sentence."""
+        """Name of the bag's other odometry topics or of the frames, as the end of an error message."""
         if self.by_edge and self._edges:
             return (
                 f" (TF has {', '.join(sorted(self._edges)[:12])}); name one of these with --odom-frame and --base-frame"
@@ -66,18 +66,18 @@ class Driver:
 
     @property
     def name(self) -> str:
-        """What drives, for people."""
+        """Name of the source for messages to the user."""
         if self.by_edge and self.frames is not None:
             return f"TF {self.frames.odom} -> {self.frames.base}"
         return self.topic or ""
 
     def prepare(self, reader: BagReader, name: str) -> None:
-        """Find the topic before anything is read or written.
+        """Find the source's topic before anything is read or written.
 
         Raises
         ------
         TopicError
-            Where there is none, several, or no way to know yet.
+            If there is none, or several, or the channels of a pipe do not decide it yet.
 
         """
         if not reader.complete:
@@ -102,11 +102,11 @@ class Driver:
         self.frames = Frames(plain(self._odom_frame or ""), plain(self._base_frame or ""))
 
     def is_odometry(self, channel: Channel) -> bool:
-        """Whether a channel carries the driving odometry."""
+        """Whether a channel carries the odometry source."""
         return channel.msgtype == ODOMETRY and self.topic is not None and plain(channel.topic) == plain(self.topic)
 
     def read(self, block: Block, parts: list[tuple[Channel, Layout]], time_ns: NDArray[np.int64]) -> Arrivals:
-        """Return the driving poses of a block, in the order of its messages."""
+        """Return the source's poses in a block, in the order of its messages."""
         if self.frames is None and not self.by_edge:
             self._recognise(parts)
         found = []
@@ -129,7 +129,7 @@ class Driver:
         return poses
 
     def _recognise(self, parts: list[tuple[Channel, Layout]]) -> None:
-        """Learn topic and frames from the first message of the odometry, or that TF drives."""
+        """Set topic and frames from the first odometry message, or from the TF edge where there is none."""
         driving = [(channel, layout) for channel, layout in parts if self.is_odometry(channel)]
         if driving:
             channel, layout = min(driving, key=lambda part: int(part[1].rows[0]))

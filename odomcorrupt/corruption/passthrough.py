@@ -1,4 +1,4 @@
-"""A bag of which nothing is changed comes through as it is, byte by byte: files and pipes alike."""
+"""Byte-identical output where nothing in a bag changes, for files and pipes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _PIECE_BYTES = 1 << 16
 
 
 def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> bool:
-    """Whether an output may be the bytes of its input: those of one file, or of a pipe, in the format asked for."""
+    """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
     if source is not None and source.is_dir():
         return False
     if source is not None and reader.kind == "sqlite3":
@@ -34,10 +34,7 @@ def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> boo
 
 
 class TeeReader:
-    """A pipe whose bytes are kept as they are read, until it is known where they go to.
-
-    It is read from as the pipe would be.
-    """
+    """Stream that records the bytes read from a pipe, so that they can be copied to an output."""
 
     def __init__(self, stream: BinaryIO | None = None) -> None:
         self._stream: BinaryIO = sys.stdin.buffer if stream is None else stream
@@ -64,13 +61,13 @@ class TeeReader:
             self._kept += data
 
     def play(self, output: Output) -> None:
-        """Write what was read so far, and from now on whatever is read."""
+        """Write the bytes read so far to an output, and from now on all that are read."""
         self._output = output
         output.write(bytes(self._kept))
         self._kept.clear()
 
     def stop(self) -> None:
-        """Keep no more of what is read."""
+        """Stop recording."""
         self._recording = False
         self._kept.clear()
 
@@ -83,7 +80,7 @@ def write_as_it_was(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a bag's bytes, when its blocks have been looked at; those of a pipe while they are."""
+    """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block."""
     output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
     output.open()
     output.summing = False

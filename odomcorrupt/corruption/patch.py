@@ -1,4 +1,4 @@
-"""Numbers of messages replaced in place: poses, twists, covariances, stamps."""
+"""In-place replacement of poses, twists, covariances and stamps in serialised messages."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ PLANAR_BLOCK = (6 * PLANAR[:, None] + PLANAR).ravel()
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """n messages of one layout of which one item is moved.
+    """n messages of one layout, and the item in them that the correction moves.
 
-    side : from which the correction acts
+    side : whether the correction multiplies the pose from the left or from the right
     stamps_ns, time_ns : (n,) header stamps, and log times as running maxima
     """
 
@@ -54,9 +54,9 @@ class Target:
 
 @dataclass(slots=True)
 class Changes:
-    """Counts of what was moved: messages by topic, edges by "parent -> child", how many beyond the curve's end.
+    """Counts of moved messages: by topic, by edge "parent -> child", and those stamped after the end of C(t).
 
-    static : edges that are published once for all time, and cannot follow a drift
+    static : edges on /tf_static, which cannot follow a drift
     """
 
     odometry: Counter[str] = field(default_factory=Counter)
@@ -66,7 +66,7 @@ class Changes:
 
 
 class Patcher:
-    """Puts a correction into messages, one topic after the other."""
+    """Applies the correction to messages, topic by topic."""
 
     def __init__(self, model: MotionModel, *, keep_twist: bool, keep_covariance: bool) -> None:
         self.changes = Changes()
@@ -78,9 +78,9 @@ class Patcher:
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
         self._twists: dict[str, TopicTwist] = {}
 
-    @np.errstate(over="ignore", invalid="ignore")  # poses that are no numbers stay none
+    @np.errstate(over="ignore", invalid="ignore")  # NaN and infinite poses stay as they are
     def patch(self, block: Block, targets: list[Target], curve: Curve, first_ns: int) -> None:
-        """Patch a block's targets in place; first_ns is when time began."""
+        """Apply C(t) to a block's targets in place; first_ns is the first stamp, the origin of clock effects."""
         at = curve.at(
             np.concatenate([target.stamps_ns for target in targets]),
             np.concatenate([target.time_ns for target in targets]),
@@ -120,7 +120,7 @@ class Patcher:
                 _set_planar(block, target, "pose_covariance", covariance, slice(None))
         if not self._twist:
             return
-        # one topic's messages may have several layouts: its twists follow each other in the order of arrival
+        # one topic's messages may have several layouts: twists are processed in the order of arrival
         follower = self._twists.setdefault(topic, TopicTwist())
         if len(parts) == 1:
             (target, at), change = parts[0], follower.change(parts[0][0].stamps_ns, clean[0], parts[0][1])
@@ -157,7 +157,7 @@ class Patcher:
         shift_s = sum(effect.stamp_shift_s(t_s) for effect in self._clocks)
         shift_ns = np.rint(np.asarray(shift_s) * 1e9).astype(np.int64)
         written = gather_stamps_ns(block, target.layout, target.item)
-        # a stamp of zero says "no stamp", and goes on saying so
+        # a stamp of zero means "no stamp" and stays zero
         scatter_stamps_ns(block, target.layout, target.item, written + np.where(written == 0, 0, shift_ns))
 
 
@@ -181,9 +181,9 @@ def _poses(block: Block, target: Target) -> SpatialPoses:
 
 
 def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
-    """Move poses, those alone that the correction does move and that are numbers; return what they become.
+    """Apply a correction (n, 3) to poses in place; return the moved poses.
 
-    The others keep their bits.
+    Poses with a zero correction, or that are not finite, keep their bytes.
     """
     moved = _nonzero(correction_xyt) & finite_rows(poses.position) & finite_rows(poses.quat_xyzw)
     if not moved.any():
@@ -201,13 +201,13 @@ def _move(block: Block, target: Target, correction_xyt: Array, poses: SpatialPos
 
 
 def _nonzero(xyt: Array) -> NDArray[np.bool_]:
-    """Tell which rows (n,) of (n, 3) are not all zero."""
+    """Return a mask (n,) of the rows of (n, 3) that are not all zero."""
     moved: NDArray[np.bool_] = (xyt[:, 0] != 0.0) | (xyt[:, 1] != 0.0) | (xyt[:, 2] != 0.0)
     return moved
 
 
 def _has_already(twist: Array, added: Array) -> NDArray[np.bool_]:
-    """Tell which twists (n, 3) tell of the motion that a pose, which lost an increment, gets back."""
+    """Return a mask (n,) of the twists that already contain the motion `added` (n, 3) which the pose had lost."""
     has: NDArray[np.bool_] = np.sum(twist * added, axis=1) > 0.5 * np.sum(added**2, axis=1)
     return has
 

@@ -1,9 +1,8 @@
-"""The noisy path of a stretch: clean poses in, in time order and batch by batch; noisy poses out.
+"""The noisy path of a stretch, from clean poses in time order, batch by batch.
 
-Noise is accumulated from the previous noisy pose with the noisy heading. What is carried along is the error, noisy
-minus clean, not the noisy pose itself: where nothing is drawn it stays zero to the last bit. All running sums start
-from the value carried, inside the cumulative sum, and normals are drawn row by row, so any cut of a path into
-batches gives the same bits.
+Noise is accumulated from the previous noisy pose with the noisy heading. The state is the error, noisy minus clean,
+not the noisy pose itself: without noise it is zero to the last bit. Every cumulative sum includes the value carried
+over from the batch before, and normals are drawn row by row, so any division into batches gives the same bits.
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ JUMP_MIN_S = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """n stamps of a path, clean and noisy.
+    """Samples of a path at n stamps, clean and noisy.
 
     stamps_ns : (n,) header stamps
     clean_xyt : (n, 3) metres, radians; headings as they came
     error_xyt : (n, 3) noisy minus clean, in odom axes
-    sums : (SUMS, n) running sums for covariances, see `covariance`; more rows where effects draw, see `wander`
-    origin_xy : (2,) where these sums began, metres
-    travelled_m : (n,) clean distance since the path began, metres; jumps do not count
-    jumps : how many of the increments that end here were jumps
-    sideways_m : how far these increments went to the left or right, metres
+    sums : (SUMS, n) running sums for covariances, see `covariance`; more rows where effects are random
+    origin_xy : (2,) origin of these sums, metres
+    travelled_m : (n,) clean distance since the start of the path, metres, without jumps
+    jumps : number of these increments that are jumps
+    sideways_m : lateral travel of these increments, metres
     """
 
     stamps_ns: NDArray[np.int64]
@@ -63,7 +62,7 @@ class Knots:
 
     @property
     def correction_xyt(self) -> Array:
-        """C, noisy composed with the inverse of clean (n, 3): the rigid motion of the odom frame."""
+        """Correction C (n, 3): noisy pose composed with the inverse of the clean pose, metres and radians."""
         turn, x, y = self.error_xyt[:, 2].copy(), self.clean_xyt[:, 0], self.clean_xyt[:, 1]
         less, s = _cos_less_one(turn), np.sin(turn)
         shift_x = self.error_xyt[:, 0] - (less * x - s * y)
@@ -72,26 +71,26 @@ class Knots:
 
 
 class PathSource(Protocol):
-    """Whoever says where odometry is moved to: clean poses in, in time order and batch by batch; knots out."""
+    """Source of corrupted paths: clean poses in time order, batch by batch, to clean and noisy samples."""
 
     def restart(self) -> None:
         """Begin a new path."""
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
-        """Return where the next n poses go."""
+        """Return clean and noisy samples at the next n stamps, from clean poses (n, 3)."""
 
 
 class Normals(Protocol):
-    """Whoever has standard normals: a generator of numpy, or one that replays some."""
+    """Source of standard normals: a NumPy generator, or one that replays given numbers."""
 
     def standard_normal(self, size: tuple[int, int]) -> Array:
-        """Return (n, 4) for n increments: of rot1, trans, across, rot2."""
+        """Return standard normals (n, 4) for n increments: of rot1, trans, across, rot2."""
 
 
 class NoisyPath:
-    """Draws the noisy path of one run; a restart of time begins a new one with the same streams of numbers.
+    """Noisy path of one run; after a restart of time a new path continues the same random streams.
 
-    normals : where the noise's numbers come from, in place of the run's own stream
+    normals : source of the noise's standard normals, instead of the run's own stream
     """
 
     def __init__(self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None) -> None:
@@ -102,7 +101,7 @@ class NoisyPath:
         self.restart()
 
     def restart(self) -> None:
-        """Begin a new path: the next pose is a first pose, and unchanged."""
+        """Begin a new path, whose first pose is unchanged."""
         self._effects.restart()
         self._wander.restart()
         self._growth = StepGrowth()
@@ -114,11 +113,11 @@ class NoisyPath:
         self._origin = np.zeros(2)
 
     def push(self, shift_xy: Array) -> None:
-        """Move the noisy robot by (2,) metres where it stands; the path goes on from there."""
+        """Shift the noisy position by (2,) metres; the path continues from there."""
         self._error = self._error + np.append(shift_xy, 0.0)
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
-        """Return the noisy path at the next n poses.
+        """Return clean and noisy samples at the next n stamps.
 
         Parameters
         ----------
@@ -142,7 +141,7 @@ class NoisyPath:
         length = np.hypot(world[:, 0], world[:, 1])
         jump = length > JUMP_SPEED * np.maximum(dt_s, JUMP_MIN_S)
 
-        # across a jump nothing is driven: no turn, no travel, but the odom frame's correction is held
+        # a jump is no motion: no turn, no travel, and the correction of the odom frame is held
         turn = np.where(jump, 0.0, wrap(np.diff(poses[:, 2])))
         middle = poses[:-1, 2] + turn / 2.0
         body = rotate(np.where(jump[:, None], 0.0, world), -middle)
@@ -188,7 +187,7 @@ class NoisyPath:
         )  # fmt: skip
 
     def _sum_terms(self, stepped: NoiseSteps, driven_s: Array) -> Array:
-        """Return what n intervals add to the running sums: of the noise, and of what effects draw."""
+        """Return the terms that n intervals add to the running sums, of the noise and of random effects."""
         terms = sum_terms(stepped)
         if not self._effects.wandering:
             return terms

@@ -1,4 +1,4 @@
-"""What makes poses and transforms mean nothing for a robot on a plane: said of a bag, whoever looks at it."""
+"""Checks for poses and frame trees that are unusable for a planar robot."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STEEP = float(np.sin(np.deg2rad(85.0)))
 
 @dataclass(slots=True)
 class PoseFaults:
-    """Counts poses of an odometry topic.
+    """Counts of unusable poses of an odometry topic.
 
     no_orientation : quaternions that are zero
     upright : pitches beyond 85 deg
@@ -37,7 +37,7 @@ class PoseFaults:
     far: int = 0
 
     def take(self, position: Array, quat_xyzw: Array) -> None:
-        """Look at poses: position (n, 3) metres, quat_xyzw (n, 4)."""
+        """Count the unusable poses of position (n, 3), metres, and quat_xyzw (n, 4)."""
         with np.errstate(all="ignore"):
             length2 = (quat_xyzw * quat_xyzw).sum(axis=1)
             x, y, z, w = quat_xyzw.T
@@ -47,7 +47,7 @@ class PoseFaults:
             self.far += _count((np.abs(position[:, :2]) >= FAR_M).any(axis=1) & np.isfinite(position).all(axis=1))
 
     def sentences(self) -> list[str]:
-        """Return what is to be said, without a full stop."""
+        """Return one warning for each kind of fault found, without a full stop."""
         said = []
         if self.no_orientation:
             said.append(f"{self.no_orientation} orientations are zero: their heading is taken as 0")
@@ -63,7 +63,7 @@ def _count(which: NDArray[np.bool_] | np.bool_) -> int:
 
 
 def frame_faults(edges: Iterable[tuple[str, str]], odom: str | None, base: str | None) -> list[str]:
-    """Return what is wrong with a bag's tree of frames, in sentences without a full stop.
+    """Return warnings on a bag's TF tree (loops, several parents), without a full stop.
 
     edges : parent and child of every transform
     odom, base : frames of the odometry
@@ -84,7 +84,7 @@ def frame_faults(edges: Iterable[tuple[str, str]], odom: str | None, base: str |
 
 
 def _loop(parents: dict[str, set[str]]) -> list[str]:
-    """Return the frames of one loop, the first of them again at the end; none where there is none."""
+    """Return the frames of one loop, the first repeated at the end; empty for a tree."""
     done: set[str] = set()
     for first in sorted(parents):
         path: list[str] = []

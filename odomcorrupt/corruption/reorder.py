@@ -1,9 +1,8 @@
-"""Odometry messages put into the order of their stamps, and cut into stretches where time jumps back.
+"""Odometry messages sorted by stamp, and divided into stretches where time jumps back.
 
-Whatever is decided here depends on stamps and on log times alone, never on how a bag is cut into blocks. Log times
-are running maxima: a message counts as seen when the newest one before it was. A stamp that leaps ahead of the log
-clock is not believed before the next one: where that one is back among those before, the leap was a flaw of one
-message, and neither a restart of time nor the end of the drift.
+Decisions depend on stamps and log times alone, never on the division of a bag into blocks. Log times are running
+maxima. A stamp far ahead of the log clock is accepted only once the next message confirms it: if that one continues
+from the stamps before, the stamp was an error of one message, not a restart of time.
 """
 
 from __future__ import annotations
@@ -58,12 +57,12 @@ _LONG_AGO = -(2**62)
 
 
 class TimeOrder:
-    """Holds messages back until none can come any more that belongs before them.
+    """Buffer that releases messages in stamp order, once no earlier one can follow.
 
-    late : messages more than `WINDOW_NS` of log time behind their neighbours: they are left out
-    leaps : messages whose stamp lies far ahead of both neighbours': they are left out, too
-    restarts : how often time jumped back
-    swapped : messages behind a later one, by no more than the window: they are put in order
+    late : messages more than `WINDOW_NS` of log time behind their neighbours, left out
+    leaps : messages whose stamp lies far ahead of both neighbours', left out
+    restarts : number of jumps back in time
+    swapped : messages behind a later one by no more than the window, sorted
     """
 
     def __init__(self) -> None:
@@ -81,10 +80,9 @@ class TimeOrder:
         self._ahead: Arrivals | None = None  # one message that leapt ahead
 
     def add(self, new: Arrivals) -> list[Arrivals]:
-        """Take messages in the order of arrival; return the ends of stretches that a jump back completes.
+        """Add messages in the order of arrival; return the rest of each stretch that a jump back in time ends.
 
-        All but the last stretch in `new` are returned, each sorted; a stretch that has nothing left to release is
-        returned empty, so that their number is the number of restarts.
+        Each is sorted; a stretch with nothing left to release is returned empty: the length is the number of restarts.
         """
         ended = []
         while len(new):
@@ -107,7 +105,7 @@ class TimeOrder:
         return ended
 
     def _judge_ahead(self, after: Arrivals) -> None:
-        """Take the message that leapt ahead, or leave it out where the next one is back among those before."""
+        """Accept the message with the stamp far ahead, or drop it where the next one continues the stamps before."""
         ahead = self._ahead
         if ahead is None:
             return
@@ -140,7 +138,7 @@ class TimeOrder:
         self._waiting = self._waiting.followed_by(new)
 
     def release(self, now_ns: int) -> Arrivals:
-        """Return, sorted, what no message after log time `now_ns` can precede."""
+        """Return, sorted, the messages that no message after log time `now_ns` can precede."""
         if self._ahead is not None and now_ns - self._ahead.time_ns[0] >= WINDOW_NS:
             self._believe_ahead()
         ordered = self._sorted()
@@ -153,7 +151,7 @@ class TimeOrder:
         return self._let_go(ordered, int(np.searchsorted(ordered.stamps_ns, limit, side="right")))
 
     def flush(self) -> Arrivals:
-        """Return, sorted, everything that waits: the stretch is over."""
+        """Return, sorted, all buffered messages, at the end of a stretch."""
         self._believe_ahead()
         ordered = self._sorted()
         return self._let_go(ordered, len(ordered))
@@ -162,7 +160,7 @@ class TimeOrder:
         waiting = self._waiting
         if (np.diff(waiting.stamps_ns) < 0).any():
             waiting = waiting.take(np.argsort(waiting.stamps_ns, kind="stable"))
-        # a stamp counts as reached when the first message at or beyond it was seen
+        # a stamp counts as reached at the first message at or beyond it
         reached = np.minimum.accumulate(waiting.time_ns[::-1])[::-1]
         return Arrivals(waiting.stamps_ns, reached, waiting.xyt)
 

@@ -1,4 +1,4 @@
-"""One bag corrupted from end to end: reader, transform, writer."""
+"""Corruption of one bag: reader, transform, writer."""
 
 from __future__ import annotations
 
@@ -31,42 +31,42 @@ __all__ = ["Container", "Outcome", "corrupt_bag"]
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """How bags are read and written.
+    """Options for reading and writing bags.
 
     overwrite : replace an existing output
     compression, level : of the output, None for those of the input
-    recover : read what is whole of a damaged input
-    threads : that read, compute and compress side by side, None for one a core, at most four
+    recover : read the intact parts of a damaged input
+    threads : number of threads; None: one per core, at most four
     """
 
     overwrite: bool = False
     compression: str | None = None
     level: int | None = None
     recover: bool = False
-    threads: int | None = field(default=None, compare=False, repr=False)  # no difference to what is written
+    threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
-        """Whether an output of unchanged messages is to be the input itself."""
+        """Whether an output without changes may be a byte copy of the input."""
         return self.compression is None and self.level is None and not self.recover
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What one run did.
+    """Result of one run.
 
     channels : those that carried messages
-    restarts : how often time jumped back
+    restarts : number of jumps back in time
     late : odometry messages too late to be put in order
     leaps : odometry messages whose stamp lies far ahead of their neighbours'
     unusable : odometry poses that are not numbers
-    added : how many messages were added, by what they are
-    losses : what could not be read of a damaged input, in sentences
-    swapped : odometry messages that came behind later ones, and were put in order
-    zero_stamps : odometry stamps that are zero, for which log times stood in
-    placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
-    stayed : edges of TF that are not moved, "parent -> child"
-    faults : poses of the odometry that mean nothing
+    added : number of added messages, by topic or edge
+    losses : parts of a damaged input that could not be read, one sentence each
+    swapped : odometry messages that arrived after later ones and were sorted
+    zero_stamps : odometry stamps that are zero, replaced by log times
+    placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
+    stayed : TF edges that are not moved, "parent -> child"
+    faults : counts of unusable odometry poses
     """
 
     model: MotionModel
@@ -103,20 +103,21 @@ def corrupt_bag(
     path: PathSource | None = None,
     told: Mapping[str, str] | None = None,
 ) -> Outcome:
-    """Corrupt a bag; None is a pipe. The output appears when it is complete, or not at all.
+    """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
-    watch : told of every block written
-    path : where the odometry is moved to, in place of the noisy path that the model draws
-    told : what is noted in the output besides model, seed, run and version
+    source, target : bags; None is a pipe
+    watch : called with every block written
+    path : corrupted path, instead of the noisy path that the model draws
+    told : further metadata for the output, besides model, seed, run and version
 
     Raises
     ------
     BagError
-        Where the input cannot be read or the output not be written.
+        If the input cannot be read or the output not be written.
     TopicError
-        Where no odometry drives the model.
+        If there is no odometry source.
     EffectError
-        Where an effect is too strong for this drive.
+        If an effect is too strong for this drive.
 
     """
     transform = Transform(model, seed, run, options, path=path)

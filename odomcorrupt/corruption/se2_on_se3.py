@@ -1,4 +1,4 @@
-"""Planar corrections acting on poses in space: z, roll and pitch come through."""
+"""Planar corrections (SE(2)) applied to spatial poses (SE(3)); z, roll and pitch are kept."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class SpatialPoses:
 
 
 def finite_rows(values: Array) -> NDArray[np.bool_]:
-    """Tell which rows (n,) of values (n, k) are numbers throughout: nearly always all, and that is quickly asked."""
+    """Return a mask (n,) of the rows of values (n, k) that are finite; fast where all are."""
     finite = np.isfinite(values)
     return np.ones(len(values), dtype=bool) if finite.all() else np.asarray(finite.all(axis=1))
 
 
 def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
-    """Return C pose: the frame the poses are given in has moved by C (n, 3)."""
+    """Return C * pose, (n,): poses whose parent frame has moved by C (n, 3), metres and radians."""
     position = poses.position.copy()
     position[:, :2] = rotate(position[:, :2], correction_xyt[:, 2]) + correction_xyt[:, :2]
     half = correction_xyt[:, 2] / 2.0
@@ -42,7 +42,7 @@ def from_left(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
 
 
 def from_right(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
-    """Return pose C^-1: the poses of the frame that has moved by C, seen from elsewhere."""
+    """Return pose * C^-1, (n,): poses whose child frame has moved by C (n, 3), metres and radians."""
     half = correction_xyt[:, 2] / 2.0
     c, s = np.cos(half), -np.sin(half)
     x, y, z, w = poses.quat_xyzw.T
@@ -53,13 +53,13 @@ def from_right(correction_xyt: Array, poses: SpatialPoses) -> SpatialPoses:
 
 
 def inverted(poses: SpatialPoses) -> SpatialPoses:
-    """Return the poses seen the other way round."""
+    """Return the inverse transforms."""
     back = poses.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
     return SpatialPoses(-_turned(back, poses.position), back)
 
 
 def _turned(quat_xyzw: Array, vector: Array) -> Array:
-    """Return vectors (n, 3) turned by quaternions (n, 4) of any length but zero."""
+    """Return vectors (n, 3) rotated by quaternions xyzw (n, 4) of any length but zero."""
     axis, w = quat_xyzw[:, :3], quat_xyzw[:, 3:]
     length2 = (quat_xyzw * quat_xyzw).sum(axis=1, keepdims=True)
     once = np.cross(axis, vector)

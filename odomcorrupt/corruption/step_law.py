@@ -1,4 +1,4 @@
-"""`--step`: a book law applied once per stretch of path, not once per message."""
+"""`--step`: a noise law applied once per step of distance or angle, not once per message."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ __all__ = ["StepGrowth", "noise_variances"]
 
 @dataclass(frozen=True, slots=True)
 class StepGrowth:
-    """Where a path stands within its steps: metres and radians gone since its start, now and when the step began."""
+    """Progress of a path within its step: metres and radians since its start, now and at the start of the step."""
 
     gone_m: float = 0.0
     gone_rad: float = 0.0
@@ -31,19 +31,19 @@ class StepGrowth:
 
 @dataclass(frozen=True, slots=True)
 class GrownVariances:
-    """Variances of n increments, and where the path stands after them."""
+    """Variances of n increments, and the progress after them."""
 
     variances: Variances
     growth: StepGrowth
 
 
 def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGrowth) -> GrownVariances:
-    """Return the variances of noise on n increments of lengths dt_s (n,) seconds that follow a path.
+    """Return the noise variances of n increments of lengths dt_s (n,) seconds.
 
-    With a step, every increment adds what the law's variance has grown by since the step began. The law sees the
-    metres and radians gone since then, the turn halved between rot1 and rot2, so growth is never negative; a step
-    ends exactly at its distance or angle, inside an increment if need be. The same increments give the same bits
-    however they are cut into calls.
+    With a step, an increment's variance is the growth of the law's variance since the step's start. The law is
+    evaluated at the metres and radians since then, the turn halved between rot1 and rot2, so growth is never
+    negative; a step ends exactly at its distance or angle, if need be inside an increment. The same increments give
+    the same bits for any division into calls.
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):
@@ -61,7 +61,7 @@ def _within_steps(noise: Noise, step: Step, steps: Increments, growth: StepGrowt
     gone_rad = np.cumsum(np.concatenate(([growth.gone_rad], np.abs(steps.dtheta_rad))))
     ends = _ends(step, growth, gone_m, gone_rad)
 
-    # every increment falls into pieces: one up to each end of a step inside it, one up to its own end
+    # every increment is divided at the ends of steps inside it
     n = len(steps)
     owner = np.concatenate((ends.increment, np.arange(n)))
     order = np.lexsort((np.concatenate((np.zeros(len(ends.increment)), np.ones(n))), owner))
@@ -100,7 +100,7 @@ def _law_at(noise: Noise, gone_m: Array, gone_rad: Array) -> Variances:
 
 @dataclass(frozen=True, slots=True)
 class _Ends:
-    """Where steps end: the increment each end lies in, and metres and radians gone there."""
+    """Ends of steps: index of the increment of each, and metres and radians since the path's start."""
 
     increment: NDArray[np.int64]
     at_m: Array
@@ -121,7 +121,7 @@ def _ends(step: Step, growth: StepGrowth, gone_m: Array, gone_rad: Array) -> _En
 
 
 def _meet(far: float, turned: float, span_m: Array, span_rad: Array) -> tuple[float, float]:
-    """Return metres and radians gone where an increment first reaches the one or the other."""
+    """Return metres and radians at which an increment first reaches the step's distance or angle."""
     length, turn = float(span_m[1] - span_m[0]), float(span_rad[1] - span_rad[0])
     by_m = (far - float(span_m[0])) / length if far <= span_m[1] else np.inf
     by_rad = (turned - float(span_rad[0])) / turn if turned <= span_rad[1] else np.inf

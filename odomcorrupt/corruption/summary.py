@@ -1,4 +1,4 @@
-"""What a run did: in a few lines, and in one paragraph."""
+"""Text of a run's result: a few lines, or one paragraph."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ LOST_RAD = 1.0
 
 
 def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = ()) -> Summary:
-    """Return the drift at the end, the model and the seed, what was moved, and what is odd.
+    """Return the summary of a run: final drift, model, seed, moved topics, warnings.
 
     Parameters
     ----------
-    outcome : what the run did
-    origin : where the model's numbers come from, in words
+    outcome : result of the run
+    origin : source of the model's numbers, in words
     target : the output; "-" is a pipe
-    remarks : sentences of what is unusual: what a map did, that the input was corrupted before
+    remarks : further warnings, such as that the input was corrupted before
     """
     drift, silent = outcome.drift, _is_silent(outcome.model)
     if silent:
@@ -70,7 +70,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
 
 
 def _counted(outcome: Outcome) -> str:
-    """Return topics and edges with the number of messages that were moved."""
+    """Return the moved topics and edges with their numbers of messages."""
     changes = outcome.changes
     topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
     edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
@@ -79,7 +79,7 @@ def _counted(outcome: Outcome) -> str:
 
 
 def summary(outcome: Outcome, origin: str) -> str:
-    """Return one paragraph: what was changed, by which model, how far it drifted, and what it left true."""
+    """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
     silent = _is_silent(outcome.model)
     drive = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
     parts = [
@@ -108,14 +108,14 @@ def _moved(outcome: Outcome) -> str:
 
 
 def _stayed(outcome: Outcome) -> str:
-    """Say which edges there are where none was moved: the frame may have been meant otherwise."""
+    """Return a warning that lists the TF edges where none was moved: the odom frame may be wrong."""
     edges = sorted(outcome.stayed)
     more = f" and {len(edges) - MOST_EDGES} more" if len(edges) > MOST_EDGES else ""
     return f" (TF has {', '.join(edges[:MOST_EDGES])}{more})" if edges else ""
 
 
 def model_words(model: MotionModel, origin: str) -> str:
-    """Return law, coefficients, where they come from, and effects."""
+    """Return noise law, coefficients, their source, and effects, as text."""
     noise = model.noise
     values = [(f.name, getattr(noise.coefficients, f.name)) for f in dataclasses.fields(noise.coefficients)]
     numbers = " ".join(f"{name} {value:.4g}" for name, value in values if value or name in noise.law.alphas)
@@ -129,7 +129,7 @@ def model_words(model: MotionModel, origin: str) -> str:
 
 
 def model_brief(model: MotionModel, origin: str) -> str:
-    """Return law and alphas as they are typed, where they come from, and effects."""
+    """Return noise law, alphas as typed, their source, and effects, as text."""
     noise = model.noise
     alphas = [getattr(noise.coefficients, name) for name in noise.law.alphas]
     while len(alphas) > 4 and not alphas[-1]:
@@ -165,7 +165,7 @@ def _leg(drift: Drift) -> str:
 
 
 def _expected(metres: float, radians: float) -> str:
-    """Return a forecast to first order; where the heading is lost it has nothing to say about the place."""
+    """Return the expected drift as text; without the position where the heading error is too large for first order."""
     return _size(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
 
 
@@ -174,14 +174,14 @@ def _size(metres: float, radians: float) -> str:
 
 
 def per_message(noise: Noise) -> list[str]:
-    """Return what of a noise acts once per message, so that its drift depends on the message rate."""
+    """Return the parts of a noise that act once per message, so that the drift depends on the message rate."""
     k = noise.coefficients
     stepwise = noise.law.per_step and noise.step is None and any(getattr(k, name) for name in noise.law.alphas)
     return [f"the law {noise.law_name}"] * stepwise + ["white noise on twists"] * bool(k.white_v or k.white_omega)
 
 
 def _rate(outcome: Outcome) -> list[str]:
-    """Say it where the drift depends on the message rate."""
+    """Return a warning where the drift depends on the message rate."""
     drift = outcome.drift
     what = per_message(outcome.model.noise)
     if not what or drift.rate_hz is None:
@@ -193,7 +193,7 @@ def _rate(outcome: Outcome) -> list[str]:
 
 
 def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
-    """Return what is to be said where a law and a robot do not fit: sideways motion, and the lack of it."""
+    """Return a warning where noise law and robot disagree about sideways motion."""
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:
         return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
@@ -204,7 +204,7 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
 
 
 def oddities(outcome: Outcome) -> list[str]:
-    """Return what was unusual in the bag, and what was lost of it, in sentences."""
+    """Return warnings about the bag and what could not be read of it."""
     said = [
         f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
         for edge in sorted(outcome.changes.static)

@@ -1,4 +1,4 @@
-"""Which messages the correction of the odom frame moves: topics, frames, edges."""
+"""Selection of the messages that the correction moves: topics, frames, TF edges."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ Side = Literal["left", "right"]
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """The odom frame and the robot's, without leading slashes; base is None where nothing names it."""
+    """The odom and base frames, without leading slashes; base is None where it is unknown."""
 
     odom: str
     base: str | None
 
 
 def plain(name: str) -> str:
-    """Return a frame or topic without leading slashes: with or without, it is the same one."""
+    """Return a frame or topic name without leading slashes, for comparisons."""
     return name.lstrip("/")
 
 
@@ -54,17 +54,17 @@ _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)|mocap|vicon|optitrack|motion_capt
 
 
 def says_truth(topic: str) -> bool:
-    """Tell whether a topic's name says that it is the truth, which no drift of the odometry moves."""
+    """Return whether a topic's name marks it as ground truth, which the correction must not move."""
     return bool(_TRUTH.search(topic.lower()))
 
 
 def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
-    """Return the topic whose odometry drives the model.
+    """Return the topic of the odometry source.
 
     Raises
     ------
     TopicError
-        Where there is none, or where several need a choice.
+        If there is none, or several and none was chosen.
 
     """
     channels = tuple(channels)
@@ -93,12 +93,12 @@ def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str
 
 
 def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
-    """Return the frames that the driving odometry names, or those asked for.
+    """Return the frames of the odometry source, or those requested.
 
     Raises
     ------
     TopicError
-        Where the odometry sits in a frame that is not an odom frame, and no other one is named.
+        If the odometry's frame is a global one, and no odom frame was requested.
 
     """
     stated = plain(item.frame_id)
@@ -112,10 +112,10 @@ def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame
 
 
 def side_of(parent: str, child: str, frames: Frames) -> Side | None:
-    """Return from which side the correction acts on the transform parent -> child; None where it stays.
+    """Return the side from which the correction acts on the transform parent -> child; None where it does not.
 
-    Edges between odom and what lies above it are localisation and stay. Of the edges that end in odom, only the one
-    that comes from the base is an odometry edge turned round.
+    Edges between odom and its ancestors are localisation and are not moved. Of the edges that end in odom, only that
+    from base is odometry (inverted).
     """
     parent, child = plain(parent), plain(child)
     if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:
@@ -126,7 +126,7 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
 
 
 def localisation_side_of(parent: str, child: str, frames: Frames) -> Side | None:
-    """Return from which side the correction must act on localisation, so that what lies above odom sees no drift."""
+    """Return the side from which the correction acts on localisation edges, so that map -> base stays true."""
     if side_of(parent, child, frames) is not None:
         return None
     if plain(child) == frames.odom:

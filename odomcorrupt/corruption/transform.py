@@ -1,7 +1,7 @@
-"""Blocks in, blocks out: the correction of the odom frame drawn from the odometry and put into every message it moves.
+"""Block-wise corruption: draws the correction of the odom frame and applies it to every message that depends on it.
 
-A block waits until the correction is known at its messages, at most `WAIT_NS` of log time; then the correction is
-held, and counted. What is decided depends on stamps and log times, never on where blocks end.
+A block is delayed until the correction is known at its messages, at most `WAIT_NS` of log time; then the last value
+is held, and counted. Decisions depend on stamps and log times, never on block boundaries.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ _NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What to move, and how.
+    """Options of the corruption.
 
-    odom_topic : the odometry that drives the model, None to find it
-    odom_frame, base_frame : frames, where the odometry's own are not the ones of TF
-    keep_twist, keep_covariance : leave twists or covariances as they are
-    keep_truth : a topic on which the clean odometry stays
+    odom_topic : topic of the odometry source; None to find it
+    odom_frame, base_frame : frames, where the odometry's own are not those of TF
+    keep_twist, keep_covariance : leave twists or covariances unchanged
+    keep_truth : topic for a copy of the clean odometry
     keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
-    new_odom_frame : leave everything alone and publish the correction as the edge from this frame to odom
+    new_odom_frame : change no message, and publish the correction as the TF edge from this frame to odom
     """
 
     odom_topic: str | None = None
@@ -92,13 +92,13 @@ class _Held:
 
 
 class Transform:
-    """One run of one model over one bag.
+    """One run of a model over a bag.
 
-    path : where the odometry is moved to, in place of the noisy path that the model draws
+    path : corrupted path, instead of the noisy path that the model draws
 
-    seen : channels that carried messages; placed : frames of those that are drawn in one, see `unmodified_topics`
-    stayed : edges of TF that are not moved
-    frame_met : whether some odometry or transform has the frame that drifts
+    seen : channels that carried messages; placed : frames in which their data are given, see `unmodified_topics`
+    stayed : TF edges that are not moved
+    frame_met : whether some odometry message or transform has the odom frame
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class Transform:
         self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
 
     def require_frame(self) -> None:
-        """Raise TopicError where the frame that was asked for is in no odometry message and no transform."""
+        """Raise TopicError where the requested frame is in no odometry message and no transform."""
         asked = self.options.odom_frame
         if asked is not None and not self.frame_met:
             found = ", ".join(sorted(self.stayed)[:_NAMED]) or "no edge"
@@ -141,18 +141,18 @@ class Transform:
 
     @property
     def changes(self) -> Changes:
-        """What has been changed so far."""
+        """Counts of the messages changed so far."""
         return self._patcher.changes
 
     def blocks(self, reader: BagReader, name: str, writer: BagWriter | None = None) -> Iterator[Block]:
-        """Yield the blocks of a bag, patched, in their order.
+        """Yield the blocks of a bag, patched, in file order.
 
-        writer : where channels are added, if options ask for some
+        writer : receives added channels, if options request some
 
         Raises
         ------
         TopicError
-            Where no odometry drives the model, or what is to be added is there already.
+            If there is no odometry source, or a topic to be added exists already.
 
         """
         self.driver.prepare(reader, name)
@@ -179,7 +179,7 @@ class Transform:
             raise TopicError(f"{name}: {self.driver.name} has no message with a pose{self.driver.elsewhere}")
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
-        """Read what a block tells about the odometry, and let the curve grow."""
+        """Read the odometry of a block and extend C(t)."""
         time_ns = np.maximum.accumulate(np.concatenate(([self._now_ns], block.table["log_ns"])))[1:]
         present = block.present()
         for number in present - self.seen:
@@ -200,7 +200,7 @@ class Transform:
         return _Held(block, parts, time_ns)
 
     def _add(self, new: Arrivals) -> None:
-        # of a heading that only asks whether it is a number
+        # of the heading only whether it is finite
         if not (np.abs(new.xyt) < FAR_M).all():
             usable = np.flatnonzero((np.abs(new.xyt) < FAR_M).all(axis=1))
             self.unusable += len(new) - len(usable)
@@ -222,7 +222,7 @@ class Transform:
                 watcher.add(knots)
 
     def _ready(self, held: _Held) -> bool:
-        """Whether nothing more can be learnt for a block."""
+        """Whether C(t) at a block's messages is final."""
         age_ns = self._now_ns - held.seen_ns
         if age_ns >= WAIT_NS or not held.parts or (self.driver.frames is not None and not self._targets(held)):
             return True
@@ -230,7 +230,7 @@ class Transform:
         if until_ns is None:
             return False
         ahead_ns = until_ns - max((int(target.stamps_ns.max()) for target in self._targets(held)), default=until_ns)
-        # a log clock that stands still must not fill the memory
+        # constant log times must not fill the memory
         return ahead_ns >= (0 if age_ns >= PATIENCE_NS else 2 * WAIT_NS)
 
     def _targets(self, held: _Held) -> list[Target]:

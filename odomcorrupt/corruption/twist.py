@@ -1,4 +1,4 @@
-"""Twists of an odometry topic: the clean twist, plus what noise added to the interval that ends at each stamp."""
+"""Noisy twists of an odometry topic: the clean twist plus the error of the interval that ends at each stamp."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ STILL = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class TwistChange:
-    """What happens to n twists.
+    """Changes of n twists.
 
-    known : (n,) whether the message has a predecessor at another stamp; others stay as they are
+    known : (n,) whether the message has a predecessor at another stamp; others are not changed
     added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body at mid heading
     covariance : (n, 3, 3) of these
-    stood : (n,) whether the clean pose is that of the message before
+    stood : (n,) whether the clean pose equals that of the message before
     """
 
     known: NDArray[np.bool_]
@@ -39,9 +39,9 @@ class TwistChange:
 
 
 class TopicTwist:
-    """Follows one topic from message to message, in the order of arrival.
+    """Twist changes of one topic, from messages in the order of arrival.
 
-    A message that arrives late, behind a later stamp, takes the rates of the interval that spans its own.
+    A message that arrives after a later stamp gets the rates of the interval that contains its own.
     """
 
     def __init__(self) -> None:
@@ -54,7 +54,7 @@ class TopicTwist:
         self._known, self._added, self._covariance, self._stood = False, np.zeros(3), np.zeros((3, 3)), False
 
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
-        """Return what happens to the twists of the next n messages.
+        """Return the changes of the twists of the next n messages.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class TopicTwist:
         every_sum = np.concatenate((self._sums, sums[:, ahead]), axis=1)
         dt_s = np.diff(at_ns) * np.float64(1e-9)
 
-        # row 0 is what was known before this batch, row k what the k-th message ahead brought
+        # row 0 is the state before this batch, row k that of the k-th message that is ahead
         count = len(at_ns) - len(self._stamps_ns)
         fresh = count - len(dt_s)
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
@@ -129,7 +129,7 @@ class TopicTwist:
 def _body_difference(clean_xyt: Array, correction_xyt: Array) -> Array:
     """Return noisy minus clean body increments (n - 1, 3), each at its own mid heading.
 
-    Only the change of the correction enters: where it is held, the difference is zero to the last bit.
+    Only changes of the correction enter: where it is held, the difference is zero to the last bit.
     """
     turn = wrap(np.diff(clean_xyt[:, 2]))
     middle = clean_xyt[:-1, 2] + turn / 2.0

@@ -1,4 +1,4 @@
-"""Topics that still tell where the robot really is: motion and poses that nobody moves, by type and by frame."""
+"""Unmodified topics from which a filter can still read the true motion, by type and by frame."""
 
 from __future__ import annotations
 
@@ -46,17 +46,17 @@ LARGE = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})
 
 
 def may_be_placed(channel: Channel) -> bool:
-    """Whether a channel's messages are worth reading where only those that may move would be."""
+    """Whether the frame of a channel's messages is needed, although the channel itself is not moved."""
     return channel.msgtype in PLACED and channel.msgtype not in LARGE
 
 
 def truth_tellers(
     channels: Iterable[Channel], moved: Iterable[str], frames: Mapping[int, str], odom_frame: str
 ) -> list[str]:
-    """Return the topics, of those that carry messages, that still tell where the robot really is.
+    """Return the unmodified topics with messages that contain the true motion.
 
-    moved : topics that do not, for they are moved
-    frames : by channel, those of `frame_of`
+    moved : topics that are moved
+    frames : by channel id, those of `frame_of`
     """
     moved = set(moved)
     return sorted({
@@ -69,14 +69,14 @@ def truth_tellers(
 
 
 def _is_costmap(channel: Channel) -> bool:
-    """Whether it is a costmap: drawn about the robot, in the map's frame as well."""
+    """Whether a channel is a costmap, which is centred on the robot even in the map frame."""
     return channel.msgtype in PLACED and "costmap" in channel.topic
 
 
 def frame_of(block: Block, channel: Channel) -> str | None:
-    """Return in which frame a channel's first message of a block is placed, without leading slashes.
+    """Return the frame of a channel's first message in a block, without leading slashes.
 
-    None where its type does not say, or the message is too short to.
+    None where its type has none, or the message is too short.
     """
     offset = PLACED.get(channel.msgtype)
     rows = np.flatnonzero(block.table["channel"] == channel.id)
@@ -84,7 +84,7 @@ def frame_of(block: Block, channel: Channel) -> str | None:
         return None
     row = block.table[rows[0]]
     data = block.data[int(row["offset"]) : int(row["offset"]) + min(int(row["length"]), 1 << 12)].tobytes()
-    # behind the header's stamp, and its number in ROS 1; a serialised ROS 2 message has four bytes of its own
+    # offset: the header's stamp, its sequence number in ROS 1, the four CDR bytes in ROS 2
     start = offset + 12
     order = "<" if channel.encoding == "ros1" or data[1:2] == b"\1" else ">"
     if len(data) < start + 4:

@@ -1,1 +1,1 @@
-"""A model's numbers in the words of other programs; each formula is derived in docs/export.md."""
+"""A model's parameters converted to those of other programs; docs/export.md derives each formula."""

@@ -1,7 +1,7 @@
-"""The alphas of nav2's amcl that make, at its update distances, the drift of a model's law.
+"""Alphas of nav2's amcl with the same drift as a model's noise law, at amcl's update distances.
 
 **amcl scales the variance of one update by its squared motion** (Probabilistic Robotics ch. 5.4), with rot1 = 0 on the
-spot and rot1 = rot2 = half the turn while rolling along an arc.
+spot and rot1 = rot2 = half the turn along an arc.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ Turn = Literal["rolling", "spot"]
 
 @dataclass(frozen=True, slots=True)
 class AmclAlphas:
-    """Alpha1..5 in nav2's sense, and for which of its motion models; alpha5 matters to the omnidirectional one alone.
+    """Alpha1 to alpha5 of nav2, and the motion model they apply to; alpha5 is used by the omnidirectional one only.
 
-    drift_depends_on : rate and speeds that were assumed because the model's law depends on them; None: on nothing
+    depends_on : rate and speeds assumed, because the model's law depends on them; None where it does not
     """
 
     alpha1: float
@@ -39,14 +39,14 @@ class AmclAlphas:
 def amcl_alphas(
     noise: Noise, update_min_d: float, update_min_a: float, *, turn: Turn = "rolling", drive: Steady
 ) -> AmclAlphas:
-    """Return the alphas whose variances after one update are the model's: of a straight drive, and of a turn.
+    """Return the amcl alphas with the model's variances after one update, for a straight drive and for a turn.
 
     Parameters
     ----------
     update_min_d, update_min_a
-        Metres and radians after which amcl moves its particles.
+        Distance (m) and angle (rad) after which amcl updates its particles.
     turn
-        Whether the reference turn is driven while rolling along an arc, or on the spot.
+        Whether the reference turn is along an arc (`rolling`) or on the spot.
     drive
         Speeds of the straight drive and of the turn, and the odometry's rate, for noise that depends on these.
 
@@ -70,7 +70,7 @@ def amcl_alphas(
             turning.heading * per_a2, straight.heading * per_d2, straight.along * per_d2, turning.along * per_a2,
             straight.across * per_d2, "nav2_amcl::OmniMotionModel", depends_on,
         )  # fmt: skip
-    # the straight's heading noise is drawn twice, before and after; a rolling turn falls into two halves
+    # on a straight line, heading noise is drawn twice (rot1, rot2); a rolling turn is divided into two halves
     halves = 2.0 if turn == "rolling" else 1.0
     return AmclAlphas(
         halves * turning.heading * per_a2, straight.heading * per_d2 / 2.0, straight.along * per_d2,

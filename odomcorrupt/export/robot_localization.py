@@ -1,4 +1,4 @@
-"""Variances of the velocities in one odometry message on a steady drive, as robot_localization reads them."""
+"""Velocity variances of one odometry message on a steady drive, for robot_localization."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["MessageNoise", "Steady", "TwistVariances", "message_noise", "twist_v
 
 @dataclass(frozen=True, slots=True)
 class Steady:
-    """A steady drive: forward speed, m/s, yaw rate, rad/s, both zero or more, and messages per second."""
+    """A steady drive: forward speed (m/s) and yaw rate (rad/s), both non-negative, and message rate (Hz)."""
 
     speed: float
     yaw_rate: float
@@ -38,7 +38,7 @@ class Steady:
 class MessageNoise:
     """Mean variances per message: heading, rad^2; along and across the heading, m^2.
 
-    late : the part of the heading's that comes after the translation
+    late : part of the heading variance that acts after the translation
     """
 
     heading: float
@@ -48,7 +48,7 @@ class MessageNoise:
 
 
 def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
-    """Return the noise of one message; a law that acts once per step is spread evenly over the step's messages."""
+    """Return the variances of one message; those of a law with a step are divided evenly over the step's messages."""
     share = 1.0
     dt_s = 1.0 / drive.rate_hz
     moved, turned = drive.speed * dt_s, drive.yaw_rate * dt_s
@@ -75,7 +75,7 @@ def message_noise(noise: Noise, drive: Steady) -> MessageNoise:
 
 @dataclass(frozen=True, slots=True)
 class TwistVariances:
-    """Of forward and leftward speed, (m/s)^2, and of the yaw rate, (rad/s)^2."""
+    """Variances of forward and leftward speed, (m/s)^2, and of the yaw rate, (rad/s)^2."""
 
     forward: float
     leftward: float
@@ -83,11 +83,11 @@ class TwistVariances:
 
 
 def twist_variances(noise: Noise, drive: Steady) -> TwistVariances:
-    """Return the variances that a corrupted message's covariance would hold on this steady drive."""
+    """Return the twist variances in a corrupted message's covariance on this steady drive."""
     message = message_noise(noise, drive)
     moved = drive.speed / drive.rate_hz
     per_s2 = drive.rate_hz**2
-    # turns before and after the translation shift it to one side, seen at mid heading; the first one of an arc does not
+    # rot1 and rot2 noise displaces the translation laterally at mid heading; rot1 of an arc does not
     swing = message.late if noise.law.arc else message.heading
     sideways = message.across + 0.25 * swing * (moved**2 + message.along)
     return TwistVariances(message.along * per_s2 + FLOOR, sideways * per_s2 + FLOOR, message.heading * per_s2 + FLOOR)

@@ -1,4 +1,4 @@
-"""Multipliers of diff_drive_controller: wheels and track as they really are."""
+"""Wheel radius and separation multipliers of diff_drive_controller."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WHEEL_EFFECTS = frozenset({WheelScale.name, UnequalWheels.name, Wheelbase.name})
 
 @dataclass(frozen=True, slots=True)
 class WheelMultipliers:
-    """True over nominal: the distance between the wheels, and either radius."""
+    """Ratios of true to nominal wheel separation, left and right radius."""
 
     separation: float
     left_radius: float

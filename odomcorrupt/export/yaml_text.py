@@ -1,4 +1,4 @@
-"""YAML that a user pastes, with what it leaves out said in comments."""
+"""YAML snippets for other programs, with comments on effects that they cannot represent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _UNKNOWN = 1e6
 
 
 def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: str) -> str:
-    """Return the multipliers of diff_drive_controller."""
+    """Return the multipliers of diff_drive_controller as YAML."""
     lines = _comment(
         "True over nominal wheel radii and track. They replace multipliers of 1; multiply them with others that were "
         "there when the odometry was recorded. They act on the wheel commands, too. Derived in docs/export.md."
@@ -45,7 +45,7 @@ def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: s
 
 
 def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, update_min_a: float, turn: str) -> str:
-    """Return the alphas of amcl and the update distances at which they hold."""
+    """Return the alphas of amcl and the update distances that they apply to, as YAML."""
     reference = "while rolling along an arc" if turn == "rolling" else "on the spot"
     lines = _comment(
         f"amcl's alphas (variance = alpha x motion^2 per update) with the variances of {law_words(model.noise)}; "
@@ -74,7 +74,7 @@ def amcl_text(model: MotionModel, alphas: AmclAlphas, update_min_d: float, updat
 
 
 def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, controller: str) -> str:
-    """Return covariances for the node that publishes odometry, and the filter's input that reads them."""
+    """Return the covariance diagonals for the odometry's publisher and the filter's input configuration, as YAML."""
     unknown = _number(_UNKNOWN)
     diagonal = (variances.forward, variances.leftward, _UNKNOWN, _UNKNOWN, _UNKNOWN, variances.yaw)
     lines = _comment(
@@ -99,7 +99,7 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
 
 
 def _left_out(model: MotionModel, said: Collection[str], why: str) -> list[str]:
-    """Return comments on effects that cannot be said with these parameters."""
+    """Return comments on effects that these parameters cannot represent."""
     left = [effect for effect in model.effects if effect.acts and effect.name not in said]
     systematic = [effect.name for effect in left if effect.kind != "noise"]
     random = [effect.name for effect in left if effect.kind == "noise"]
@@ -123,7 +123,7 @@ def _yaml(comments: list[str], *lines: str) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a YAML float: ROS tells 1 from 1.0, and a YAML 1.1 reader takes 1e-6 for text."""
+    """Return a YAML float: ROS distinguishes 1 from 1.0, and YAML 1.1 reads 1e-6 as text."""
     text = f"{value:.6g}"
     if "e" in text:
         mantissa, exponent = text.split("e")

@@ -1,4 +1,4 @@
-"""Odometry increments: what a robot did between two poses, seen from half-way between their headings."""
+"""Odometry increments: relative motion between poses, in the body frame at mid heading."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ BEARING_MIN_M = 0.05
 class Increments:
     """n increments in the body frame at mid heading.
 
-    ds_m : (n,) signed travel along the body's x axis, metres; backwards is negative
-    dl_m : (n,) travel to the left, metres; zero for a robot that cannot move sideways
+    ds_m : (n,) signed travel along the body's x axis, metres; negative in reverse
+    dl_m : (n,) travel to the left, metres; zero for a non-holonomic robot
     dtheta_rad : (n,) turn, radians, in [-pi, pi)
     """
 
@@ -37,9 +37,9 @@ class Increments:
 
 @dataclass(frozen=True, slots=True)
 class RotTransRot:
-    """The same motion as turn, drive, turn (Thrun, Burgard & Fox, Probabilistic Robotics, table 5.6); (n,) each.
+    """Increments as turn, drive, turn (Thrun, Burgard & Fox, Probabilistic Robotics, table 5.6); (n,) each.
 
-    trans_m is negative where the robot reversed; then rot1_rad is what is left to turn when driving backwards.
+    trans_m is negative in reverse; rot1_rad is then the turn before driving backwards.
     """
 
     rot1_rad: Array
@@ -48,17 +48,17 @@ class RotTransRot:
 
 
 def increments(xyt: Array) -> Increments:
-    """Return the n - 1 increments between n poses (n, 3)."""
+    """Return the n - 1 increments between n poses (n, 3), metres and radians."""
     dtheta = wrap(np.diff(xyt[:, 2]))
     body = rotate(np.diff(xyt[:, :2], axis=0), -(xyt[:-1, 2] + dtheta / 2.0))
     return Increments(np.ascontiguousarray(body[:, 0]), np.ascontiguousarray(body[:, 1]), dtheta)
 
 
 def accumulate(start_xyt: Array, steps: Increments) -> Array:
-    """Return the n + 1 poses (n + 1, 3) reached from a start by n increments; headings grow without wrapping.
+    """Return the poses (n + 1, 3) reached from a start pose (3,) by n increments; headings are not wrapped.
 
-    The running sums start from the start pose itself, so cutting a path anywhere and going on from the pose
-    reached gives the same bits.
+    The cumulative sums include the start pose, so dividing a path anywhere and continuing from the pose reached gives
+    the same bits.
     """
     theta = np.cumsum(np.concatenate((start_xyt[2:3], steps.dtheta_rad)))
     world = rotate(np.stack((steps.ds_m, steps.dl_m), axis=1), theta[:-1] + steps.dtheta_rad / 2.0)

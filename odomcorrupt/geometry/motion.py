@@ -1,4 +1,4 @@
-"""Motion as effects see it: speeds and accelerations of a trajectory's intervals."""
+"""Motion over the intervals of a trajectory: speeds, accelerations, and their correction by effects."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ _RUNAWAY = 1e6
 
 
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
-    """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of straight lines through +- width/2.
+    """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of line fits within +- width_s / 2.
 
-    Running sums make it linear in n whatever the rate, and it takes uneven stamps. Where a window holds fewer than
-    two samples, the nearest ones on both sides are taken.
+    Linear in n at any rate by running sums; stamps may be uneven. Where a window holds fewer than two samples, the
+    nearest ones on both sides are used.
     """
     first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
     last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
@@ -72,7 +72,7 @@ def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
     st, stt = window_sum(centred), window_sum(centred**2)
     spread, middle = np.maximum(stt - st**2 / count, 1e-12), st / count
     slope = np.empty((len(at_s), values.shape[1]))
-    # one channel after the other: sums run through dense memory
+    # channel by channel, for contiguous memory
     for i, origin in enumerate(values.mean(axis=0)):
         x = values[:, i] - origin
         slope[:, i] = (window_sum(x * centred) - window_sum(x) * middle) / spread
@@ -81,10 +81,10 @@ def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class SpeedMemory:
-    """The last `TRAIL_S` of a motion, for accelerations of what follows.
+    """The last `TRAIL_S` of a motion, from which the accelerations of the next intervals are computed.
 
-    clock_s : (m,) time gone at the ends of intervals, seconds
-    travel : (m, 3) metres along, metres left and radians gone until then
+    clock_s : (m,) elapsed time at the ends of intervals, seconds
+    travel : (m, 3) cumulative travel forward (m), leftward (m) and turn (rad) at these times
     latest : (2, 3) acceleration and trail of the last interval
     """
 
@@ -95,12 +95,12 @@ class SpeedMemory:
 
 @dataclass(frozen=True, slots=True)
 class Accelerations:
-    """Accelerations, and speeds in step with them.
+    """Accelerations, and the speeds consistent with them.
 
     rate : (n, 3) m/s^2 and rad/s^2
-    trail : (n, 3) the speeds that change at this rate, in the middle of each interval, m/s and rad/s
-    before : (n, 2, 3) rate and trail of the interval before each; rest before the first
-    memory : what to go on with; None before time has gone on
+    trail : (n, 3) the speeds that change at this rate, at the middle of each interval, m/s and rad/s
+    before : (n, 2, 3) rate and trail of the interval before each; zero before the first
+    memory : state for the next intervals; None before any time has passed
     """
 
     rate: Array
@@ -110,12 +110,11 @@ class Accelerations:
 
 
 def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) -> Accelerations:
-    """Return the accelerations over n intervals: the one definition of a and alpha.
+    """Return the accelerations over n intervals from twists (n, 3) and lengths dt_s (n,), seconds.
 
-    It is the rate at which the mean speed over the last `TRAIL_S` changes from the interval's start to its end, so it
-    looks back only (by half of `TRAIL_S` on average), any cut of a motion gives the same bits, and over a whole run it
-    adds up to the change of speed whatever the rate and the jitter of stamps. Before the first interval the robot is
-    taken to have moved as in it.
+    Rate of change of the mean speed over the last `TRAIL_S`, from an interval's start to its end. It is causal (with a
+    mean delay of `TRAIL_S` / 2), any division of a motion gives the same bits, and its integral over a run is the
+    change of speed, at any rate and jitter of stamps. The twist before the first interval is assumed equal to it.
     """
     n = len(dt_s)
     rate = np.zeros((n, 3))
@@ -142,10 +141,10 @@ def accelerations(twist: Array, dt_s: Array, memory: SpeedMemory | None = None) 
 
 
 def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion:
-    """Return the motion over the n - 1 intervals between poses (n, 3) at t_s (n,) seconds.
+    """Return the motion over the n - 1 intervals between poses xyt (n, 3) at times t_s (n,), seconds.
 
-    Speeds are those of the intervals themselves, so that adding f to them and composing again is exact. They are in
-    step with smooth accelerations, which may be put in the place of these.
+    Speeds are the mean speeds of the intervals, so that adding f to them and composing the poses is exact. They match
+    smooth accelerations, too, which may replace those given.
     """
     steps = increments(xyt)
     dt = np.diff(t_s)
@@ -169,36 +168,36 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
 
 
 def error_of(effect: Effect, motion: Motion) -> Array:
-    """Return an effect's f (n, 3) over a whole motion, from its start on."""
+    """Return an effect's twist error f (n, 3), m/s and rad/s, over a whole motion from its initial state."""
     return effect.twist_error(motion, effect.start(stream(0, 0, effect.name))).f
 
 
 def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:
-    """Return the increments of the truth, from the odometry's motion: those of `corrected_twist`."""
+    """Return the true increments from the odometry's motion, as of `corrected_twist`."""
     twist = corrected_twist(effects, motion, place_xyt)
     return Increments(*np.ascontiguousarray((twist * motion.dt_s[:, None]).T))
 
 
 def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Array:
-    """Return the twist u = u' + f(u') of the truth (n, 3), from the odometry's motion u'.
+    """Return the true twist u = u' + f(u'), (n, 3) in m/s and rad/s, from the odometry's motion u'.
 
-    What an encoder did is undone first, for the other effects are functions of the motion it should have reported; what
-    the truth follows on the robot comes last. Acceleration, pose and distance are the truth's: they are found as the
-    correction is, round by round. Correction knows nothing of the draws of a random effect, so these contribute
-    nothing, but for what the report itself shows; clocks are not its business.
+    Encoder effects are inverted first, since the others are functions of the motion that encoders should have reported;
+    effects of the tracked point come last. Acceleration, pose and distance are the true ones, found by fixed-point
+    iteration together with the twist. The draws of random effects are unknown and contribute nothing, except where
+    the odometry itself shows them; clock effects are not corrected.
 
     Parameters
     ----------
     effects : any order
     motion : from `motion_of`
     place_xyt : (n, 3)
-        True poses where the intervals begin, where they are known; otherwise the corrected poses, which start where
-        the odometry starts.
+        True poses at the starts of the intervals, where known; otherwise the corrected poses, from the odometry's
+        start.
 
     Raises
     ------
     EffectError
-        Where no true motion explains the odometry: an effect of accelerations that acts against them.
+        If no true motion explains the odometry: an effect of accelerations that counteracts them.
 
     """
     systematic = [e for e in effects if e.kind != "noise" and not e.clock]
@@ -218,10 +217,10 @@ def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array 
 
 
 def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
-    """Return the twist (n, 3) of what the truth follows on a robot that truly moves so.
+    """Return the twist (n, 3) of the tracked point (marker) on a robot with true twist (n, 3).
 
-    A marker off the axis swings as the robot turns, not as its odometry says that it does; and a tracker's turned axes
-    show the swing as well. So these effects act one after the other, by name: the lever arm before the mounting.
+    The velocity of a marker off the axis follows the true turn, not the reported one, and a rotated mounting rotates
+    that velocity as well. So these effects are applied one after the other, by name: lever arm, then mounting.
     """
     for effect in sorted(setup, key=lambda e: e.name):
         v, vy, omega = np.ascontiguousarray(twist.T)
@@ -236,11 +235,11 @@ def _plus(motion: Motion, f: Array) -> Motion:
 def _settled(
     effects: Sequence[Effect], setup: Sequence[Effect], motion: Motion, known: Array, place_xyt: Array | None
 ) -> Array:
-    """Return the true twist (n, 3) that is `known` plus the f of effects which read the true motion, as it is followed.
+    """Return the true twist (n, 3): `known` plus the f of effects that depend on the true motion.
 
-    Whatever they read lies in the past of an interval, but for its own acceleration: dividing by what that does
-    (Jacobi's method on a triangular system) makes the rounds converge for slip of any strength. What jumps looks at
-    the interval before, so that there is always a solution.
+    They depend on earlier intervals and, within an interval, on its own acceleration only: dividing by the derivative
+    with respect to that (Jacobi's method on a triangular system) makes the iteration converge for slip of any
+    strength. Discontinuous effects use the interval before, so that a solution always exists.
     """
     dt = motion.dt_s[:, None]
     start = np.array([motion.x[0], motion.y[0], motion.theta[0]]) if len(motion) else np.zeros(3)
@@ -261,9 +260,9 @@ def _settled(
             theta=np.ascontiguousarray(path[:, 2]),
             distance=np.cumsum(np.hypot(steps[:, 0], steps[:, 1])),
         )
-        with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
-            if number & (number - 1) == 0:  # less and less often, for the truth is better and better known
-                # never softer again: what is held too stiff settles late, what is held too soft never
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence is reported below
+            if number & (number - 1) == 0:  # ever less often, as the estimate of the truth improves
+                # never decreased: too large a stiffness converges late, too small a one never
                 stiff = np.maximum(stiff, _stiffness(effects, seen))
             change = (known + _sum_of(effects, seen) - truth) / stiff
             truth = truth + change
@@ -280,11 +279,10 @@ def _settled(
 
 
 def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return by how much at most (n, 1) a speed moves its own equation: 1 where its acceleration does nothing to f.
+    """Return upper bounds (n, 1) of the diagonal of the Jacobian: 1 where f does not depend on the acceleration.
 
-    What acts on one side of an acceleration alone, as slip that comes with braking does, counts with that side. Two
-    channels that drive each other add their geometric mean: so a wheel that slips alone counts in full, not by half.
-    One number serves all channels, for rims must be held as stiff as the body that they make up.
+    A one-sided dependence, such as slip under braking only, counts with that side. Coupling between two channels adds
+    its geometric mean, so that the slip of a single wheel counts in full. All channels share one number.
     """
     here = _sum_of(effects, motion)
     own, across = np.zeros_like(here), np.zeros((len(motion), 3, 3))
@@ -302,5 +300,5 @@ def _stiffness(effects: Sequence[Effect], motion: Motion) -> Array:
 
 
 def _sum_of(effects: Sequence[Effect], motion: Motion) -> Array:
-    """Return what the f of effects add up to (n, 3)."""
+    """Return the sum of the effects' f (n, 3)."""
     return sum((error_of(effect, motion) for effect in effects), start=np.zeros((len(motion), 3)))

@@ -1,8 +1,8 @@
 """Planar poses, the group SE(2).
 
 A pose is x, y in metres and a heading theta in radians; many poses are an array of shape (n, 3), called `xyt`.
-Functions broadcast over leading axes, never change their arguments, and keep headings as they come: unwrapped
-headings stay unwrapped, so that turns can be counted.
+Functions broadcast over leading axes, do not modify their arguments, and do not wrap headings, so that full turns
+are counted.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ __all__ = ["between", "compose", "interpolate", "inverse", "rotate", "wrap", "ya
 
 
 def wrap(angle_rad: Array) -> Array:
-    """Return angles folded into [-pi, pi)."""
+    """Return angles wrapped to [-pi, pi), radians."""
     return angle_rad - 2.0 * np.pi * np.floor(angle_rad / (2.0 * np.pi) + 0.5)
 
 
 def rotate(xy_m: Array, angle_rad: Array) -> Array:
-    """Return vectors (..., 2) turned by an angle (...)."""
-    # a copy lies dense in memory: sines of strided angles may differ in the last bit
+    """Return vectors (..., 2) rotated by an angle (...), radians."""
+    # a contiguous copy: sines of strided angles may differ in the last bit
     angle = np.array(angle_rad)
     c, s = np.cos(angle), np.sin(angle)
     x, y = xy_m[..., 0], xy_m[..., 1]
@@ -34,31 +34,31 @@ def rotate(xy_m: Array, angle_rad: Array) -> Array:
 
 
 def compose(a_xyt: Array, b_xyt: Array) -> Array:
-    """Return a followed by b, b given in the frame of a; shapes (..., 3)."""
+    """Return the composition a * b of poses (..., 3), b given in the frame of a."""
     a, b = np.broadcast_arrays(a_xyt, b_xyt)
     xy = a[..., :2] + rotate(b[..., :2], a[..., 2])
     return np.concatenate((xy, (a[..., 2] + b[..., 2])[..., None]), axis=-1)
 
 
 def inverse(a_xyt: Array) -> Array:
-    """Return the pose that undoes a."""
+    """Return the inverse a^-1 of poses (..., 3)."""
     xy = -rotate(a_xyt[..., :2], -a_xyt[..., 2])
     return np.concatenate((xy, -a_xyt[..., 2:3]), axis=-1)
 
 
 def between(a_xyt: Array, b_xyt: Array) -> Array:
-    """Return b seen from a: compose(a, between(a, b)) is b. The heading difference is not wrapped."""
+    """Return the relative pose a^-1 * b, (..., 3): compose(a, between(a, b)) is b. Its heading is not wrapped."""
     xy = rotate(b_xyt[..., :2] - a_xyt[..., :2], -a_xyt[..., 2])
     return np.concatenate((xy, (b_xyt[..., 2] - a_xyt[..., 2])[..., None]), axis=-1)
 
 
 def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
-    """Return poses on the constant-twist arc from start to end (the geodesic of SE(2)).
+    """Return poses (n, 3) on the constant-twist arcs from start to end (interpolation by the SE(2) logarithm).
 
     Parameters
     ----------
     start_xyt, end_xyt : (n, 3)
-        Poses at the ends, metres and radians; the shorter way round is taken.
+        Poses at the ends, metres and radians; the smaller heading difference is used.
     fraction : (n,)
         0 at the start, 1 at the end.
 
@@ -66,17 +66,17 @@ def interpolate(start_xyt: Array, end_xyt: Array, fraction: Array) -> Array:
     step = between(start_xyt, end_xyt)
     turn = wrap(step[..., 2])
     half = turn / 2.0
-    # chord of an arc: sin(f*h)/sin(h) of the whole, seen at f*h instead of h; np.sinc keeps h = 0 exact
+    # chord of a partial arc: sin(f*h)/sin(h) of the whole, at angle f*h instead of h; np.sinc keeps h = 0 exact
     ratio = fraction * np.sinc(fraction * half / np.pi) / np.sinc(half / np.pi)
     xy = rotate(step[..., :2], (fraction - 1.0) * half) * ratio[..., None]
     return compose(start_xyt, np.concatenate((xy, (fraction * turn)[..., None]), axis=-1))
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a damaged one gives a heading that is no number
+@np.errstate(over="ignore", invalid="ignore")  # an invalid quaternion gives NaN
 def yaw_from_quaternion(quat_xyzw: Array) -> Array:
-    """Return the heading (...) of quaternions (..., 4), of any length but zero, in radians.
+    """Return the yaw (...) of quaternions xyzw (..., 4) of any non-zero length, radians.
 
-    The heading is the yaw of the z-y-x Euler angles: where the body's x axis points, seen from above.
+    Yaw of the z-y-x Euler angles: direction of the body's x axis in the horizontal plane.
     """
     x, y, z, w = np.moveaxis(quat_xyzw, -1, 0)
     yaw: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

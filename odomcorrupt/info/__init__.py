@@ -1,1 +1,1 @@
-"""What a bag is like before it is corrupted: one pass over it, what is odd, a portrait."""
+"""Inspection of a bag: one pass over it, checks, and a summary."""

@@ -1,4 +1,4 @@
-"""Checks of an odometry topic: how its robot moved, and what is odd about its stamps, numbers and covariances."""
+"""Checks of an odometry topic: motion of the robot, and faults of stamps, numbers and covariances."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROUNDING = 1e-9
 
 @dataclass(slots=True)
 class CovarianceWatch:
-    """Remembers of many 6 x 6 covariances what is odd about x, y and yaw."""
+    """Faults of many 6 x 6 covariances in x, y and yaw."""
 
     count: int = 0
     largest: float = 0.0
@@ -42,7 +42,7 @@ class CovarianceWatch:
     _first: Array | None = None
 
     def take(self, flat: Array) -> None:
-        """Look at n covariances (n, 36)."""
+        """Check covariances (n, 36), row-major 6 x 6."""
         planar = flat[:, PLANAR_BLOCK]
         if not len(planar):
             return
@@ -62,7 +62,7 @@ class CovarianceWatch:
         self.crooked |= bool((off > allowed).any() or (np.linalg.eigvalsh(square)[:, 0] < -allowed).any())
 
     def oddity(self, *, never_changes: bool) -> str | None:
-        """Return what is odd, None for nothing; never_changes: whether it is odd that they do not."""
+        """Return a warning, or None; never_changes: whether constant covariances deserve one."""
         if self.zero:
             return "are all zero" if self.count else None
         if self.senseless:
@@ -82,11 +82,11 @@ MOVING = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """How the robot of one odometry topic moved, and what is odd.
+    """Motion of the robot of one odometry topic, and warnings.
 
     distance, reverse, sideways : metres; turned : radians; duration, standing : seconds
-    restarts : stamps that jump back by more than a second; swapped : stamps that go back by less
-    oddities : sentences
+    restarts : number of stamps that jump back by more than a second; swapped : by less
+    oddities : warnings, one sentence each
     """
 
     messages: int
@@ -104,7 +104,7 @@ class Findings:
 
 
 def findings(record: OdometryRecord) -> Findings:
-    """Return what one odometry topic is like."""
+    """Return the motion and the warnings of one odometry topic."""
     finite = np.isfinite(record.xyt).all(axis=1)
     near = (np.abs(np.nan_to_num(record.xyt[:, :2])) < FAR_M).all(axis=1)
     leaps = _leaps(record.stamps_ns)
@@ -155,7 +155,7 @@ class _StepsBack:
 
 
 def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Tell which stamps (n,) lie far ahead of both neighbours': flaws of one message, no restarts of time."""
+    """Return a mask (n,) of stamps far ahead of both neighbours: errors of one message, not restarts of time."""
     leaps = np.zeros(len(stamps_ns), dtype=bool)
     before, here, after = stamps_ns[:-2], stamps_ns[1:-1], stamps_ns[2:]
     leaps[1:-1] = (here > before + WINDOW_NS) & (here > after + WINDOW_NS) & (after >= before - WINDOW_NS)
@@ -163,7 +163,7 @@ def _leaps(stamps_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
 
 
 def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
-    """Count jumps back by more than the window of order, each of which begins anew, and messages behind by less."""
+    """Count restarts (jumps back by more than the sorting window) and messages out of order by less."""
     restarts = swapped = 0
     while len(stamps_ns):
         behind = stamps_ns[1:] - np.maximum.accumulate(stamps_ns)[:-1]
@@ -176,7 +176,7 @@ def _steps_back(stamps_ns: NDArray[np.int64]) -> _StepsBack:
 
 
 def _twist_oddities(twist: Array, xyt: Array, dt: Array, good: NDArray[np.bool_], speed: Array) -> list[str]:
-    """Compare twists with the poses' own rates, in the body and in the odom frame."""
+    """Return warnings where twists (n, 3) disagree with the rates of the poses, in the body or the odom frame."""
     finite = np.asarray(np.isfinite(twist).all(axis=1), dtype=np.bool_)
     numberless = [] if finite.all() else [f"{np.count_nonzero(~finite)} twists are not numbers"]
     return numberless + _misfits(twist, xyt, dt, good & (speed > MOVING) & finite[1:])
@@ -186,7 +186,7 @@ def _misfits(twist: Array, xyt: Array, dt: Array, moving: NDArray[np.bool_]) -> 
     if np.count_nonzero(moving) < 10:
         return []
     steps = increments(xyt)
-    # a damaged number must not overflow when it is squared
+    # a corrupt number must not overflow when squared
     stated = np.clip(twist[1:][moving], -1e9, 1e9)
     body = np.column_stack((steps.ds_m, steps.dl_m))[moving] / dt[moving, None]
     world = np.diff(xyt[:, :2], axis=0)[moving] / dt[moving, None]
@@ -203,7 +203,7 @@ def _misfits(twist: Array, xyt: Array, dt: Array, moving: NDArray[np.bool_]) -> 
 
 
 def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) -> float | None:
-    """Return by how much a TF edge and the odometry differ at most, metres; None where they do not overlap in time.
+    """Return the largest difference between a TF edge and the odometry, metres; None without overlap in time.
 
     turned : whether the edge points from the base to odom
     """
@@ -217,6 +217,6 @@ def disagreement_m(record: OdometryRecord, edge: EdgeRecord, *, turned: bool) ->
     span = np.maximum(stamps[i + 1] - stamps[i], 1)
     odometry = interpolate(xyt[i], xyt[i + 1], np.clip((at - stamps[i]) / span, 0.0, 1.0))
     tf = inverse(edge.xyt[inside]) if turned else edge.xyt[inside]
-    # a heading error counts as what it does a metre away
+    # a heading error counts as its displacement at a distance of 1 m
     off = np.hypot(*(tf - odometry)[:, :2].T) + np.abs(wrap((tf - odometry)[:, 2]))
     return float(np.nanmax(off)) if np.isfinite(off).any() else None

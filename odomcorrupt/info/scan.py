@@ -1,4 +1,4 @@
-"""What a bag holds of odometry and TF: one pass over its blocks, of which stamps, poses and twists are kept."""
+"""Odometry and TF of a bag: stamps, poses and twists from one pass over its blocks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["EdgeRecord", "OdometryRecord", "Survey", "TopicRecord", "survey"]
 
 @dataclass(slots=True)
 class TopicRecord:
-    """A topic: its type, how many messages it has, and its first and last log time."""
+    """A topic: type, number of messages, first and last log time."""
 
     topic: str
     msgtype: str
@@ -41,20 +41,20 @@ class TopicRecord:
 
     @property
     def rate_hz(self) -> float | None:
-        """Mean rate, None for fewer than two messages or no time between them."""
+        """Mean rate, Hz; None for fewer than two messages or no time between them."""
         span_ns = self.last_ns - self.first_ns
         return (self.count - 1) * 1e9 / span_ns if self.count > 1 and span_ns > 0 else None
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryRecord:
-    """All messages of an odometry topic, or all transforms of an edge that stands for one, in the order of arrival.
+    """All messages of an odometry topic, or transforms of a TF edge used as odometry, in the order of arrival.
 
     frame, child : of its first message
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
-    pose_covariance, twist_covariance : what was seen of them
-    zero_stamps : how many stamps are zero
-    faults : poses that mean nothing
+    pose_covariance, twist_covariance : checks of the covariances
+    zero_stamps : number of zero stamps
+    faults : counts of unusable poses
     """
 
     topic: str
@@ -71,7 +71,7 @@ class OdometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class EdgeRecord:
-    """All transforms of one edge on one topic: stamps_ns (n,), xyt (n, 3) in the order of arrival; zero stamps."""
+    """All transforms of one TF edge on one topic, in the order of arrival: stamps_ns (n,), xyt (n, 3); zero stamps."""
 
     topic: str
     parent: str
@@ -83,7 +83,7 @@ class EdgeRecord:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """A bag's topics by name, its odometry, its TF edges; frames by channel, see `corrupt.unmodified_topics`."""
+    """Topics by name, odometry, TF edges and frames by channel id (see `corruption.unmodified_topics`) of a bag."""
 
     topics: dict[str, TopicRecord]
     odometry: tuple[OdometryRecord, ...]
@@ -103,12 +103,12 @@ class _Odometry:
 
 
 def survey(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> Survey:
-    """Read a bag through once; watch is told of every block.
+    """Return the topics, odometry and TF edges of a bag, from one pass; `watch` is called with every block.
 
     Raises
     ------
     BagError
-        Where it cannot be read.
+        If the bag cannot be read.
 
     """
     topics: dict[str, TopicRecord] = {}

@@ -1,4 +1,4 @@
-"""What a bag's odometry is like and what corruption would move: as plain values, and as text."""
+"""Summary of a bag's odometry and of what corruption would move, as plain values and as text."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ AGREE_M = 0.01
 def portrait(
     survey: Survey, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None
 ) -> dict[str, Any]:
-    """Return what a bag is like, as values that JSON can hold: metres, radians, seconds.
+    """Return a bag's summary as JSON-compatible values: metres, radians, seconds.
 
     Raises
     ------
     TopicError
-        Where `odom_topic` is not an odometry topic of the bag.
+        If `odom_topic` is not an odometry topic of the bag.
 
     """
     driver = _driver(survey, odom_topic)
@@ -66,7 +66,7 @@ def portrait(
 
 
 def brief(values: dict[str, Any], name: str) -> Summary:
-    """Return which odometry would move and how it drove, what would move with it, and what is odd.
+    """Return a short summary: odometry source, its motion, what would move with it, warnings.
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ def brief(values: dict[str, Any], name: str) -> Summary:
 
 
 def provenance_words(provenance: Mapping[str, str]) -> str:
-    """Return how a bag was corrupted before, in words."""
-    from odomcorrupt.corruption.summary import model_brief  # noqa: PLC0415 - only of bags that were
+    """Return earlier corruptions of a bag, as text."""
+    from odomcorrupt.corruption.summary import model_brief  # noqa: PLC0415 - only for bags that were
     from odomcorrupt.errors import ModelError  # noqa: PLC0415 - as above
     from odomcorrupt.model.model_file import parse_model  # noqa: PLC0415 - as above
 
@@ -128,7 +128,7 @@ def _frames(driver: OdometryRecord | None, odom: str | None, base: str | None) -
 
 
 def _edge_that_drives(survey: Survey, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
-    """Return the edge between odom and base as the odometry that it stands for; nothing where there is none."""
+    """Return the TF edge between odom and base as odometry; empty where there is none."""
     for edge in survey.edges:
         asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
         if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
@@ -199,7 +199,7 @@ def _remarks(
 
 
 def _visible(value: Any) -> Any:
-    """Return values with the control characters of all names in them escaped."""
+    """Return values with control characters in all strings escaped."""
     if isinstance(value, dict):
         return {key: _visible(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
@@ -208,7 +208,7 @@ def _visible(value: Any) -> Any:
 
 
 def portrait_text(values: dict[str, Any]) -> str:
-    """Return a portrait for people: tables of topics and edges, then sentences."""
+    """Return a bag's summary as text: tables of topics and edges, then sentences."""
     values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}
     rows: list[tuple[str, ...]] = [("topic", "type", "messages", "Hz", "")]

@@ -1,1 +1,1 @@
-"""What a model will do to a bag, before it is done: many runs over its clean path, nothing written."""
+"""Forecast of a model's drift on a bag, from many runs over its clean path; no bag is written."""

@@ -1,4 +1,4 @@
-"""What a model will do to a drive: many runs over its clean path, nothing written."""
+"""Forecast of a model's drift on a drive, from many runs over its clean path."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DRAWN_POINTS, DRAWN_RUNS = 600, 100
 
 @dataclass(frozen=True, slots=True)
 class CleanDrive:
-    """The longest stretch of a bag's odometry: stamps_ns (n,), xyt (n, 3); and what it is called."""
+    """Longest stretch of a bag's odometry: its name, stamps_ns (n,), xyt (n, 3) in metres and radians."""
 
     name: str
     stamps_ns: NDArray[np.int64]
@@ -42,7 +42,7 @@ class CleanDrive:
 class Row:
     """Drift over many runs after a distance, metres and radians.
 
-    rms : root mean square; 90 : what nine of ten runs stay below; mean : the constant part, which effects make
+    rms : root mean square; 90 : 90 % quantile; mean : size of the mean error, the systematic part
     """
 
     after_m: float
@@ -55,12 +55,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What a model will do to a drive.
+    """Forecast of a model's drift on a drive.
 
-    distance_m, sideways_m : of the clean drive, and how much of it went to the left or right
-    half_rate_position, half_rate_heading : by which factor the noise at the end would grow if every second message
-        were missing; 1 where it does not depend on the rate
-    clean_xy : (m, 2); noisy_xy : (k, m, 2) the first paths, for a picture, metres
+    distance_m, sideways_m : length of the clean drive, and its lateral part
+    half_rate_position, half_rate_heading : factor on the final noise at half the message rate; 1 where it does not
+    depend on the rate
+    clean_xy : (m, 2), noisy_xy : (k, m, 2) first paths, for plots, metres
     """
 
     name: str
@@ -91,12 +91,12 @@ class _Stretches:
 def read_clean_drive(
     reader: BagReader, model: MotionModel, options: Options, watch: Callable[[Block], None] = lambda _: None
 ) -> CleanDrive:
-    """Return the clean path of the odometry that would drive the model; watch is told of every block.
+    """Return the clean path of a bag's odometry source; `watch` is called with every block.
 
     Raises
     ------
     TopicError
-        Where none does.
+        If there is no odometry source.
 
     """
     silent = replace(model, noise=replace(model.noise, coefficients=Coefficients(0.0, 0.0, 0.0, 0.0)), effects=())
@@ -113,10 +113,10 @@ def read_clean_drive(
 
 
 def forecast(drive: CleanDrive, model: MotionModel, paths: Iterable[PathSource], *, first_run: int = 0) -> Forecast:
-    """Return the drift of runs of a model over a drive.
+    """Return the drift statistics of runs of a model over a drive.
 
-    paths : of the runs, each new: those that corruption would draw
-    first_run : which run the first of them is
+    paths : one unused path source per run, with the draws of the corruption
+    first_run : number of the first run
     """
     first = NoisyPath(model, 0).feed(drive.stamps_ns, drive.xyt)
     distance_m = float(first.travelled_m[-1])

@@ -1,4 +1,4 @@
-"""A forecast as text, and as plain values."""
+"""A forecast as text and as plain values."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ def _changes_at_half_rate(outlook: Forecast) -> bool:
 
 
 def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: str) -> Summary:
-    """Return the drift at the end and on the way, the model, and whether the message rate matters.
+    """Return a short summary: drift at the end and on the way, model, dependence on the message rate.
 
     Parameters
     ----------
-    outlook, model : the forecast and what it is of
-    origin : where the model's numbers come from, in words
-    seed : of the runs
-    name : of the bag
+    outlook, model : the forecast, and its model
+    origin : source of the model's numbers, in words
+    seed : seed of the runs
+    name : name of the bag
     """
     end = outlook.rows[-1]
     said = (
@@ -61,7 +61,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: s
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:
-    """Return a forecast for people: the drive, the model, a table, and whether the message rate matters."""
+    """Return a forecast as text: drive, model, table of drift, dependence on the message rate."""
     rate = "" if outlook.rate_hz is None else f" at {outlook.rate_hz:.3g} Hz"
     runs = f"runs {outlook.first_run} to {outlook.first_run + outlook.runs - 1} of seed {seed}"
     lines = [
@@ -101,7 +101,7 @@ def _rate(outlook: Forecast, model: MotionModel) -> list[str]:
 
 
 def forecast_json(outlook: Forecast, model: MotionModel, seed: int) -> dict[str, Any]:
-    """Return a forecast as values that JSON can hold: metres, radians, seconds."""
+    """Return a forecast as JSON-compatible values: metres, radians, seconds."""
     return {
         "schema": SCHEMA,
         "odometry_source": outlook.name,

@@ -1,1 +1,1 @@
-"""A whole drive out of a bag: its poses, its velocities, and odometry integrated from them."""
+"""Whole trajectories of a bag: poses, velocities, and odometry integrated from velocities."""

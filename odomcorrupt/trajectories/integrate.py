@@ -1,4 +1,4 @@
-"""Wheel odometry from velocities alone: the ROB521 project's first part, and its hundred noisy runs."""
+"""Wheel odometry integrated from velocities, clean and with white noise on them."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: H
     t_s : (n,)
         Ascending times, seconds.
     rule
-        Over an interval in which the twist stands still, the robot goes along the heading it began with (`euler`),
-        the one it has half-way (`midpoint`), or the arc it really drives (`exact`).
+        Over an interval of constant twist: a straight line along the initial heading (`euler`) or the heading at
+        mid-interval (`midpoint`), or the circular arc (`exact`).
     hold
-        Whether a twist holds from its stamp until the next one, or since the previous one.
+        Whether a twist holds from its stamp to the next one (`next`), or from the previous one to its own.
 
     """
     if rule not in RULES:
@@ -46,7 +46,7 @@ def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: H
     first = np.broadcast_to(start_xyt[2], (*turn.shape[:-1], 1))
     theta = np.cumsum(np.concatenate((first, turn), axis=-1), axis=-1)
     along = theta[..., :-1] + (0.0 if rule == "euler" else turn / 2.0)
-    # the chord of an arc is shorter than the arc
+    # length of the chord over that of the arc
     length = np.sinc(turn / (2.0 * np.pi)) if rule == "exact" else 1.0
     c, s = np.cos(along) * length, np.sin(along) * length
     out = np.empty((*theta.shape, 3))
@@ -59,10 +59,10 @@ def integrate(start_xyt: Array, twist: Array, t_s: Array, rule: Rule, *, hold: H
 
 
 def noisy_twists(twist: Array, sd_v: float, sd_omega: float, *, seed: int, runs: range) -> Array:
-    """Return twists (runs, n, 3) with white noise of so many m/s and rad/s on every one of them.
+    """Return twists (runs, n, 3) with independent normal noise of sd_v (m/s) and sd_omega (rad/s) on each.
 
-    What drift it makes depends on the rate: halve the time between messages and its variance halves.
-    Run k is the same however many others are drawn with it.
+    The variance of the drift is proportional to the time between messages.
+    Run k does not depend on the number of runs drawn.
     """
     if not (np.isfinite([sd_v, sd_omega]).all() and min(sd_v, sd_omega) >= 0.0):
         raise ModelError(f"twist noise: {sd_v} m/s, {sd_omega} rad/s; both must be zero or more")

@@ -1,4 +1,4 @@
-"""The cloud of places where a robot may be, spreading while it drives: the lecture's corridor."""
+"""Particle sets along a drive: poses of many noisy runs at given distances, with mean and covariance."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["Cloud", "cloud_along", "cloud_of", "csv_text", "json_text", "places_
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Poses of many runs of one drive, at a few places along it.
+    """Poses of many runs of one drive at k places along it.
 
-    distance_m : (k,) travelled at each place, by the odometry
-    clean_xyt : (k, 3) the odometry there
-    xyt : (runs, k, 3) the noisy runs there, metres and radians
-    path_xyt : (n, 3) the odometry's whole path
+    distance_m : (k,) distance travelled by the odometry, metres
+    clean_xyt : (k, 3) odometry poses there, metres and radians
+    xyt : (runs, k, 3) noisy poses there, metres and radians
+    path_xyt : (n, 3) the whole path of the odometry
     """
 
     distance_m: Array
@@ -40,21 +40,21 @@ class Cloud:
 
 
 def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
-    """Return which poses of a drive to look at: one per so many metres, and the last one."""
+    """Return the indices (k,) of one pose of a drive every `every_m` metres, and of the last one."""
     travelled = drive.distance_m
     total = float(travelled[-1])
     if not total > 0.0:
         raise RecordingError(f"{drive.topic}: the robot does not move; a cloud takes a drive")
     marks = np.arange(every_m, total, every_m)
-    # the last mark gives way to the end where the two would lie on each other
+    # drop the last mark where it coincides with the end
     marks = marks[total - marks > 0.3 * every_m]
     return np.append(np.searchsorted(travelled, marks), len(drive) - 1)
 
 
 def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> Cloud:
-    """Draw runs of a drive and look at them once per so many metres, and at the end.
+    """Return the poses of noisy runs of a drive every `every_m` metres, and at the end.
 
-    Run k is the path that corruption writes for `--seed` and `--run k`.
+    Run k is the path that corruption with `--seed` and `--run k` writes.
     """
     places = places_along(drive, every_m)
     xyt = np.empty((runs, len(places), 3))
@@ -65,12 +65,12 @@ def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every
 
 
 def cloud_of(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) -> Cloud:
-    """Return the cloud of runs (runs, k, 3) at places (k,) of a drive."""
+    """Return the particle set of noisy poses (runs, k, 3) at the pose indices (k,) of a drive."""
     return Cloud(drive.distance_m[places], drive.xyt[places], xyt, drive.xyt, seed)
 
 
 def report_text(cloud: Cloud) -> str:
-    """Return one line per place."""
+    """Return the particle set as text: one line per place."""
     lines = [f"{len(cloud.xyt)} runs, seed {cloud.seed}"]
     for i, distance in enumerate(cloud.distance_m):
         moments = sample_moments(cloud.xyt[:, i])
@@ -83,7 +83,7 @@ def report_text(cloud: Cloud) -> str:
 
 
 def csv_text(cloud: Cloud) -> str:
-    """Return every pose of every run as a line."""
+    """Return the particle set as CSV: one line per pose and run."""
     lines = ["run,distance_m,x_m,y_m,theta_rad"]
     for run, poses in enumerate(cloud.xyt):
         for distance, pose in zip(cloud.distance_m, poses, strict=True):
@@ -92,7 +92,7 @@ def csv_text(cloud: Cloud) -> str:
 
 
 def json_text(cloud: Cloud) -> str:
-    """Return mean and covariance at every place as JSON."""
+    """Return mean and covariance at every place, as JSON."""
     places: list[dict[str, Any]] = []
     for i, distance in enumerate(cloud.distance_m):
         moments = sample_moments(cloud.xyt[:, i])

@@ -1,4 +1,4 @@
-"""Read the odometry of a drive, and the poses of any other topic."""
+"""Trajectories read from a bag: odometry, and poses of any other topic."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithC
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Odometry of a drive, n messages with growing stamps.
+    """Odometry of a drive: n messages with strictly increasing stamps.
 
     frame_id, child_frame_id : as in the first message
     stamps_ns : (n,) header stamps
     xyt : (n, 3) poses, metres and radians, headings unwrapped
     twist : (n, 3) vx, vy in m/s and yaw rate in rad/s, in the robot's frame
-    notes : what reading it left out, in words
+    notes : messages left out, one sentence each
     """
 
     topic: str
@@ -57,27 +57,27 @@ class Drive:
 
     @property
     def distance_m(self) -> Array:
-        """Distance travelled (n,) since the first pose."""
+        """Distance travelled (n,) since the first pose, metres."""
         step = np.diff(self.xyt[:, :2], axis=0)
         return np.concatenate(([0.0], np.cumsum(np.hypot(step[:, 0], step[:, 1]))))
 
     @property
     def trajectory(self) -> Trajectory:
-        """The poses alone."""
+        """The poses without the twists."""
         return Trajectory(self.stamps_ns, self.xyt)
 
 
 def read_drive(path: Path, topic: str | None) -> Drive:
-    """Read the odometry of a bag; topic None takes the only one there is.
+    """Return the odometry of a bag; topic None: its only odometry topic.
 
     Raises
     ------
     BagError
-        Where the bag cannot be read.
+        If the bag cannot be read.
     TopicError
-        Where no odometry is there, or several are.
+        If there is no odometry, or several topics and none was chosen.
     RecordingError
-        Where it holds fewer than two usable messages.
+        If there are fewer than two usable messages.
 
     """
     with open_reader(path) as reader:
@@ -89,7 +89,7 @@ def read_drive(path: Path, topic: str | None) -> Drive:
 
 
 def read_poses(path: Path, topic: str) -> Trajectory:
-    """Read the poses of an Odometry, PoseStamped or PoseWithCovarianceStamped topic, in their own frame."""
+    """Return the trajectory of an Odometry, PoseStamped or PoseWithCovarianceStamped topic, in its own frame."""
     with open_reader(path) as reader:
         channels = [c for c in reader.channels.values() if plain(c.topic) == plain(topic)]
         if not channels:
@@ -103,7 +103,7 @@ def read_poses(path: Path, topic: str) -> Trajectory:
 
 
 def find_truth(path: Path) -> str | None:
-    """Return the topic of poses that is called a truth, None where there is none or more than one."""
+    """Return the pose topic whose name marks it as ground truth; None where there is none or more than one."""
     with open_reader(path) as reader:
         named = {c.topic for c in reader.channels.values() if c.msgtype in POSES and "truth" in c.topic}
     return named.pop() if len(named) == 1 else None
@@ -114,7 +114,7 @@ def _topics(reader: BagReader) -> str:
 
 
 class _Rows:
-    """Numbers of one topic while a bag is read."""
+    """Accumulated stamps, poses and twists of one topic."""
 
     def __init__(self, channels: list[Channel]) -> None:
         self.channels = channels
@@ -139,7 +139,7 @@ class _Rows:
         stamps = np.concatenate([p[0] for p in self.parts]) if self.parts else np.zeros(0, dtype=np.int64)
         numbers = np.concatenate([p[1] for p in self.parts]) if self.parts else np.zeros((0, 6))
         good = np.isfinite(numbers).all(axis=1)
-        # of messages with the same stamp the last one stands: its twist is the one that goes on
+        # of messages with equal stamps the last one is used: its twist is the one that continues
         kept, index = np.unique(stamps[good][::-1], return_index=True)
         if len(kept) < 2:
             raise RecordingError(f"{bag}: {topic} holds {len(kept)} usable messages; it takes two or more")

@@ -1,4 +1,4 @@
-"""Write a bag again with another path: poses of the odometry, and the TF edges that say the same."""
+"""Copy of a bag with another path: odometry poses, and the TF edges that repeat them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["Rewritten", "rewrite_path"]
 
 @dataclass(frozen=True, slots=True)
 class Rewritten:
-    """How many odometry messages and transforms were moved."""
+    """Numbers of moved odometry messages and transforms."""
 
     messages: int
     transforms: int
@@ -35,9 +35,10 @@ class Rewritten:
 def rewrite_path(
     source: Path, target: Path, drive: Drive, xyt: Array, provenance: dict[str, str], *, overwrite: bool = False
 ) -> Rewritten:
-    """Copy a bag with the poses of its odometry replaced by xyt (n, 3); everything else keeps its bytes.
+    """Copy a bag with odometry poses replaced by xyt (n, 3), m and rad; return the numbers of moved messages.
 
-    What moves is the odom frame: the TF edges from it move along, at their own stamps; z, roll and pitch stay.
+    TF edges of the odom frame are moved accordingly, at their own stamps. z, roll and pitch, and all other bytes, are
+    kept.
     """
     correction = compose(xyt, inverse(drive.xyt))
     frames = Frames(plain(drive.frame_id), plain(drive.child_frame_id) or None)
@@ -63,7 +64,7 @@ def rewrite_path(
 
 
 def _at(block: Block, layout: Layout, item: Item, drive: Drive, correction_xyt: Array) -> Array:
-    """Return the correction at the messages' stamps, held before and after the drive."""
+    """Return the correction (m, 3) at the messages' stamps, constant before and after the drive."""
     stamps = gather_stamps_ns(block, layout, item)
     stamps = np.where(stamps == 0, block.table["log_ns"][layout.rows], stamps)
     inside = np.clip(stamps, drive.stamps_ns[0], drive.stamps_ns[-1])

@@ -1,4 +1,4 @@
-"""How far a path is from the truth, moment by moment."""
+"""Position and heading error of a path against the truth, over time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["PathError", "path_error"]
 
 @dataclass(frozen=True, slots=True)
 class PathError:
-    """A path beside the truth at n common stamps, laid onto the truth at the first of them.
+    """A path and the truth at n common stamps, aligned at the first of them.
 
     t_s : (n,) seconds since the path's first stamp
     path_xyt, truth_xyt : (n, 3) in the truth's frame
@@ -32,21 +32,21 @@ class PathError:
 
     @property
     def position_m(self) -> Array:
-        """Distance (n,) between the two."""
+        """Position error (n,), metres."""
         out: Array = np.hypot(*(self.path_xyt - self.truth_xyt)[:, :2].T)
         return out
 
     @property
     def heading_rad(self) -> Array:
-        """Difference of headings (n,), signed."""
+        """Heading error (n,), path minus truth, radians."""
         return wrap(self.path_xyt[:, 2] - self.truth_xyt[:, 2])
 
 
 def path_error(stamps_ns: NDArray[np.int64], xyt: Array, truth: Trajectory) -> PathError | None:
-    """Return a path (n, 3) beside the truth; None where they share no time.
+    """Return a path (n, 3) and the truth at common stamps; None where they do not overlap in time.
 
-    The truth is interpolated at the path's stamps. Only the first common pose is aligned: an error fitted away
-    over the whole path would be none.
+    The truth is interpolated at the path's stamps. Only the first common pose is aligned: an alignment over the whole
+    path would hide part of the error.
     """
     shared = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
     if np.count_nonzero(shared) < 2:
