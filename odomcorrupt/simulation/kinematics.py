@@ -1,5 +1,4 @@
-"""Kinematics: motion of the body from wheel angles, with creep, slip and the effective track.
-"""
+"""Kinematics: motion of the body from wheel angles, with creep, slip and the effective track."""
 
 from dataclasses import dataclass
 
