@@ -6,12 +6,14 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 ROOT = Path(__file__).parent.parent
 sys.path.append(str(ROOT / "docs"))
 
-from make_tutorial import PAGE, play, sessions  # noqa: E402 - its folder had to be found first
+from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402 - its folder had to be found first
 
 
 def plain(line: str) -> str:
@@ -34,6 +36,11 @@ def test_a_command_without_its_line_is_noticed():
     assert words("  + unequal_wheels   +49.9 nats") != words("  + gyro_bias   +49.9 nats")
 
 
+def pixels(path: Path) -> np.ndarray:
+    """Return a picture's grey values, shape (height, width), within 0 and 1."""
+    return imread(path)[..., :3].mean(axis=2)
+
+
 @pytest.mark.slow
 def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
     for command, shown in sessions():
@@ -43,3 +50,8 @@ def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
             assert any(words(line) in one for one in said), f"$ {command}\nshould say: {line}"
     # the last word of the page: one name is left
     assert ", or " not in answer
+    for name in ("rejected", "falls", "fan"):
+        stored, drawn = (pixels(path) for path in (IMAGES / f"tutorial_{name}.png", tmp_path / f"{name}.png"))
+        assert stored.shape == drawn.shape, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
+        # last digits move lines by a pixel; another legend or another curve changes more
+        assert np.mean(np.abs(stored - drawn) > 0.15) < 0.01, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,13 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.text.confidence import clocks_found
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.select.confidence import evidence_of
+from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.held_out import keep_what_holds
@@ -85,3 +87,22 @@ def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
     late = replace(run, odometry=Trajectory(run.odometry.stamps_ns + 300_000_000, run.odometry.xyt))
     model = MotionModel(Noise("diffusion", QUIET), (effect_from_values("wheelbase", {"e": -0.75}),))
     assert clocks_beside([late], Approach(), model).clocks[0].offset_s == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
+    learned = believed(with_truth(drive(4), 5), "accel_slip")
+    candidates = (SimpleNamespace(gain=40.0, refused="", name="accel_slip"),)
+    (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
+    clear = confidence(evidence_of(step, learned))
+    open_ = replace(learned, clocks=replace(learned.clocks, ambiguous_nats=38.0))
+    assert clear > 0.9
+    assert confidence(evidence_of(step, open_)) < 0.9
+
+
+def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
+    clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
+    (sure,) = clocks_found(clocks)
+    (doubtful,) = clocks_found(replace(clocks, untested=("backlash",)))
+    (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), untested=("backlash",)))
+    assert min(sure.sure, large.sure) > 0.9
+    assert doubtful.sure < 0.6

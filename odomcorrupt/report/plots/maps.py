@@ -27,7 +27,7 @@ __all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
 PATHS = (BLUE, RED, GREEN)
 
 
-def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
+def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added by noise") -> Figure:
     """Draw maps side by side on the same canvas, and below how thick their walls are after so many metres."""
     left, right, bottom, top = surveys[0].grid.extent
     width = 11.0
@@ -44,7 +44,7 @@ def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
             axes.set_title(f"{survey.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
             axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
             axes.locator_params(axis="x", nbins=5)
-        _thickness(figure.add_subplot(places[1, :]), surveys, window_m)
+        _thickness(figure.add_subplot(places[1, :]), surveys, window_m, added)
     return figure
 
 
@@ -75,14 +75,14 @@ def draw_free_space(axes: Axes, space: FreeSpace) -> None:
         image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
 
 
-def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:
+def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float, added: str) -> None:
     for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
         axes.plot(
             survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
             label=survey.name,
         )  # fmt: skip
     added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
-    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label="added by noise")
+    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
     axes.set(xlabel="distance travelled (m)", ylabel="wall thickness (cm)", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")

@@ -10,6 +10,7 @@ from odomcorrupt.report.text.confidence import law_numbers, noise_sure, sure_wor
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.lack_of_fit import rejection, size
 from odomcorrupt.report.text.tables import clock_lines, ladder_text, noise_text, value_text
+from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.random_process import WANDERING
@@ -49,6 +50,13 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
     lines += [_event_line(one) for one in single_events(learned.fit)]
+    like_a_clock = [name for name in learned.added if name in RIVALS]
+    if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
+        lines.append(
+            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, for the clock is "
+            "plain only without them; give the offset if it is known (--truth-shift), or speed up and brake hard at "
+            "two speeds, with turns on the spot between"
+        )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
     if why:
@@ -78,14 +86,18 @@ def _event_line(one: Event) -> str:
         if abs(value) > least
     )
     lasts_s = max(one.end_s - one.start_s, 1e-3)
-    rates = ((c, -v / lasts_s) for c, v in (("along", one.along_m), ("across", one.across_m), ("yaw", one.yaw_rad)))
-    during = f"where(t > {one.start_s:.1f}, where(t < {one.end_s:.1f}, 1, 0), 0)"
-    expression = "; ".join(f"{channel} += {rate:.3g} * {during}" for channel, rate in rates)
+    push = ",".join(
+        f"{name}={value:.4g}"
+        for name, value in (
+            ("along", -one.along_m), ("across", -one.across_m), ("yaw", -one.yaw_rad), ("time", one.start_s),
+            ("duration", lasts_s),
+        )
+    )  # fmt: skip
     x, y = one.place_xy
     return (
         f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
         f"moved {moved or 'hardly'}, and odometry does not know of it (a push, a lift, a bump); left out of the fit. "
-        f"To corrupt with it: {expression}"
+        f"To corrupt with it: --effect push:{push}"
     )
 
 

@@ -56,7 +56,7 @@ def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypat
 @pytest.mark.parametrize(
     ("name", "asked", "said"),
     [
-        ("evo/nav2_turtlebot.mcap", {"truth": "/tf:map.base_link"}, "77% of its steps are those of the odometry"),
+        ("evo/nav2_turtlebot.mcap", {"truth": "/tf:map.base_link"}, "the truth is taken at its 133 corrections alone"),
         ("evo/nav2_turtlebot.mcap", {}, "/amcl_pose: its name says localisation"),
         ("evo/nav2_turtlebot.mcap", {}, "/odom: a gap of 1.8 s"),
         ("robot_localization/test1.bag", {}, "/fix: metres east and north of its first fix"),
@@ -71,7 +71,6 @@ def test_bags_as_found_say_what_is_odd_about_them(name, asked, said):
     ("name", "asked", "words"),
     [
         ("olin_tb4/macfirst_floor_take_2", {"truth": "/tf:odom.base_footprint"}, "it is the same odometry"),
-        ("olin_tb4/macfirst_floor_take_2", {}, "name one|Name one"),
         ("evo/tf_example.bag", {"odom": "/tf:odom.base_link", "truth": "/tf:odom.base_footprint"}, "the same odometry"),
         ("evo/tf_example", {"odom": "/tf:odom.base_link", "truth": "/tf:odom.base_footprint"}, "the same odometry"),
         ("polimi/bag1.bag", {}, r"no topic that could be odometry \(found /robot/pose"),
