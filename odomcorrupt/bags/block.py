@@ -44,7 +44,7 @@ TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("le
 """One row a message, in the order in which the messages lie in the block's data."""
 
 _SMALL = (1 << 16) - 1
-"""Ids up to here are told apart quickest by counting; those of an MCAP are never larger."""
+"""Ids up to here are counted fastest by np.bincount; those of an MCAP are never larger."""
 
 
 @dataclass(frozen=True, slots=True)

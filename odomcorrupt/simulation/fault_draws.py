@@ -14,7 +14,7 @@ EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the table and those of no library."""
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
 TWINS = {"lever_arm", "icr_shift"}
-"""Causes that no recording can tell apart: a mixture of them would be one cause."""
+"""Aliased faults, which no recording can distinguish: a mixture of them would be one fault."""
 _LOT = {"none": 0.2, "one": 0.5, "two": 0.15, "outside": 0.15}
 
 

@@ -20,7 +20,7 @@ from odomcorrupt.simulation.tracker import TRACKERS, Tracker, dock, watch
 
 STEP_S = 0.002
 DAY_S = 600.0
-"""How long a round is considered when a flaw gets its place on it."""
+"""Duration of the usual route along which the place of a fault is drawn, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -43,7 +43,7 @@ __all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_behin
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
 _FARTHEST = 10
-"""How many records are looked at to believe one."""
+"""Number of following records examined to accept one."""
 _ADDED_BYTES = 32
 """Fields that later versions may append to a record; no other record has room in them."""
 _SHORTEST_MESSAGE = 22

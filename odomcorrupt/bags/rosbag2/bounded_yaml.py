@@ -19,7 +19,7 @@ DEEPEST = 24
 LONGEST_S = 20.0
 """CPU time."""
 _SHOWN = 200
-"""Characters of a problem that are told."""
+"""Maximum number of characters of a problem in an error message."""
 
 
 def read_text(path: Path) -> str:

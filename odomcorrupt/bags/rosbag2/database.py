@@ -23,7 +23,7 @@ _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""
 _LONGEST = 200
-"""Characters of a reason that are told."""
+"""Maximum number of characters of a reason in an error message."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 """Tables and columns without which nothing can be read."""
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")

@@ -128,7 +128,7 @@ class SqliteReader:
                 data.append(blob)
                 size += 0 if unread else len(blob)
                 self.count += 1
-                blob = None  # noqa: PLW2901 - whoever takes the block has it alone
+                blob = None  # noqa: PLW2901 - the block holds the only reference
                 if size >= _BATCH_BYTES:
                     block = _block(rows, of, times_ns, data)
                     rows, of, times_ns, data, size = [], [], [], [], 0
