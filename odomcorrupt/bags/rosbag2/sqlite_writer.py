@@ -36,7 +36,7 @@ class SqliteWriter:
     """One .db3 file being written.
 
     overwrite : whether it may replace a file
-    keeps_rest : whether messages not passed to `write` are in the output (the file is copied)
+    keeps_rest : whether messages not passed to `write` are in the output (true unless the input is damaged)
     """
 
     def __init__(self, path: Path, reader: SqliteReader, *, overwrite: bool = False) -> None:
