@@ -1,1 +1,1 @@
-"""Blocks in, blocks out: the only room that knows bag formats."""
+"""Reading and writing of bags as blocks of messages; all format-specific code is here."""

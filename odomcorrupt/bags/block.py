@@ -1,8 +1,8 @@
-"""The one shape in which every bag format is read and written: blocks of messages.
+"""Blocks of messages, the common representation of all bag formats.
 
-A block is one chunk of a bag (or several, or a batch of rows), decompressed into a writable buffer, with a table that
-says where each message's serialised bytes lie. Numbers in messages are patched in the buffer, in place; nothing else
-of a block is ever parsed, so what is not patched comes through bit-identical.
+A block is one chunk of a bag (or several, or a batch of rows), decompressed into a writable buffer, with a table of
+the offsets of its serialised messages. Numbers in messages are patched in place; nothing else is parsed, so all
+other bytes are unchanged.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ TABLE = np.dtype([("channel", "<u4"), ("log_ns", "<i8"), ("offset", "<i8"), ("le
 """One row a message, in the order in which the messages lie in the block's data."""
 
 _SMALL = (1 << 16) - 1
-"""Ids up to here are told apart quickest by counting; those of an MCAP are never larger."""
+"""Ids up to here are counted fastest by np.bincount; those of an MCAP are never larger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class Channel:
     """A topic of one publisher.
 
     id : key in the tables of blocks; unique within a bag
-    msgtype : as ROS 2 writes it, "nav_msgs/msg/Odometry", for ROS 1 bags too
-    encoding : how messages are serialised: "ros1", "cdr", or whatever else an MCAP says ("json", "protobuf")
-    raw : what the format keeps about it (definition, md5sum, callerid, latching, QoS, type hash); opaque elsewhere
+    msgtype : in ROS 2 notation, "nav_msgs/msg/Odometry", for ROS 1 bags too
+    encoding : serialisation of messages: "ros1", "cdr", or others of MCAP ("json", "protobuf")
+    raw : format-specific data (definition, md5sum, callerid, latching, QoS, type hash); opaque elsewhere
     """
 
     id: int
@@ -66,7 +66,7 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A message that was not in the bag before; it is written behind the messages of the block that carries it."""
+    """A message added to a bag, written after the messages of its block."""
 
     channel: int
     log_ns: int
@@ -75,13 +75,13 @@ class Message:
 
 @dataclass(slots=True)
 class Block:
-    """Messages that lie together.
+    """Consecutive messages of a bag in one buffer.
 
     data : (size,) uint8, writable; the decompressed chunk
-    table : (n,) of dtype TABLE
-    raw : what the format needs to write the block back as it was (compression, record framing, non-message records)
+    table : (n,) of dtype TABLE, one row per message
+    raw : format-specific data for writing (compression, record framing, non-message records)
     added : messages to append, in order
-    ends : where the chunks end that the block was joined from; none of a block that is one chunk
+    ends : end offsets of the chunks that were joined; empty for a single chunk
     """
 
     data: NDArray[np.uint8]
@@ -91,7 +91,7 @@ class Block:
     ends: tuple[int, ...] = ()
 
     def present(self) -> set[int]:
-        """Return the channels that its messages are of."""
+        """Return the ids of the channels of its messages."""
         channels = self.table["channel"]
         if channels.max(initial=0) > _SMALL:
             return set(channels.tolist())
@@ -99,25 +99,25 @@ class Block:
 
 
 class Framing:
-    """How a block stood in its file; chunks that follow each other may stand as one block."""
+    """Format-specific framing of a block in its file; consecutive chunks may be joined into one block."""
 
     __slots__ = ()
 
-    def goes_on_with(self, other: object) -> bool:  # noqa: ARG002 - what can be joined says so
-        """Tell whether this and another block are chunks that are written back in the same way."""
+    def goes_on_with(self, other: object) -> bool:  # noqa: ARG002 - overridden where blocks can be joined
+        """Return whether this and another block are chunks with the same framing, so that they can be joined."""
         return False
 
     def joined(self, behind: list[Any], begins: list[int]) -> Framing:  # noqa: ARG002 - as above
-        """Return how this block and those behind it stand as one, in whose data they begin there."""
+        """Return the framing of this block joined with those after it, which begin at these offsets of the data."""
         return self
 
 
 @dataclass(frozen=True, slots=True)
 class PartFraming:
-    """What is raw of a block of a bag of several files.
+    """Framing of a block of a bag of several files.
 
-    part : index of the file the block came from
-    own : the block as that file has it, with that file's channels
+    part : index of the block's file
+    own : the block with the channel ids of that file
     """
 
     part: int
@@ -126,10 +126,10 @@ class PartFraming:
 
 @dataclass(frozen=True, slots=True)
 class PartContents:
-    """What a written file of a bag holds.
+    """Message counts and time span of a written file.
 
-    counts : messages by topic
-    start_ns, end_ns : first and last log time, 0 and 0 where there is no message
+    counts : number of messages by topic
+    start_ns, end_ns : first and last log time; 0 and 0 without messages
     """
 
     name: str
@@ -141,11 +141,11 @@ class PartContents:
 class BagReader(Protocol):
     """An open bag.
 
-    name : what errors call it
-    paths : the files it lies in, none for a pipe
-    `channels` is complete at once where `complete` is true (the input can seek); on a pipe it fills while blocks are
-    read, each channel before the first block that uses it. Closing is by context manager. Whatever is wrong with the
-    bag is raised as BagError.
+    name : name in error messages
+    paths : files of the bag, none for a pipe
+    `channels` is complete after opening if `complete` is true (the input can seek); on a pipe it is filled while blocks
+    are read, each channel before the first block that uses it. Closed by the context manager. Any fault of the bag
+    raises BagError.
     """
 
     kind: Kind
@@ -156,21 +156,20 @@ class BagReader(Protocol):
 
     @property
     def count(self) -> int:
-        """Return how many messages the last pass has given."""
+        """Return the number of messages of the last pass."""
 
     @property
     def losses(self) -> list[str]:
-        """Return what could not be read in the last pass, one sentence each, where recovery was asked for."""
+        """Return what the last pass could not read, one sentence each, with recovery."""
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
-        """Yield the blocks in file order, each with a buffer of its own: several are held at once.
+        """Yield the blocks in file order, each with its own buffer, as several are held at once.
 
-        only : ids of channels that are wanted; the bytes of others' messages may be left out where that is cheaper,
-            and their length is 0 then
+        only : ids of required channels; messages of others may be omitted where that is faster, with length 0
         """
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the bag says of a channel's type."""
+        """Return the bag's definition of a channel's type."""
 
     def __enter__(self) -> Self: ...
 
@@ -180,9 +179,9 @@ class BagReader(Protocol):
 
 
 def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
-    """Refuse an output that has not as many messages as the input gave and were added.
+    """Raise BagError where an output has not as many messages as were read and added.
 
-    name : of the output
+    name : name of the output in the error
     """
     if written != reader.count + added:
         raise BagError(
@@ -192,25 +191,25 @@ def require_all(name: str, reader: BagReader, written: int, added: int) -> None:
 
 
 class BagWriter(Protocol):
-    """A bag being written beside its final name: it appears when the context ends without an error, or never.
+    """A bag being written under a temporary name, renamed when the context ends without an error, else removed.
 
-    keeps_rest : whether messages that are never passed to `write` are in the bag all the same: a sqlite3 file is
-        copied, so only what may change needs to be read (`blocks(only=...)`)
+    keeps_rest : whether messages not passed to `write` are in the bag, too: a sqlite3 file is copied, so that only
+    channels that may change need to be read (`blocks(only=...)`)
     """
 
     keeps_rest: bool
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
+        """Add a channel with the encoding, QoS and latching of another one; return it with a new id."""
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
-        """Say how the bag came about, where its format has a place for that; ROS 1 has none."""
+        """Write provenance metadata, where the format has any; ROS 1 has none."""
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own; it must stay as it is where threads compress."""
+        """Write a block, its added messages last; with compression threads, the block must not change afterwards."""
 
     def settle(self) -> None:
-        """Wait until what was passed to `write` is written: its blocks may then change."""
+        """Wait until all blocks passed to `write` are written and may change."""
 
     def __enter__(self) -> Self: ...
 

@@ -1,4 +1,4 @@
-"""How much may come out of compressed chunks: a bag of a few kilobytes must not take a machine's memory or an hour."""
+"""Limits on decompressed sizes, against small bags that expand to a machine's memory."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _TIMES = 1000
 
 
 class Budget:
-    """What may still come out of a bag's chunks in one pass."""
+    """Remaining decompressed bytes of a bag in one pass."""
 
     def __init__(self) -> None:
         self._packed = self._unpacked = 0
 
     @cached_property
     def allowance(self) -> int:
-        """Bytes that any chunk, and any bag, may unpack to; 1 GiB unless the environment says otherwise."""
+        """Bytes that any chunk and any bag may decompress to; 1 GiB, or as of the environment variable."""
         text = os.environ.get(VARIABLE, "1")
         try:
             return int(float(text) * (1 << 30))
@@ -32,7 +32,7 @@ class Budget:
             raise BagError(f"{VARIABLE}: is {text!r}; write a number of GiB") from error
 
     def require_chunk(self, size: int, what: str) -> None:
-        """Refuse a chunk that says it becomes too large."""
+        """Raise BagError for a chunk whose stated size is too large."""
         if size > self.allowance:
             raise BagError(
                 f"{what}: says it unpacks to {size} bytes, more than the {self.allowance} that a chunk may; it is "
@@ -40,11 +40,11 @@ class Budget:
             )
 
     def read(self, size: int) -> None:
-        """Note compressed bytes, which allow for more."""
+        """Count compressed bytes read, in proportion to which the limit grows."""
         self._packed += size
 
     def take(self, size: int, what: str) -> None:
-        """Note what came out of a chunk; BagError where that is too much."""
+        """Count decompressed bytes; raise BagError beyond the limit."""
         self._unpacked += size
         if self.left <= 0:
             raise BagError(
@@ -54,5 +54,5 @@ class Budget:
 
     @property
     def left(self) -> int:
-        """How many bytes may still come out."""
+        """Remaining bytes."""
         return self.allowance + _TIMES * self._packed - self._unpacked

@@ -1,6 +1,6 @@
-"""Where chunks are unpacked to: one behind the other in a buffer, so that numpy can work on many of them at once.
+"""Buffers for decompressed chunks, placed side by side so that NumPy can process many of them at once.
 
-Fresh memory costs more than unpacking into it, so a buffer that nobody looks at any more is taken again.
+New memory costs more than decompressing into it, so a buffer without references is used again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SHELF_BYTES = 12 << 20
 
 
 class BufferPool:
-    """Gives room for chunks."""
+    """Allocator of chunk buffers."""
 
     def __init__(self) -> None:
         self._free: list[NDArray[np.uint8]] = []
@@ -28,7 +28,7 @@ class BufferPool:
         self._used = 0
 
     def place(self, size: int) -> NDArray[np.uint8]:
-        """Return writable bytes (size,) of their own, behind those given last where there is room."""
+        """Return a writable buffer (size,), placed directly after the previous one if there is room."""
         if size > SHELF_BYTES:
             return np.empty(size, dtype=np.uint8)
         if size > self._buffer.size - self._used:
@@ -38,9 +38,9 @@ class BufferPool:
 
     def _take_buffer(self) -> None:
         self._buffer = np.empty(0, dtype=np.uint8)
-        # not zeroed: of a short bag most of it is never touched
+        # not zeroed: a short bag never touches most of it
         memory = self._free.pop() if self._free else np.empty(SHELF_BYTES, dtype=np.uint8)
         self._buffer = np.frombuffer(memory.data, dtype=np.uint8)
-        # Whatever is given is a view of this array: when the last one has gone, the memory is free again.
+        # All buffers are views of this array: without the last of them, the memory is free.
         weakref.finalize(self._buffer, self._free.append, memory).atexit = False
         self._used = 0

@@ -1,7 +1,7 @@
 """CRC-32: by ISA-L, which takes a fifth to a fortieth of zlib's time, or by zlib where isal has no wheel.
 
-`crc_of_both` gives the sum of two pieces, one behind the other, of their sums and the second one's length: what many
-files share, and a chunk that is summed for its own record, is read once for the sum of the whole file, too.
+`crc_of_both` combines the CRCs of two consecutive pieces, so that data shared by many files, and chunks with a CRC
+of their own, are read only once for the CRC of the whole file.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ except ImportError:
 
 
 def crc_of_both(first: int, second: int, piece: bytes | memoryview) -> int:
-    """Return the CRC-32 of two pieces, one behind the other.
+    """Return the CRC-32 of two consecutive pieces.
 
     Parameters
     ----------
     first, second : int
         CRC-32 of each of them.
     piece : bytes | memoryview
-        The second one: its length is all that matters where `CAN_COMBINE`, else it is summed again.
+        The second one; only its length is used if `CAN_COMBINE`, else its bytes are.
 
     """
     if CAN_COMBINE:

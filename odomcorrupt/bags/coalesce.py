@@ -1,4 +1,4 @@
-"""Chunks that lie side by side in memory as one block: numpy then works on hundreds of messages, not on a dozen."""
+"""Joins chunks that are adjacent in memory into larger blocks, which NumPy processes faster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ENOUGH_MESSAGES = 20_000
 
 
 def joined(blocks: Iterable[Block]) -> Iterator[Block]:
-    """Yield blocks, those joined that can be: chunks of one compression, next to each other, of few messages."""
+    """Yield blocks, with adjacent small chunks of the same framing joined."""
     run = _Run()
     for block in blocks:
         if run.blocks and not run.goes_on_with(block):
@@ -61,7 +61,7 @@ class _Run:
         ends = np.cumsum([block.data.size for block in self.blocks]).tolist()
         begins = [0, *ends[:-1]]
         at = _address(first) - _address_of(whole)
-        # as plain bytes: numpy is slow to see that records of the same fields can stand behind each other
+        # as plain bytes: NumPy is slow at concatenating structured arrays
         table = np.concatenate([block.table.view(np.uint8) for block in self.blocks]).view(TABLE)
         table["offset"] += np.repeat(begins, [len(block.table) for block in self.blocks])
         raw = first.raw.joined([block.raw for block in self.blocks[1:]], begins[1:])

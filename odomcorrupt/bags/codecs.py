@@ -1,4 +1,4 @@
-"""Chunk compressions, by the names users know: none, lz4, zstd, bz2."""
+"""Chunk compression and decompression: none, lz4, zstd, bz2."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, Mem
 
 
 class _Zstd(threading.local):
-    """What is used for every chunk: a fresh one costs half as much as it takes to unpack, and threads cannot share."""
+    """Zstandard contexts of each thread: a new one costs half the time of decompressing a chunk."""
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor()
         self.compressors: dict[int, zstandard.ZstdCompressor] = {}
 
     def compressor(self, level: int) -> zstandard.ZstdCompressor:
-        """Return one of a level, whose tables are made once."""
+        """Return the compressor of a level, created once."""
         if level not in self.compressors:
             self.compressors[level] = zstandard.ZstdCompressor(level=level)
         return self.compressors[level]
@@ -51,13 +51,13 @@ _zstd = _Zstd()
 def decompress(
     codec: str, data: memoryview, size: int, what: str, shelf: BufferPool, budget: Budget | None = None
 ) -> NDArray[np.uint8]:
-    """Return a chunk's bytes (size,) in a writable array of their own.
+    """Return the decompressed bytes (size,) of a chunk in a writable array.
 
-    data : the compressed bytes
-    size : how many bytes the bag says they become
-    what : what errors call the chunk
-    shelf : where they are put; memory is taken as they come, not as they are claimed
-    budget : of the bag
+    data : compressed bytes
+    size : decompressed size stated by the bag, bytes
+    what : name of the chunk in error messages
+    shelf : allocator; memory is taken for actual, not for stated sizes
+    budget : limit of the bag
     """
     if codec == "none":
         _require_size(len(data), size, what)
@@ -95,7 +95,7 @@ def _require_size(came: int, size: int, what: str) -> None:
 
 
 def _placed(data: bytearray, shelf: BufferPool) -> NDArray[np.uint8]:
-    """Return bytes among the others where they are few."""
+    """Return bytes as an array, copied to the buffer pool if they are few."""
     if len(data) > SHELF_BYTES:
         return np.frombuffer(data, dtype=np.uint8)
     placed = shelf.place(len(data))
@@ -104,7 +104,7 @@ def _placed(data: bytearray, shelf: BufferPool) -> NDArray[np.uint8]:
 
 
 def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
-    """Return what comes out of a compressed chunk that was cut, as far as it and the budget go."""
+    """Return the decompressed beginning of a truncated chunk, within the budget."""
     out = bytearray(data if codec == "none" else b"")
     if codec in ("none", "lz4"):
         with suppress(*_Damage):
@@ -125,7 +125,7 @@ def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
 
 
 def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterator[int]:
-    """Put what comes out of a chunk into `piece` again and again; yield how much it is each time."""
+    """Decompress a truncated chunk piecewise into `piece`; yield the number of bytes each time."""
     if codec == "zstd":
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
             while came := reader.readinto(piece.data):
@@ -139,7 +139,7 @@ def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterato
 
 
 def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
-    """Fill an array; yield the sizes of the pieces, and of the first one that is too many."""
+    """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
     if zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES:
         with _zstd.decompressor.stream_reader(data) as reader:
             if (came := reader.readinto(placed.data)) < placed.size:
@@ -155,7 +155,7 @@ def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
 
 
 def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
-    """Fill an array; yield the sizes of the pieces, and of the first one that is too many."""
+    """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
     decompressor = bz2.BZ2Decompressor()
     at, packed = 0, data
     while not decompressor.eof and at <= placed.size:
@@ -175,7 +175,7 @@ def _unlz4(data: memoryview, size: int) -> bytearray:
 
 
 def require_level(codec: str, level: int | None) -> None:
-    """Refuse a level that a codec does not have."""
+    """Raise BagError for a compression level that a codec does not have."""
     if level is None:
         return
     if codec not in _LEVELS:
@@ -186,9 +186,9 @@ def require_level(codec: str, level: int | None) -> None:
 
 
 def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-    """Compress a chunk; level None is the fast one (zstd 1, plain LZ4, bz2 9 as bzip2 itself).
+    """Return a compressed chunk; level None is the default (zstd 1, plain LZ4, bz2 9 as bzip2 itself).
 
-    Independent blocks of 64 KB are what LZ4 packs and unpacks fastest: larger or linked ones go through its own buffer.
+    LZ4 is fastest with independent blocks of 64 KB: larger or linked ones are copied through its own buffer.
     """
     require_level(codec, level)
     if codec == "zstd":
@@ -202,7 +202,7 @@ def compress(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | 
 
 
 def compress_for_ros1(codec: str, data: NDArray[np.uint8], level: int | None) -> bytes | memoryview:
-    """Compress a chunk so that ROS 1 reads it: its LZ4 wants independent blocks, a checksum, and no content size."""
+    """Return a chunk compressed for ROS 1, whose LZ4 requires independent blocks, a checksum and no content size."""
     if codec != "lz4":
         return compress(codec, data, level)
     require_level(codec, level)

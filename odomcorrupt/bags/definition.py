@@ -1,4 +1,4 @@
-"""What a bag says about a topic's type, in the words of MCAP, into which every other format can be put."""
+"""Message definition of a topic in MCAP's terms, into which all formats are converted."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ __all__ = ["Definition", "RosType", "md5sum_of", "ros_type", "with_common_text"]
 
 
 class Definition(NamedTuple):
-    """A topic's type and what else is kept about it.
+    """Message definition and metadata of a topic.
 
-    name : of the type, as the format writes it ("nav_msgs/Odometry" in ROS 1)
-    encoding : of the text: "ros1msg", "ros2msg", ..., "" for none
+    name : type name in the format's notation ("nav_msgs/Odometry" in ROS 1)
+    encoding : encoding of the text: "ros1msg", "ros2msg", ..., "" for none
     text : the message definition
     metadata : QoS, type hash, latching, callerid
     """
@@ -29,9 +29,9 @@ class Definition(NamedTuple):
 
 
 class RosType(NamedTuple):
-    """A type that a bag does not bring along.
+    """Definition of a type that is not in the bag.
 
-    text : its definition with those of its parts, as bags store it
+    text : definition with those of nested types, as stored in bags
     digest : the md5sum of ROS 1, the RIHS01 type hash of ROS 2
     """
 
@@ -41,8 +41,8 @@ class RosType(NamedTuple):
 
 
 def ros_type(msgtype: str, encoding: str) -> RosType:
-    """Define a common type for messages of an encoding, "ros1" or "cdr"."""
-    # rosbags is heavy, and needed only for a type that no channel of the bag has.
+    """Return the definition of a common type, for messages of the encoding "ros1" or "cdr"."""
+    # rosbags is slow to import, and only needed for a type that is not in the bag.
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
 
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
@@ -58,7 +58,7 @@ def ros_type(msgtype: str, encoding: str) -> RosType:
 
 
 def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Definition:
-    """Fill in the definition of a common type that the bag does not bring along; leave it empty for others."""
+    """Return a definition with the text of a common type if the bag lacks it; empty for other types."""
     try:
         kind = ros_type(msgtype, encoding)
     except BagError:
@@ -67,7 +67,7 @@ def with_common_text(definition: Definition, msgtype: str, encoding: str) -> Def
 
 
 def md5sum_of(msgtype: str, definition: Definition) -> str:
-    """Return the md5sum by which ROS 1 knows a type, from its definition."""
+    """Return the ROS 1 md5sum of a type, from its definition."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
     from rosbags.typesys.base import TypesysError  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""The definition of a topic that is made beside another one, of another type."""
+"""Definition of an added topic with the publisher settings of another one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TYPED = ("md5sum", "topic_type_hash", "type")
 
 
 def retyped(reader: BagReader, msgtype: str, encoding: str, like: Definition) -> Definition:
-    """Define a type for a topic that is otherwise like another one: as the bag itself does, or as commonly known."""
+    """Return the definition of a type (the bag's own, or the common one) with the QoS and callerid of `like`."""
     for other in reader.channels.values():
         if (other.msgtype, other.encoding) == (msgtype, encoding):
             found = reader.definition(other)

@@ -1,4 +1,4 @@
-"""What lies between records that an index points at."""
+"""Gaps between the records that an index lists."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ __all__ = ["gaps_between", "windows"]
 
 
 def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) -> list[tuple[int, int]] | None:
-    """Return the spans of [0, size) that records (n,), sorted by start, leave; None where they overlap.
+    """Return the spans of [0, size) not covered by records (n,), sorted by start; None where these overlap.
 
-    Where the gaps hold whole records, and none of the kind that was indexed, the index told the truth: record by
-    record each one begins where the last one ended.
+    If the gaps consist of whole records, none of the indexed kind, the index is correct and complete.
     """
     befores = np.concatenate([[0], ends])
     afters = np.append(starts, size)
@@ -27,7 +26,7 @@ def gaps_between(starts: NDArray[np.int64], ends: NDArray[np.int64], size: int) 
 
 
 def windows(data: NDArray[np.uint8], width: int) -> NDArray[np.void]:
-    """View data as overlapping windows, one from each byte: fancy indexing then moves whole fields, unaligned."""
+    """Return a view of data as overlapping windows, one per byte, to index whole unaligned fields."""
     if data.size < width:
         return np.empty(0, dtype=f"V{width}")
     return np.ndarray((data.size - width + 1,), dtype=f"V{width}", buffer=data, strides=(1,))

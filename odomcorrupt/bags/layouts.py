@@ -1,7 +1,7 @@
-"""Read the structure of one message: where its strings end and its numbers begin.
+"""Layout of a serialised message: the offsets of its numbers.
 
-Everything but stamps, sequence numbers, padding and plain numbers is structure. A template remembers those bytes with
-a mask; a message with the same structural bytes has its numbers at the same places.
+All bytes but stamps, sequence numbers, padding and plain numbers are structural. A template holds those bytes and a
+mask; a message with the same structural bytes has its numbers at the same offsets.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _ZSTD = b"\x28\xb5\x2f\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One stamped thing in a message: the Odometry itself, or one transform of a TFMessage.
+    """One stamped item of a message: the Odometry itself, or one transform of a TFMessage.
 
     frame_id, child_frame_id : as written in the message ("" where the type has none), leading slashes kept
     stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes
@@ -46,7 +46,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """The layout that all messages with these structural bytes share.
+    """Layout common to all messages with these structural bytes.
 
     structure : (w,) uint8, the first w bytes of such a message, other than structural ones zeroed
     mask : (w,) uint8, 255 where a byte is structural
@@ -63,7 +63,7 @@ class Template:
 
 
 def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Template:
-    """Read the layout of one serialised message."""
+    """Return the layout of a serialised message."""
     if encoding not in ("ros1", "cdr"):
         raise BagError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
     if msgtype not in PROGRAMS:
@@ -77,7 +77,7 @@ def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Templ
 
 
 class _Cursor:
-    """Walks over a message, marking what is structure."""
+    """Parser of a message that marks the structural bytes."""
 
     order = "<"
     header_bytes = 0
@@ -90,10 +90,10 @@ class _Cursor:
         self.marked_to = 0
 
     def align(self, size: int) -> None:
-        """Step over the padding before a number of this size."""
+        """Skip the padding before a number of this size."""
 
     def take(self, size: int, *, structural: bool) -> int:
-        """Step over bytes; return where they began."""
+        """Skip bytes; return their offset."""
         start, end = self.at, self.at + size
         if end > len(self.data):
             raise BagError(
@@ -113,23 +113,23 @@ class _Cursor:
         return int(struct.unpack_from(self.order + "I", self.data, start)[0])
 
     def string(self) -> str:
-        """Read a string; CDR ends it with a zero byte, ROS 1 does not."""
+        """Read a string; zero-terminated in CDR only."""
         length = self.count()
         start = self.take(length, structural=True)
         return self.data[start : start + length].removesuffix(b"\0").decode(errors="replace")
 
     def doubles(self, count: int) -> tuple[int, int]:
-        """Step over float64 numbers; return where they began and how many they are."""
+        """Skip float64 numbers; return their offset and count."""
         self.align(8)
         return self.take(8 * count, structural=False), count
 
     def skip(self, size: int) -> None:
-        """Step over a plain number that does not shape the layout."""
+        """Skip a plain number that is not structural."""
         self.align(size)
         self.take(size, structural=False)
 
     def header(self) -> tuple[int, str]:
-        """Read a std_msgs/Header; return where the stamp lies, and the frame."""
+        """Read a std_msgs/Header; return the offset of the stamp, and the frame."""
         self.align(4)
         self.take(self.header_bytes, structural=False)
         return self.take(8, structural=False), self.string()
@@ -150,7 +150,7 @@ class _CdrCursor(_Cursor):
                 )
             raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one")
         self.order, self.largest = _PLAIN_CDR[data[1]]
-        # The options (bytes 2, 3) say how much padding follows the message: they do not shape what lies before it.
+        # The options (bytes 2, 3) give the padding after the message: they are not structural.
         self.mask[2:4] = b"\0\0"
 
     def align(self, size: int) -> None:

@@ -1,6 +1,6 @@
-"""LZ4 frames with a checksum of what they hold, which ROS 1 asks for.
+"""LZ4 frames with a content checksum, as ROS 1 requires.
 
-The codec can sum, too, but the xxhash package takes a seventh of its time: what it sums is what the codec would.
+The xxhash package computes the same checksum as the codec in a seventh of the time.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ _SUMMED, _SIZED, _HAS_DICTIONARY = 0x04, 0x08, 0x01
 
 
 def pack_summed(data: NDArray[np.uint8], level: int) -> bytes:
-    """Compress into a frame of independent blocks, of no stated size, with a checksum."""
+    """Return a frame of independent blocks with a content checksum and no content size."""
     frame: bytes = lz4.frame.compress(data.data, compression_level=level, block_linked=False, store_size=False)
     fields = bytes([frame[4] | _SUMMED, frame[5]])
     return b"".join((_MAGIC, fields, _sum_of_head(fields), memoryview(frame)[7:], _sum_of_content(data.data)))
 
 
 def unpack(data: memoryview, size: int) -> bytearray:
-    """Return what a frame holds, at most one byte more than `size`.
+    """Return the decompressed content of a frame, at most one byte more than `size`.
 
     Raises
     ------
     EOFError, RuntimeError, ValueError
-        Where the frame is cut short, or is none, or a checksum is not that of its bytes.
+        If the frame is truncated or invalid, or a checksum does not match.
 
     """
     head, sums = _head_without_sum(data) if data[:4] == _MAGIC and len(data) > 7 else (b"", False)
     context = lz4.frame.create_decompression_context()
     if head:
         lz4.frame.decompress_chunk(context, head)
-    # One byte more than claimed: a longer chunk shows, and the frame's end is reached.
+    # One byte more than stated, to detect a longer chunk and to reach the frame's end.
     out: bytearray
     out, taken, whole = lz4.frame.decompress_chunk(
         context, data[len(head) :], max_length=size + 1, return_bytearray=True
@@ -54,7 +54,7 @@ def unpack(data: memoryview, size: int) -> bytearray:
 
 
 def _head_without_sum(data: memoryview) -> tuple[bytes, bool]:
-    """Return a frame's head that speaks of no checksum at its end, and whether it did."""
+    """Return a frame's header without the content-checksum flag, and whether it was set."""
     flags = data[4]
     end = 6 + (8 if flags & _SIZED else 0) + (4 if flags & _HAS_DICTIONARY else 0)
     if data[end : end + 1] != _sum_of_head(data[4:end]):

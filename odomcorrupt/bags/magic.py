@@ -1,4 +1,4 @@
-"""The first bytes of every kind of bag: what a file is must be known before its format is imported."""
+"""Magic bytes of bag formats, to detect a format before its reader is imported."""
 
 from __future__ import annotations
 

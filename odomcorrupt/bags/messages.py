@@ -1,7 +1,7 @@
-"""Where the numbers lie in a message: nothing else of it is ever looked at.
+"""Reading and writing of the numbers in serialised messages, at their offsets.
 
-Layouts depend on the strings before the numbers, so a layout is valid for one set of structural bytes (lengths,
-strings, counts, CDR header) and is looked up by them, never by the message's length alone.
+Offsets depend on the strings before the numbers, so a layout is valid for one set of structural bytes (lengths,
+strings, counts, CDR header) and is found by these, never by the message's length alone.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
     Raises
     ------
     BagError
-        Where a message is shorter than its own strings and numbers say, or its type or encoding is not known.
+        If a message is shorter than its strings and numbers require, or its type or encoding is unknown.
 
     """
     rows = np.flatnonzero(block.table["channel"] == channel.id)
@@ -115,7 +115,7 @@ def scatter_columns(
 
 
 def _put(block: Block, layout: Layout, places: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-    """Write rows of numbers (n, k) to places (n,) of the block's data."""
+    """Write rows of numbers (n, k) at offsets (n,) of the block's data."""
     raw = np.ascontiguousarray(values, dtype=_order(layout) + "f8")
     width = raw.itemsize * raw.shape[1]
     windows(block.data, width)[places] = raw.view(f"V{width}")[:, 0]
@@ -134,7 +134,7 @@ def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArr
     Raises
     ------
     BagError
-        Where a stamp does not fit into the message's 32 bits of seconds.
+        If a stamp does not fit into the message's 32 bits of seconds.
 
     """
     seconds, nanoseconds = np.divmod(stamps_ns, _SECOND_NS)
@@ -153,10 +153,10 @@ def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArr
 def _matches(
     data: NDArray[np.uint8], starts: NDArray[np.int64], lengths: NDArray[np.int64], template: Template
 ) -> NDArray[np.bool_]:
-    """Tell which messages (n,) have a template's structural bytes and are long enough for its numbers."""
+    """Return a mask (n,) of messages with a template's structural bytes and long enough for its numbers."""
     same = lengths >= template.size
     candidates = np.flatnonzero(same) if not same.all() else slice(None)
-    # by words, of which the last one may reach back: eight bytes are compared as quickly as one
+    # by 64-bit words, the last of which may overlap: eight bytes compare as fast as one
     width = template.mask.size
     step = 8 if width >= 8 else 1
     heads = windows(data, width)[starts[candidates]].view(np.uint8)

@@ -1,6 +1,6 @@
-"""Open bags by what they contain, and bags to be written by their names.
+"""Opening of bags: for reading by content, for writing by name.
 
-A format is imported when a bag has it: all of them take a tenth of the time in which a short bag is rewritten.
+A format is imported only when needed: all of them would add a tenth to the time for a short bag.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"
 def open_reader(
     path: Path | None, stream: BinaryIO | None = None, *, recover: bool = False, threads: int = 1
 ) -> BagReader:
-    """Open a bag, by its content.
+    """Return a reader for a bag, whose format is detected from its content.
 
     path : None or "-" for a pipe
-    stream : the pipe, stdin unless given
-    recover : read what is whole of a damaged bag, and say in the reader's `losses` what is not
-    threads : with more than one, files are read and unpacked ahead
+    stream : the pipe; default stdin
+    recover : read the intact parts of a damaged bag, and list the others in the reader's `losses`
+    threads : with more than one, files are read and decompressed ahead
 
     Raises
     ------
     BagError
-        Where it is no bag, or its beginning or end is damaged.
+        If it is no bag, or its beginning or end is damaged.
 
     """
     try:
@@ -99,7 +99,7 @@ def _rosbag2(path: Path, *, recover: bool, threads: int) -> Rosbag2Reader:
 
 
 def _as_rosbag2(reader: BagReader) -> Rosbag2Reader | None:
-    """Return a reader that is one of ROS 2 bags: only these have two paths or more, their directory's and a file's."""
+    """Return the reader if it is of a ROS 2 bag (only these have two paths or more: directory and files), else None."""
     if len(reader.paths) < 2:
         return None
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader  # noqa: PLC0415 - see above
@@ -132,18 +132,18 @@ def open_writer(
     stream: BinaryIO | None = None,
     workers: Workers | None = None,
 ) -> BagWriter:
-    """Prepare a bag that appears under its name when the writer's context ends without an error.
+    """Return a writer for a bag, which appears under its name when the writer's context ends without an error.
 
-    path : None or "-" for MCAP on a pipe; a suffix .mcap or .bag asks for that format, others keep the input's
+    path : None or "-" for MCAP on a pipe; a suffix .mcap or .bag selects that format, others keep the input's
     compression : "none", "lz4", "zstd" (MCAP) or "bz2" (ROS 1); None keeps that of the input
-    level : of compression; None is the fast one
-    stream : the pipe, stdout unless given
-    workers : who compress, while more is written; blocks must then stay as they are written
+    level : compression level; None is the default of the codec
+    stream : the pipe; default stdout
+    workers : threads for compression; blocks must then not change after they are passed to `write`
 
     Raises
     ------
     BagError
-        Where the output exists and overwrite is false, is the input, or cannot hold what the input holds.
+        If the output exists and overwrite is false, is the input, or its format cannot store the input's messages.
 
     """
     kind = kind_of(path, reader)
@@ -164,7 +164,7 @@ def open_writer(
             return Rosbag2Writer(path, rosbag2, compression, level, overwrite=overwrite, workers=workers)
     piped = path is None or str(path) == "-"
     output = Output(None, stream or sys.stdout.buffer) if piped else Output(path, overwrite=overwrite)
-    # the reader of a bag's only file, where that is of the same kind: what is written is this file again
+    # the reader of a bag's only file of the same kind: this file is rewritten
     part = rosbag2.parts[0] if rosbag2 and len(rosbag2.parts) == 1 and rosbag2.kind == kind else None
     if kind == "mcap":
         from odomcorrupt.bags.mcap.writer import McapWriter  # noqa: PLC0415 - see above
@@ -183,7 +183,7 @@ def open_writer(
 
 
 def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
-    """Raise where an output's name ends in what is no format; directories may be called anything but nearly one."""
+    """Raise BagError for an output name with the suffix of no format; for directories only if it resembles one."""
     suffix = "" if path is None else path.suffix.lower()
     if not suffix or suffix in _SUFFIXES:
         return
@@ -194,7 +194,7 @@ def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
 
 
 def kind_of(path: Path | None, reader: BagReader) -> Kind:
-    """Return the format that an output's name asks for, or that of the input."""
+    """Return the format of an output's suffix, or that of the input."""
     if path is None or str(path) == "-":
         return "mcap"
     return _SUFFIXES.get(path.suffix.lower(), reader.kind)

@@ -1,4 +1,4 @@
-"""Where a bag's bytes go: a file that appears only when complete, or a pipe."""
+"""Output of a bag's bytes to a pipe, or to a file that appears only when complete."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _PIECE_BYTES = 1 << 16
 
 @dataclass(slots=True)
 class Shared:
-    """Bytes that several outputs get.
+    """Bytes common to several outputs.
 
     crc : their CRC-32
-    home : file descriptor and position where the first output has them
+    home : file descriptor and position of the first output that contains them
     """
 
     data: bytes | memoryview
@@ -35,13 +35,13 @@ class Shared:
 
 
 class Output:
-    """Bytes on their way into a file or a stream.
+    """A file or stream being written.
 
-    name : what errors call it
+    name : name in error messages
     overwrite : whether it may replace a file
     position : bytes written so far
-    summing : whether bytes are summed up
-    crc : CRC-32 of the bytes summed since it was last set to 0
+    summing : whether the CRC is computed
+    crc : CRC-32 of the bytes since it was last set to 0
     """
 
     def __init__(self, path: Path | None, stream: BinaryIO | None = None, *, overwrite: bool = False) -> None:
@@ -55,7 +55,7 @@ class Output:
         self._stream = stream
 
     def open(self) -> None:
-        """Begin: beside the target under a hidden name, or straight into what is a stream already."""
+        """Open a hidden temporary file in the target's directory, or the stream itself."""
         if self._path is None:
             return
         if is_stream(self._path):
@@ -84,7 +84,7 @@ class Output:
             self.crc = crc_of_both(self.crc, crc, piece)
 
     def write_shared(self, shared: Shared) -> None:
-        """Write bytes that several outputs share; within files the system copies them from the first to the others."""
+        """Write bytes common to several outputs; between files the kernel copies them from the first one."""
         try:
             if self._copied(shared):
                 self.crc = crc_of_both(self.crc, shared.crc, shared.data) if self.summing else self.crc
@@ -100,7 +100,7 @@ class Output:
             raise self._failed(error) from error
 
     def _copied(self, shared: Shared) -> bool:
-        """Whether the system has copied the bytes; where it cannot, nothing is written."""
+        """Return whether the kernel has copied the bytes; otherwise nothing is written."""
         if shared.home is None or self._partial is None or self._stream is None:
             return False
         self._stream.flush()
@@ -141,7 +141,7 @@ class Output:
             raise self._failed(error) from error
 
     def rewrite(self, position: int, data: bytes) -> None:
-        """Write over bytes of a file and return to its end."""
+        """Overwrite bytes of a file, then seek to its end."""
         if self._stream is None or self._partial is None:
             raise BagError(f"{self.name}: cannot seek; write this format to a file")
         try:
@@ -152,7 +152,7 @@ class Output:
             raise self._failed(error) from error
 
     def commit(self) -> None:
-        """Make what was written appear under its name."""
+        """Close the file and rename it to its final name."""
         if self._stream is None:
             return
         try:
@@ -168,10 +168,10 @@ class Output:
             raise self._failed(error) from error
 
     def discard(self) -> None:
-        """Leave nothing behind."""
+        """Remove the temporary file."""
         if self._path is None or self._stream is None:
             return
-        # What a full disk keeps in the buffer is lost with the file.
+        # Buffered bytes that a full disk rejects are discarded with the file.
         with suppress(OSError):
             self._stream.close()
         if self._partial is not None:

@@ -1,9 +1,8 @@
-"""Threads beside the one that computes: one reads a file ahead, others compress; results are taken in order.
+"""Worker threads for reading ahead and compression; results are used in order.
 
-Reading, codecs, checksums and numpy's loops leave the interpreter free, so that they do run side by side. What is
-written does not depend on the number of threads: they only compute what the one that computes will ask for, in the
-order in which it would have done it, and that one alone writes, and reads from pipes. So an error or Ctrl-C reaches it
-at once, and no thread can be left waiting for a pipe.
+Reading, codecs, checksums and NumPy loops release the GIL, so they run in parallel. The output does not depend on
+the number of threads: they only compute results that the main thread uses in its own order. The main thread alone
+writes, and reads from pipes, so an error or Ctrl-C takes effect at once, and no thread blocks on a pipe.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ T = TypeVar("T")
 
 
 def default_threads() -> int:
-    """Return how many threads a process uses where nobody says: as many as it has cores, and at most four."""
+    """Return the default number of threads: that of the cores, at most four."""
     try:
         cores = len(os.sched_getaffinity(0))
     except AttributeError:  # not on this system
@@ -47,7 +46,7 @@ def default_threads() -> int:
 
 
 class _Task(Generic[T]):
-    """A call whose result comes later."""
+    """A call and its future result."""
 
     __slots__ = ("_done", "_error", "_value", "call")
 
@@ -63,7 +62,7 @@ class _Task(Generic[T]):
         try:
             if call is not None:
                 self._value = call()
-        except BaseException as error:  # noqa: BLE001 - raised where the result is asked for
+        except BaseException as error:  # noqa: BLE001 - raised when the result is requested
             self._error = error
         self._done.release()
 
@@ -82,12 +81,12 @@ class _Task(Generic[T]):
 
 
 class Workers:
-    """Threads that make calls; closed by context manager, which drops those that nobody has begun.
+    """Thread pool; closed by the context manager, which drops calls not yet started.
 
     Parameters
     ----------
     threads : int
-        Threads of the process in all: with one, calls are made at once by who submits them.
+        Total number of threads of the process: with one, `submit` makes the call itself.
 
     """
 
@@ -98,7 +97,7 @@ class Workers:
         self._closed = False
 
     def submit(self, call: Callable[[], T]) -> _Task[T]:
-        """Have a call made by some thread."""
+        """Submit a call to the pool."""
         task = _Task(call)
         if self.threads == 1:
             task.run()
@@ -111,7 +110,7 @@ class Workers:
         return task
 
     def help(self) -> bool:
-        """Make a call that no thread has begun; tell whether there was one."""
+        """Make one waiting call in the current thread; return whether there was one."""
         try:
             task = self._tasks.get_nowait()
         except Empty:
@@ -125,7 +124,7 @@ class Workers:
             task.run()
 
     def close(self) -> None:
-        """End the threads, when what they are at is done."""
+        """End the threads after their present calls."""
         self._closed = True
         for _ in self._started:
             self._tasks.put(None)
@@ -143,12 +142,12 @@ class Workers:
 
 
 class OrderedResults:
-    """Calls made by threads, and what is done with their results: that in order, by the thread that put them.
+    """Calls in worker threads, whose results are processed in order by the submitting thread.
 
     Parameters
     ----------
     workers : Workers | None
-        Who makes the calls, None for the thread that puts them.
+        Thread pool; None: the submitting thread makes the calls.
 
     """
 
@@ -158,16 +157,16 @@ class OrderedResults:
         self._bytes = 0
 
     def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
-        """Make a call, and later something of its result.
+        """Submit a call, and a function to process its result.
 
         Parameters
         ----------
         call, then : Callable
-            What any thread may do, and what is to be done with its result.
+            The call, for any thread, and the function of its result, for the submitting thread.
         size : int
-            Bytes that it holds in memory until then.
+            Memory held until then, bytes.
         worth : bool
-            Whether the call takes longer than to hand over what it is about; else it is made when its turn comes.
+            Whether the call is worth a thread; else the submitting thread makes it in turn.
 
         """
         if self._workers is None or not worth:
@@ -179,7 +178,7 @@ class OrderedResults:
         self._take_ready()
 
     def put_behind(self, then: Callable[[], None], size: int = 0) -> None:
-        """Do something, which holds so many bytes until then, when all that was put before is done."""
+        """Submit a function to run after all earlier ones; it holds `size` bytes until then."""
         if not self._waiting:
             then()
             return
@@ -188,7 +187,7 @@ class OrderedResults:
         self._take_ready()
 
     def finish(self) -> None:
-        """Wait for all that was put."""
+        """Wait for all submitted calls."""
         while self._waiting:
             self._take()
 
@@ -211,20 +210,20 @@ def _pass_on(task: _Task[T], then: Callable[[T], None]) -> None:
 def read_ahead(
     items: Generator[T, None, None], size_of: Callable[[T], int], worth: Callable[[T], bool] = lambda _: True
 ) -> Iterator[T]:
-    """Yield the items of a generator which, behind the first that is worth it, a thread of its own runs ahead.
+    """Yield the items of a generator, which a thread runs ahead after the first item that is worth it.
 
-    It runs at most `AHEAD_BYTES` and one item ahead, is stopped when nobody asks any more, and must not wait for
-    anything but files: who closes this generator waits for it.
+    The thread is at most `AHEAD_BYTES` and one item ahead, and stops when this generator is closed, which waits for
+    it; so the generator must block on nothing but files.
 
     Parameters
     ----------
     items : Generator
-        It is run, and closed, by the thread.
+        Run and closed by the thread.
     size_of : Callable
-        Bytes that an item holds in memory.
+        Memory of an item, bytes.
     worth : Callable
-        Whether items like this one take longer to make than to hand over: what is only read, and not unpacked, is best
-        used while it is in the cache of the processor that has read it.
+        Whether items like this one are worth a thread: those read without decompression are best used while in the
+        cache of the processor that has read them.
 
     """
     with closing(items):
@@ -249,9 +248,9 @@ def _read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) ->
 
 
 class _Hall(Generic[T]):
-    """Items in batches between two threads.
+    """Bounded queue of batches of items between two threads.
 
-    error : what ended the reading, if not the end
+    error : exception that ended the producer, if any
     """
 
     def __init__(self) -> None:
@@ -262,7 +261,7 @@ class _Hall(Generic[T]):
         self._ended = self._stopped = False
 
     def put(self, batch: list[T], size: int) -> bool:
-        """Add a batch when there is room; tell whether more is wanted."""
+        """Add a batch when there is room; return whether more are wanted."""
         with self._changed:
             self._changed.wait_for(lambda: self._bytes <= AHEAD_BYTES or self._stopped)
             self._batches.append((batch, size))
@@ -271,19 +270,19 @@ class _Hall(Generic[T]):
             return not self._stopped
 
     def end(self) -> None:
-        """Say that no more comes."""
+        """Mark the end of the items."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """Say that no more is wanted."""
+        """Ask the producer to stop."""
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
 
     def take(self) -> list[T] | None:
-        """Return the next batch, None behind the last one."""
+        """Return the next batch; None after the last one."""
         with self._changed:
             self._changed.wait_for(lambda: self._batches or self._ended)
             if not self._batches:
@@ -306,7 +305,7 @@ def _fill(hall: _Hall[T], items: Generator[T, None, None], size_of: Callable[[T]
                 batch, size = [], 0
                 if not wanted:
                     return
-    except BaseException as error:  # noqa: BLE001 - raised where the items are asked for
+    except BaseException as error:  # noqa: BLE001 - raised when the items are requested
         hall.error = error
     finally:
         items.close()

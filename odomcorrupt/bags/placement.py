@@ -1,7 +1,7 @@
-"""How an output gets its name: written beside it under a hidden one, renamed when complete, and never over a stranger.
+"""Atomic outputs: written under a hidden name, renamed when complete, replacing a file only on request.
 
-A process that is killed leaves its hidden file; its name says which process of which machine wrote it, and the next
-output of the same name removes it where that process is no more.
+A killed process leaves its hidden file, whose name contains host and process; the next output of the same name
+removes it if that process no longer exists.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ _UNKNOWN = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
 
 
 def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory: bool) -> None:
-    """Refuse an output that exists, is or lies in one of the inputs, or has no directory to be in.
+    """Raise BagError for an output that exists, is or lies in one of the inputs, or whose directory is missing.
 
-    directory : whether the output will be one
+    directory : whether the output is a directory
     """
     if not path.parent.is_dir():
         raise BagError(f"{path}: the directory {path.parent} does not exist; create it first")
@@ -64,25 +64,24 @@ def refuse_target(path: Path, inputs: list[Path], *, overwrite: bool, directory:
 
 
 def is_stream(path: Path) -> bool:
-    """Tell whether a path is a device or named pipe, which nothing may be renamed over."""
+    """Return whether a path is a device or named pipe, which must not be replaced."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def beside(path: Path) -> Path:
-    """Return a hidden neighbour of a path, on the same file system, for what is not complete yet."""
+    """Return a hidden temporary path in the same directory."""
     return path.with_name(f".{_stem(path)}.{_host()}.{os.getpid()}.{os.urandom(4).hex()}.partial")
 
 
 def place(partial: Path, path: Path, *, overwrite: bool) -> None:
-    """Give a complete file or directory its name, at once.
+    """Rename a complete file or directory to its final name, atomically.
 
-    What is replaced hands on its permissions, and what replaces it is on the disk first; where nothing is replaced
-    the input is still there, and the system may write when it likes.
+    A replacement keeps the permissions of the old file and is flushed to disk first; a new file is not flushed.
 
     Raises
     ------
     BagError
-        Where something has that name by now and must not be replaced.
+        If the name is taken by now and overwrite is false.
 
     """
     try:
@@ -100,7 +99,7 @@ def place(partial: Path, path: Path, *, overwrite: bool) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a hidden file or directory, and what sqlite3 has beside it."""
+    """Remove a hidden file or directory, and sqlite3's files beside it."""
     for one in [path, *path.parent.glob(f"{glob.escape(path.name)}-*")]:
         if one.is_dir() and not one.is_symlink():
             shutil.rmtree(one, ignore_errors=True)
@@ -109,9 +108,9 @@ def remove(path: Path) -> None:
 
 
 def sweep(directory: Path, name: str | None = None) -> None:
-    """Remove what processes of this machine had half written that are no more.
+    """Remove incomplete outputs of processes of this machine that no longer exist.
 
-    name : of the output they were writing; None is any
+    name : name of the output; None for any
     """
     if not directory.is_dir():
         return
@@ -144,7 +143,7 @@ def _alive(pid: int) -> bool:
 
 
 def _rename_new(partial: Path, path: Path) -> None:
-    """Rename to a name that nothing has; where the system cannot, that name is taken first."""
+    """Rename without replacing; where the kernel cannot, the name is reserved first."""
     if _rename_flagged(partial, path, _NO_REPLACE):
         return
     if partial.is_dir():
@@ -167,7 +166,7 @@ def _replace(partial: Path, path: Path) -> None:
 
 
 def _rename_flagged(partial: Path, path: Path, flag: int) -> bool:
-    """Rename by renameat2; tell whether there is such a call."""
+    """Rename by renameat2; return whether the call exists."""
     call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None
     if call is None:
         return False

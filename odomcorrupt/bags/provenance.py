@@ -1,4 +1,4 @@
-"""How a bag came about, as this program noted it in the bag: seed, run, version and model of earlier corruptions."""
+"""Provenance metadata of a bag: seed, run, version and model of earlier corruptions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NAME = "odomcorrupt"
 
 
 class ProvenanceWatcher:
-    """Looks at blocks as they go by, and collects what earlier corruptions noted; a ROS 1 bag has no place for it.
+    """Collects the metadata of earlier corruptions from blocks; a ROS 1 bag has none.
 
     watch : also called with every block
     """
@@ -32,18 +32,18 @@ class ProvenanceWatcher:
         self._found: list[dict[str, str]] = []
 
     def __call__(self, block: Block) -> None:
-        """Take note of a block."""
+        """Read the metadata of a block."""
         if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
             content = block.data.tobytes()[RECORD_HEADER_BYTES:]
             try:
                 if _name_of(content) == NAME:
                     self._found.append(mapping_of(content))
             except (struct.error, UnicodeDecodeError, ValueError):
-                pass  # somebody else's record of this name
+                pass  # a record of another program with this name
         self._watch(block)
 
     def provenance(self, source: Path | None) -> tuple[dict[str, str], ...]:
-        """Return what was noted, the latest corruption last; of a rosbag2 directory, what its metadata.yaml says."""
+        """Return the metadata, latest corruption last; of a rosbag2 directory, that in its metadata.yaml."""
         if self._found or source is None or not source.is_dir():
             return tuple(self._found)
         from odomcorrupt.bags.rosbag2.metadata import read_info  # noqa: PLC0415 - YAML is slow to import
@@ -65,7 +65,7 @@ def _name_of(content: bytes) -> str:
 
 
 def mapping_of(content: bytes) -> dict[str, str]:
-    """Return the strings of a metadata record's content, by their keys."""
+    """Return the key-value strings of a metadata record's content."""
     words: list[str] = []
     at = 4 + struct.unpack_from("<I", content)[0]
     at += 4

@@ -1,4 +1,4 @@
-"""What could not be read of a damaged bag, told to somebody who asked for recovery."""
+"""Sentences on what recovery could not read of a damaged bag."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ _ADVICE = re.compile(r"[;,]? *(?:try )?--recover\b.*\Z", re.DOTALL)
 
 
 def loss_of(error: BagError) -> str:
-    """Return an error's sentence without its way out: recovery is under way."""
+    """Return an error's message without its advice to use --recover."""
     return _ADVICE.sub("", str(error))

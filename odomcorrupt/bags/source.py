@@ -1,4 +1,4 @@
-"""The bytes of a bag in order, from a file or a pipe, with every claimed length checked before it is believed."""
+"""Sequential reading of a bag's bytes from a file or a pipe; every stated length is checked before use."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _LARGEST_BYTES = 1 << 32
 class Source:
     """A bag's bytes, read forwards.
 
-    name : what errors call it
-    size : of the file in bytes, or None for a pipe
+    name : name in error messages
+    size : file size in bytes, or None for a pipe
     position : bytes read so far
-    shelf : where chunks are put
-    budget : how much may come out of them
+    shelf : allocator of chunk buffers
+    budget : limit of decompressed bytes
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -63,7 +63,7 @@ class Source:
         return source
 
     def spooled(self) -> Self:
-        """Return the rest of a pipe as a file without a name, in which one can go back."""
+        """Return the rest of a pipe as a source on a temporary, seekable file."""
         stream = tempfile.TemporaryFile(prefix="odomcorrupt")  # noqa: SIM115 - closed by the source that is returned
         try:
             shutil.copyfileobj(self._stream, stream, _BUFFER_BYTES)
@@ -78,7 +78,7 @@ class Source:
         return source
 
     def sniff(self, size: int) -> bytes:
-        """Return the first bytes without stepping over them; fewer where the input is shorter."""
+        """Return the first bytes without consuming them; fewer where the input is shorter."""
         try:
             while len(self._ahead) < size and (more := self._stream.read(size - len(self._ahead))):
                 self._ahead += more
@@ -87,13 +87,13 @@ class Source:
         return self._ahead[:size]
 
     def seek(self, position: int) -> None:
-        """Go to a byte of a file."""
+        """Seek to a byte of a file."""
         self._stream.seek(position)
         self._ahead = b""
         self.position = position
 
     def skip_to(self, position: int) -> bool:
-        """Go forwards to a byte; return whether the input reaches so far."""
+        """Skip forwards to a byte; return whether the input is that long."""
         if self.size is not None:
             self.seek(min(position, self.size))
             return position <= self.size
@@ -105,7 +105,7 @@ class Source:
         return True
 
     def require(self, size: int, what: str) -> None:
-        """Refuse a length that reaches beyond the file."""
+        """Raise BagError for a length beyond the end of the file."""
         if self.size is not None and size > self.size - self.position:
             raise self.cut(what, size, self.size - self.position)
 
@@ -117,7 +117,7 @@ class Source:
         )
 
     def read(self, size: int, what: str) -> bytes:
-        """Read exactly so many bytes, meant for small things."""
+        """Return exactly `size` bytes; for small records."""
         if not self._ahead and size <= _TRUSTED_BYTES:
             self.require(size, what)
             try:
@@ -136,11 +136,11 @@ class Source:
         return bytes(small)
 
     def at_end(self) -> bool:
-        """Tell whether nothing is left."""
+        """Return whether the input is at its end."""
         return not self.sniff(1)
 
     def read_array(self, size: int, what: str) -> NDArray[np.uint8]:
-        """Read exactly so many bytes into a writable array of their own."""
+        """Return exactly `size` bytes in a new writable array."""
         self.require(size, what)
         if self.size is not None or size <= _TRUSTED_BYTES:
             data = self.shelf.place(size)
@@ -155,7 +155,7 @@ class Source:
         return np.concatenate(pieces)
 
     def read_scratch(self, size: int, what: str) -> memoryview:
-        """Read exactly so many bytes into a buffer that the next call uses again."""
+        """Return exactly `size` bytes in a buffer that the next call overwrites."""
         self.require(size, what)
         if self.size is None and size > max(_TRUSTED_BYTES, self._scratch.size):
             return self.read_array(size, what).data
@@ -180,7 +180,7 @@ class Source:
         self.position += begin
 
     def close(self) -> None:
-        """Close a file; a pipe belongs to who gave it."""
+        """Close a file; a pipe is left to the caller."""
         if self._owned:
             self._stream.close()
 

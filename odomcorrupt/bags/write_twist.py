@@ -1,4 +1,4 @@
-"""Write speed commands as an MCAP of geometry_msgs/Twist, to be played to a robot's base."""
+"""Speed commands as an MCAP of geometry_msgs/Twist, for playback to a robot's base."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _CDR = b"\x00\x01\x00\x00"
 def write_twists(
     target: BinaryIO, times_s: NDArray[np.float64], twist: NDArray[np.float64], topic: str = "/cmd_vel"
 ) -> None:
-    """Write one message for every command.
+    """Write an MCAP with one Twist message for each command.
 
     Parameters
     ----------
     target : a binary stream
     times_s : (n,)
-        Since the first command, seconds; they become log times.
+        Times since the first command, seconds; used as log times.
     twist : (n, 3)
         Forward and leftward speed, m/s, and turn rate, rad/s.
     topic : of the commands
 
     """
-    from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - only whoever plans a drive needs it
+    from mcap.writer import CompressionType, Writer  # noqa: PLC0415 - only needed to plan a drive
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - as above
 
     text, _ = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(_TYPE, ros_version=2)

@@ -31,7 +31,7 @@ LARGE_BYTES = 2 << 30
 """Of larger bags half as many: what a kill interrupts is made again."""
 
 RESTARTS = 3
-"""How often a pool whose worker died is begun anew."""
+"""Maximum number of restarts of a pool whose worker died."""
 
 
 class Shard:
@@ -125,7 +125,7 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
 
 
 _news: Any = None
-"""In a worker: where to tell how far it has got, None where nobody listens."""
+"""In a worker: queue for progress messages; None without a listener."""
 
 
 def _prepare_worker(news: Any) -> None:

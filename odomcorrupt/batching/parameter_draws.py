@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = ["Spread", "draw_robot", "drawn_values", "spreads_of", "stated_spreads"]
 
 TRIES = 1000
-"""How often a value beyond its bounds is drawn anew: what is drawn is a normal cut off there."""
+"""Maximum number of draws until a value is within its bounds: the distribution is a truncated normal."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,14 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voi
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
-    from odomcorrupt.trajectories.particles import cloud_along, cloud_of, csv_text, json_text, places_along, report_text
+    from odomcorrupt.trajectories.particles import (
+        csv_text,
+        json_text,
+        particles_at,
+        places_along,
+        report_text,
+        sample_particles,
+    )
     from odomcorrupt.trajectories.reader import read_drive
 
     taken = [name for name in ("example", "start", "end") if given[name] is not None]
@@ -47,14 +54,14 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voi
     runs = given["count"] or DEFAULT_RUNS
     condition = choose_condition(given, bag, drive.frame_id)
     if condition is None:
-        cloud = cloud_along(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
+        cloud = sample_particles(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
     else:
         places = places_along(drive, every)
         free = free_paths(
             drive.stamps_ns, drive.xyt, chosen.motion_model, condition.space, seed=seed, runs=range(runs),
             places=places, check=condition.check, tries=condition.tries,
         )  # fmt: skip
-        cloud = cloud_of(drive, places, free.xyt, seed)
+        cloud = particles_at(drive, places, free.xyt, seed)
         voice.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
     text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"

@@ -33,15 +33,15 @@ def command(
     """Show a bag's topics, frames and edges, how its robot moved, what is odd, and which topics tell the truth."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.bags.provenance import ProvenanceWatcher
-    from odomcorrupt.info.scan import survey
-    from odomcorrupt.info.summary import brief, portrait, portrait_text
+    from odomcorrupt.info.scan import scan_bag
+    from odomcorrupt.info.summary import brief, summarise, summary_text
 
     source = source_of(input_)
     with open_reader(source, recover=recover) as reader, Progress(quiet=voice.quiet) as progress:
         watcher = ProvenanceWatcher(progress)
-        seen = survey(reader, watcher)
+        seen = scan_bag(reader, watcher)
         losses = list(reader.losses)
-    values = portrait(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
+    values = summarise(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     values["provenance"] = [*watcher.provenance(source)]
-    voice.say(brief(values, input_), portrait_text(values), finite(values))
+    voice.say(brief(values, input_), summary_text(values), finite(values))
     return report_losses(losses)

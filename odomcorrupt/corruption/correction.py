@@ -27,7 +27,7 @@ PATIENCE_NS = 1_000_000_000
 """How far the odometry may lag behind a message, log time; putting it in order takes as long again."""
 
 MEMORY_NS = 10_000_000_000
-"""How far back in log time the curve is remembered."""
+"""Log time for which samples of the curve are kept."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 __all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
 
 LEG_M = 10.0
-"""Drift is told per this many metres: of the pose after them as seen from the pose before them."""
+"""Length of a leg, metres: the drift of its end pose relative to its start pose is reported."""
 
 MARKS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)
-"""Distances after which the drift of many runs is told, besides the end."""
+"""Distances at which the drift of many runs is reported, besides the end, metres."""
 
 
 @dataclass(frozen=True, slots=True)

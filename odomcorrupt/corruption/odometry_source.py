@@ -57,7 +57,7 @@ class Driver:
 
     @property
     def elsewhere(self) -> str:
-        """Name of the bag's other odometry topics or of the frames, as the end of an error message."""
+        """Advice to name another topic, or an edge of TF with its frames, as the end of an error message."""
         if self.by_edge and self._edges:
             return (
                 f" (TF has {', '.join(sorted(self._edges)[:12])}); name one of these with --odom-frame and --base-frame"

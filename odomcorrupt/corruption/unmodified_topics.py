@@ -38,7 +38,7 @@ PLACED = {
     "visualization_msgs/msg/Marker": 0,
     "visualization_msgs/msg/MarkerArray": 4,
 }
-"""Messages that tell the truth where they are placed in the odom frame, and at which byte their (first) header is."""
+"""Message types that contain the true motion if given in the odom frame, and the byte of their (first) header."""
 
 
 LARGE = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.messages import Layout
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["EdgeRecord", "OdometryRecord", "Survey", "TopicRecord", "survey"]
+__all__ = ["BagScan", "EdgeRecord", "OdometryRecord", "TopicRecord", "scan_bag"]
 
 
 @dataclass(slots=True)
@@ -82,7 +82,7 @@ class EdgeRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class Survey:
+class BagScan:
     """Topics by name, odometry, TF edges and frames by channel id (see `corruption.unmodified_topics`) of a bag."""
 
     topics: dict[str, TopicRecord]
@@ -102,7 +102,7 @@ class _Odometry:
     columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 
 
-def survey(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> Survey:
+def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -> BagScan:
     """Return the topics, odometry and TF edges of a bag, from one pass; `watch` is called with every block.
 
     Raises
@@ -137,7 +137,7 @@ def survey(reader: BagReader, watch: Callable[[Block], None] = lambda _: None) -
                         edges[key].append(
                             (stamps_or_log_ns(block, layout, item_number), _xyt(block, layout, item_number), zeros)
                         )
-    return Survey(
+    return BagScan(
         dict(sorted(topics.items())),
         tuple(_odometry(topic, taken) for topic, taken in sorted(odometry.items())),
         tuple(

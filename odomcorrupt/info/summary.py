@@ -20,19 +20,19 @@ from odomcorrupt.standard_streams import visible
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odomcorrupt.info.scan import EdgeRecord, Survey
+    from odomcorrupt.info.scan import BagScan, EdgeRecord
 
-__all__ = ["SCHEMA", "brief", "portrait", "portrait_text"]
+__all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
 
 SCHEMA = 2
-"""Version of the values that `portrait` returns."""
+"""Version of the values that `summarise` returns."""
 
 AGREE_M = 0.01
 """Odometry and TF that differ by less agree."""
 
 
-def portrait(
-    survey: Survey, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None
+def summarise(
+    scan: BagScan, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None
 ) -> dict[str, Any]:
     """Return a bag's summary as JSON-compatible values: metres, radians, seconds.
 
@@ -42,11 +42,11 @@ def portrait(
         If `odom_topic` is not an odometry topic of the bag.
 
     """
-    driver = _driver(survey, odom_topic)
+    driver = _driver(scan, odom_topic)
     frames = _frames(driver, odom_frame, base_frame)
-    drives = survey.odometry
+    drives = scan.odometry
     if not drives and frames is not None:
-        drives = _edge_that_drives(survey, frames, odom_topic)
+        drives = _edge_that_drives(scan, frames, odom_topic)
         driver = drives[0] if drives else None
     moved = {o.topic for o in drives if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
     return {
@@ -56,12 +56,12 @@ def portrait(
         "base_frame": None if frames is None else frames.base,
         "topics": [
             {"topic": t.topic, "type": t.msgtype, "messages": t.count, "rate_hz": t.rate_hz}
-            for t in survey.topics.values()
+            for t in scan.topics.values()
         ],
-        "odometry": [_odometry(o, survey, frames, moved=o.topic in moved) for o in drives],
-        "edges": [_edge(e, frames) for e in survey.edges],
-        "still_true": [] if frames is None else truth_tellers(survey.channels, moved, survey.placed, frames.odom),
-        "remarks": _remarks(survey, driver, frames, asked_frame=odom_frame),
+        "odometry": [_odometry(o, scan, frames, moved=o.topic in moved) for o in drives],
+        "edges": [_edge(e, frames) for e in scan.edges],
+        "still_true": [] if frames is None else truth_tellers(scan.channels, moved, scan.placed, frames.odom),
+        "remarks": _remarks(scan, driver, frames, asked_frame=odom_frame),
     }
 
 
@@ -70,7 +70,7 @@ def brief(values: dict[str, Any], name: str) -> Summary:
 
     Parameters
     ----------
-    values : as `portrait` returns them, with the bag's provenance
+    values : as `summarise` returns them, with the bag's provenance
     name : of the bag
     """
     lines = []
@@ -107,15 +107,15 @@ def provenance_words(provenance: Mapping[str, str]) -> str:
     return ", ".join(["before", *parts, *model])
 
 
-def _driver(survey: Survey, asked: str | None) -> OdometryRecord | None:
+def _driver(scan: BagScan, asked: str | None) -> OdometryRecord | None:
     if asked is None:
-        return survey.odometry[0] if len(survey.odometry) == 1 else None
-    for record in survey.odometry:
+        return scan.odometry[0] if len(scan.odometry) == 1 else None
+    for record in scan.odometry:
         if plain(record.topic) == plain(asked):
             return record
-    if not survey.odometry and any(plain(edge.topic) == plain(asked) for edge in survey.edges):
+    if not scan.odometry and any(plain(edge.topic) == plain(asked) for edge in scan.edges):
         return None
-    topics = ", ".join(o.topic for o in survey.odometry) or "no topic"
+    topics = ", ".join(o.topic for o in scan.odometry) or "no topic"
     raise TopicError(f"{asked}: is no nav_msgs/Odometry with messages ({topics} is); name another one")
 
 
@@ -127,9 +127,9 @@ def _frames(driver: OdometryRecord | None, odom: str | None, base: str | None) -
     return Frames(stated if odom is None else plain(odom), child or None)
 
 
-def _edge_that_drives(survey: Survey, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
+def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple[OdometryRecord, ...]:
     """Return the TF edge between odom and base as odometry; empty where there is none."""
-    for edge in survey.edges:
+    for edge in scan.edges:
         asked = "static" not in edge.topic if topic is None else plain(edge.topic) == plain(topic)
         if asked and {edge.parent, edge.child} == {frames.odom, frames.base}:
             xyt = edge.xyt if edge.parent == frames.odom else inverse(edge.xyt)
@@ -143,9 +143,9 @@ def _edge_that_drives(survey: Survey, frames: Frames, topic: str | None) -> tupl
     return ()
 
 
-def _odometry(record: OdometryRecord, survey: Survey, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
+def _odometry(record: OdometryRecord, scan: BagScan, frames: Frames | None, *, moved: bool) -> dict[str, Any]:
     found = findings(record)
-    edge = None if frames is None else _own_edge(record, survey)
+    edge = None if frames is None else _own_edge(record, scan)
     off = None
     if edge is not None:
         off = disagreement_m(record, edge, turned=edge.parent != plain(record.frame))
@@ -156,9 +156,9 @@ def _odometry(record: OdometryRecord, survey: Survey, frames: Frames | None, *, 
     }  # fmt: skip
 
 
-def _own_edge(record: OdometryRecord, survey: Survey) -> EdgeRecord | None:
+def _own_edge(record: OdometryRecord, scan: BagScan) -> EdgeRecord | None:
     ends = {plain(record.frame), plain(record.child)}
-    return next((e for e in survey.edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
+    return next((e for e in scan.edges if {e.parent, e.child} == ends and "static" not in e.topic), None)
 
 
 def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
@@ -170,30 +170,30 @@ def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
 
 
 def _remarks(
-    survey: Survey, driver: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
+    scan: BagScan, driver: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
 ) -> list[str]:
     said = []
-    if not survey.odometry and driver is not None:
+    if not scan.odometry and driver is not None:
         said.append("no nav_msgs/Odometry topic: TF drives the model")
-    elif not survey.odometry and frames is not None:
+    elif not scan.odometry and frames is not None:
         ends = f"{frames.odom} and {frames.base or 'a base'}"
         said.append(f"no nav_msgs/Odometry topic, and no transform between {ends}: name an edge of the table")
-    elif not survey.odometry:
-        way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if survey.edges else ""
+    elif not scan.odometry:
+        way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if scan.edges else ""
         said.append(f"no nav_msgs/Odometry topic{way_out}")
     elif driver is None:
         said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
     elif frames is None and asked_frame is None:
         said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
-    said += frame_faults([(e.parent, e.child) for e in survey.edges], odom, base)
+    said += frame_faults([(e.parent, e.child) for e in scan.edges], odom, base)
     if frames is not None:
         said += [
             f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
-            for e in survey.edges
+            for e in scan.edges
             if "static" in e.topic and side_of(e.parent, e.child, frames) is not None
         ]
-        if not any(side_of(e.parent, e.child, frames) for e in survey.edges):
+        if not any(side_of(e.parent, e.child, frames) for e in scan.edges):
             said.append(f"no transform from or to {frames.odom} would move")
     return said
 
@@ -207,7 +207,7 @@ def _visible(value: Any) -> Any:
     return visible(value) if isinstance(value, str) else value
 
 
-def portrait_text(values: dict[str, Any]) -> str:
+def summary_text(values: dict[str, Any]) -> str:
     """Return a bag's summary as text: tables of topics and edges, then sentences."""
     values = _visible(values)
     by_topic = {o["topic"]: o for o in values["odometry"]}

@@ -1,12 +1,12 @@
-"""A wheel-level simulator of recordings: an oracle that knows wheels, ground and clocks only.
+"""Wheel-level simulator of recordings with known faults, independent of the effects library.
 
-The layers, each its own file and its own random streams::
+The layers, each with a file and random streams of its own::
 
     route -> motor -> gear -> tyres, grip, contact -> encoders + driver -> odometry
                                                   `-> tracker           -> truth
 
-A cause is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock, a marker); nothing in here knows how
-such a change looks as an error of the odometry. That is what makes it a judge of those who claim to know.
+A fault is a change of the *machine* (a radius, a track, a tyre, a gyro, a clock, a marker). The simulator contains no
+formula for the resulting odometry error, so it is an independent test of the diagnosis.
 """
 
 from odomcorrupt.simulation.bag import write_mcap

@@ -1,4 +1,4 @@
-"""Recordings as ROS 2 MCAP files: messages serialised as arrays of bytes, one row each."""
+"""Recordings as ROS 2 MCAP files, with messages serialised as rows of a byte array."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,7 +23,7 @@ _MARK_SEC, _MARK_NANOSEC = 0x5EC05EC, 0x2A205EC
 
 
 def odometry(run: SimulatedRun) -> np.ndarray:
-    """Return the Odometry messages, odom to base_link."""
+    """Return the serialised Odometry messages (odom to base_link), one per row."""
     x, y, qz, qw, forward, left, turn = _MARKS
     pose = _new("PoseWithCovariance", pose=_pose(x, y, qz, qw), covariance=_spread(1e-3, 1e-3, 1e-2))
     twist = _new("Twist", linear=_vector(forward, left), angular=_vector(0.0, 0.0, turn))
@@ -38,7 +38,7 @@ def odometry(run: SimulatedRun) -> np.ndarray:
 
 
 def links(run: SimulatedRun) -> np.ndarray:
-    """Return the same as transforms."""
+    """Return the odometry as serialised TFMessages, one per row."""
     x, y, qz, qw = _MARKS[:4]
     link = _new("Transform", translation=_vector(x, y), rotation=_turned(qz, qw))
     stamped = _new("TransformStamped", header=_header("odom"), child_frame_id="base_link", transform=link)
@@ -47,7 +47,7 @@ def links(run: SimulatedRun) -> np.ndarray:
 
 
 def poses(run: SimulatedRun) -> np.ndarray:
-    """Return the truth's PoseStamped messages, in world."""
+    """Return the truth as serialised PoseStamped messages in world, one per row."""
     message = _new("PoseStamped", header=_header("world"), pose=_pose(*_MARKS[:4]))
     return _fill(message, TYPES["/ground_truth"], run.truth_stamps_ns, _planar(run.truth_xyt))
 
@@ -57,14 +57,14 @@ def _planar(xyt: np.ndarray) -> np.ndarray:
 
 
 def _fill(message: Any, typename: str, stamps_ns: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Return serialised messages, one a row: copies of one with marks, in which stamps and numbers are put.
+    """Return serialised messages, one per row: copies of a template with marks replaced by stamps and numbers.
 
     Parameters
     ----------
     stamps_ns : ndarray of int64, shape (n,)
         Stamps of the headers.
     numbers : ndarray, shape (n, k)
-        What replaces the first k marks.
+        Values for the first k marks.
     """
     one = bytes(STORE.serialize_cdr(message, typename))
     rows = np.tile(np.frombuffer(one, dtype=np.uint8), (len(stamps_ns), 1))
@@ -121,15 +121,15 @@ def write_mcap(
     Parameters
     ----------
     run : SimulatedRun
-        The recording; its answer is not written.
+        The recording; its ground-truth fault is not written.
     target : str, Path or binary stream
-        The file to make.
+        The output file.
     odom_topic, truth_topic : str
         Topics of the Odometry (odom to base_link) and of the PoseStamped (in world).
     tf : bool
         Whether /tf repeats the odometry as odom to base_link.
     metadata : mapping of str, optional
-        What to say of the bag in its metadata record ``simulate``.
+        Content of the metadata record ``simulate``.
     """
     if isinstance(target, str | Path):
         with Path(target).open("wb") as file:
@@ -141,7 +141,7 @@ def write_mcap(
     stamps_ns = np.concatenate([stamps for _, _, stamps, _ in topics])
     sizes = [len(stamps) for _, _, stamps, _ in topics]
     places = np.column_stack((np.repeat(np.arange(len(sizes)), sizes), np.concatenate([np.arange(n) for n in sizes])))
-    # of one stamp, odometry comes before its transform, and both before the truth
+    # at equal stamps: odometry, transform, truth
     order = np.lexsort((places[:, 0], stamps_ns))
     writer: Any = Writer(target, compression=CompressionType.ZSTD)
     writer.start(profile="ros2", library="wheelsim")

@@ -1,4 +1,4 @@
-"""Following a list of speed commands, as a robot's base does when a bag of /cmd_vel is played to it."""
+"""Simulation of a base controller that follows recorded /cmd_vel commands."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ TYPES = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """What /cmd_vel says: times since the first command, s, forward speeds, m/s, and turn rates, rad/s; shape (n,)."""
+    """Speed commands: times since the first command (s), forward speeds (m/s), turn rates (rad/s); shape (n,) each."""
 
     times_s: np.ndarray
     v_mps: np.ndarray
@@ -24,12 +24,12 @@ class Commands:
 
     @property
     def duration_s(self) -> float:
-        """How long following takes, with a rest before and after, s."""
+        """Duration of the commands with a rest before and after, s."""
         return float(self.times_s[-1]) + 2.0 * REST_S
 
 
 def obey(commands: Commands, grid_s: np.ndarray) -> np.ndarray:
-    """Return the speeds the base's controller sets: the last command, approached at limited acceleration.
+    """Return the speeds set by the base's controller: the last command, with limited acceleration.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def _approach(wanted: list[float], change: float) -> list[float]:
 
 
 def read_commands(path: str | Path, topic: str | None = None) -> Commands:
-    """Read the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory).
+    """Return the speed commands of a bag (MCAP file, ROS 1 bag or rosbag2 directory).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def read_commands(path: str | Path, topic: str | None = None) -> Commands:
     TopicError
         If it has no such topic, several, or no command.
     """
-    from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415 - only whoever plays a bag needs it
+    from rosbags.highlevel import AnyReader, AnyReaderError  # noqa: PLC0415 - only needed to play a bag
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - as above
 
     try:

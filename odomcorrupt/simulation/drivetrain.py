@@ -1,4 +1,4 @@
-"""From commanded speeds to wheel angles: the controller with its motors, and the gear behind the encoder."""
+"""Drivetrain: wheel angles from commanded speeds, through motor controller, motors and gear."""
 
 import numpy as np
 from scipy.signal import lfilter
@@ -17,9 +17,9 @@ def wheel_angles(
     ripple: float,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return how far each motor has turned, in turns of its wheel's axle.
+    """Return the motor angles over time, at the wheels' axles.
 
-    The motor controller, like the driver, knows the nominal machine only: the angles do not depend on its flaws.
+    The motor controller, like the odometry driver, uses nominal dimensions: the angles do not depend on the faults.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def wheel_angles(
     step_s : float
         Grid step, s.
     ripple : float
-        Relative speed ripple by cogging; the speed controller's hunting goes with it. 0 is a perfect motor.
+        Relative speed ripple by cogging; the controller's hunting is proportional to it. 0 is a perfect motor.
 
     Returns
     -------
@@ -50,20 +50,19 @@ def wheel_angles(
 
 
 def turn_wheels(motor_rad: np.ndarray, robot: Robot) -> np.ndarray:
-    """Return how far the wheels turn when the motors turn so far.
+    """Return the wheel angles for given motor angles, with gear backlash.
 
-    With play, a motor carries its wheel on the flank it pushes; whoever turns back crosses the gap first.
-    It begins with the forward flanks touching.
+    After a reversal a motor crosses the gap before it moves its wheel. Initially the forward flanks touch.
 
     Parameters
     ----------
     motor_rad : ndarray, shape (n, 2)
-        Right and left motor, in turns of the wheel's axle, rad.
+        Right and left motor angle at the wheel's axle, rad.
 
     Returns
     -------
     ndarray, shape (n, 2)
-        Right and left wheel, rad.
+        Right and left wheel angle, rad.
     """
     if robot.gear_play_m == 0.0:
         return motor_rad

@@ -1,4 +1,4 @@
-"""What the robot itself reports: ticks, perhaps a gyro, and the driver's dead reckoning with nominal numbers."""
+"""Odometry of the robot: encoder ticks, optionally a gyro, and dead reckoning with nominal dimensions."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from odomcorrupt.simulation.streams import Streams
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """The robot's electronics and its floor, whichever flaw it has."""
+    """Noise of the robot's electronics, motors and floor contact, independent of its faults."""
 
     odom_hz: float = 50.0
     sampling_jitter_s: float = 0.001
@@ -27,7 +27,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """The driver's output: true sampling times (s), stamps (s, odometry clock), poses (n, 3) and body twists (n, 3)."""
+    """Odometry output: stamps (s, odometry clock), poses (n, 3) in m and rad, body twists (n, 3) in m/s and rad/s."""
 
     stamps_s: np.ndarray
     xyt: np.ndarray
@@ -42,7 +42,7 @@ def jittered_times(duration_s: float, rate_hz: float, jitter_s: float, rng: np.r
 
 
 def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generator) -> np.ndarray:
-    """Return the wheel angle an encoder knows of: the last edge passed; rad."""
+    """Return wheel angles as measured by an encoder (the last edge passed), rad."""
     phase = rng.uniform(size=2)
     if tick_rad is None:
         return angle_rad
@@ -50,15 +50,14 @@ def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generato
 
 
 def reckon(drive: Drive, robot: Robot, rig: Rig, yaw_from: str, streams: Streams) -> Odometry:
-    """Run the driver over a drive.
+    """Return the odometry of a drive.
 
     Parameters
     ----------
     drive : Drive
-        What truly happened; the motors show their angle, and only the heading sensor feels the body, and only its
-        heading.
+        True motion; only the motor angles, and the body's heading through the heading sensor, are measured.
     yaw_from : {"encoders", "gyro"}
-        Where the driver takes the turn of each interval from.
+        Source of the turn of each interval.
     """
     clock = streams.open("odom_clock")
     times_s = jittered_times(drive.grid_s[-1], rig.odom_hz, rig.sampling_jitter_s, clock)
@@ -87,7 +86,7 @@ def _tick_rad(robot: Robot, rig: Rig) -> float | None:
 
 
 def _felt(drive: Drive, times_s: np.ndarray, robot: Robot, rig: Rig, streams: Streams) -> np.ndarray:
-    """Return the turn of each interval by the heading sensor, rad."""
+    """Return the turn of each interval as measured by the heading sensor, rad."""
     interval_s = np.diff(times_s)
     noise_rad = rig.gyro_noise_rad_per_sqrt_s * np.sqrt(interval_s) * streams.open("gyro").normal(size=interval_s.size)
     heading_rad = np.interp(times_s, drive.grid_s, drive.true_xyt[:, 2])

@@ -1,4 +1,4 @@
-"""Which flaws a robot has: drawn by name and size, given, or left to chance."""
+"""Selection of a robot's faults: given, or drawn at random, with parameters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ EVERY = {**CAUSES, **OUTSIDE}
 """All causes, those of the table and those of no library."""
 SIZES = {"weak": 0.5, "medium": 1.0, "strong": 2.0}
 TWINS = {"lever_arm", "icr_shift"}
-"""Causes that no recording can tell apart: a mixture of them would be one cause."""
+"""Aliased faults, which no recording can distinguish: a mixture of them would be one fault."""
 _LOT = {"none": 0.2, "one": 0.5, "two": 0.15, "outside": 0.15}
 
 
 def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
-    """Draw the parameters of a cause: magnitude log-uniform over its range times `size`, sign at random.
+    """Return random parameters of a fault: magnitude log-uniform over its range times `size`, random sign.
 
-    Where the cause sits on the floor is not among them.
+    The place of a fault on the floor is not among them.
 
     Parameters
     ----------
     cause : str
         A key of `EVERY`.
     size : float
-        Multiplies the magnitude; 1 is the realistic medium.
+        Factor on the magnitude; 1 is realistic.
     """
     flaw = EVERY[cause]
     magnitude = size * float(np.exp(rng.uniform(np.log(flaw.low), np.log(flaw.high))))
@@ -38,12 +38,12 @@ def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
 def draw_flaw(
     cause: str, size: float, robot_seed: int, path: np.ndarray | None, given: Parameters | None = None
 ) -> Drawn:
-    """Return all parameters of a cause: the given ones, the others drawn.
+    """Return all parameters of a fault, with those not given drawn at random.
 
     Parameters
     ----------
     path : ndarray of complex, or None
-        Where the robot is about to go in the truth frame, m; for causes that have a place.
+        Planned path in the truth frame, x + iy in m, for faults that have a place.
 
     Raises
     ------
@@ -69,19 +69,19 @@ def draw_flaw(
 
 
 def spoil(robot: Robot, flaws: Mapping[str, Parameters]) -> Robot:
-    """Return the robot with these flaws."""
+    """Return the robot with these faults."""
     for cause, parameters in flaws.items():
         robot = EVERY[cause].spoil(robot, parameters)
     return robot
 
 
 def source_of_turns(causes: Sequence[str]) -> str:
-    """Return what the driver must take its turns from for these causes to show.
+    """Return the source of turns with which all these faults cause odometry errors.
 
     Raises
     ------
     EffectError
-        If no source shows them all.
+        If there is no such source.
     """
     for source in ("encoders", "gyro"):
         if all(source in EVERY[cause].shows_with for cause in causes):
@@ -90,7 +90,7 @@ def source_of_turns(causes: Sequence[str]) -> str:
 
 
 def names_of(cause: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return the names of one, several or no causes.
+    """Return the names of one, several or no faults.
 
     Raises
     ------
@@ -107,26 +107,26 @@ def names_of(cause: str | Sequence[str] | None) -> tuple[str, ...]:
 
 
 def is_placed(causes: Sequence[str]) -> bool:
-    """Tell whether one of these causes sits somewhere on the floor."""
+    """Return whether one of these faults has a place on the floor."""
     return any(EVERY[name].place is not None for name in causes)
 
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """What was drawn in secret: names of causes, and where the driver takes its turns from."""
+    """Randomly drawn faults: their names, and the odometry's source of turns."""
 
     causes: tuple[str, ...]
     yaw_from: str
 
 
 def draw_causes(seed: int, yaw_from: str | None = None) -> Hidden:
-    """Draw what is wrong: nothing, one known cause, two of them, or one that is in no library.
+    """Return randomly drawn faults: none, one of the library, two of them, or one outside the library.
 
     Parameters
     ----------
     yaw_from : {"encoders", "gyro"}, optional
-        Draw only what shows with this source of turns; by default the source is drawn too, and first, so that it
-        does not tell the cause.
+        Draw only faults that matter with this source of turns; by default the source is drawn first, so that it
+        does not reveal the fault.
     """
     rng = stream(seed, "hidden")
     kind = rng.choice(list(_LOT), p=list(_LOT.values()))

@@ -1,4 +1,4 @@
-"""Faults: changes of the machine or its floor, by the names of the effects library, and others that are in no library.
+"""Faults: changes of the machine or floor, named as in the effects library, and others outside the library.
 
 To add one, write a function that turns parameters into a changed `Robot` and enter it in `CAUSES` or `OUTSIDE`.
 """
@@ -17,7 +17,7 @@ Drawn: TypeAlias = dict[str, float | str]
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """One flaw: the range of its magnitude, how a magnitude becomes parameters, and what it does to the machine.
+    """A fault: range of its magnitude, parameters for a magnitude, and change of the machine.
 
     Attributes
     ----------
@@ -26,15 +26,15 @@ class Cause:
     draw : callable
         Magnitude and generator in, parameters out.
     spoil : callable
-        Robot and parameters in, flawed robot out.
+        Robot and parameters in, faulty robot out.
     yaw_from : {"encoders", "gyro"}
-        The driver's source of turns unless one is asked for.
+        Default source of turns of the odometry.
     shows_with : tuple of str
-        Sources of turns with which the flaw is an error of the odometry.
+        Sources of turns with which the fault causes an odometry error.
     place : callable or None
-        Where on the floor it is, drawn along a path (complex, m) of the truth frame.
+        Random place on the floor along a path (complex, m) in the truth frame.
     depends_on : str
-        What the odometry's error depends on, for causes that are in no library.
+        Regressor that the odometry error depends on, for faults outside the library.
     one_signed : bool
         Whether its magnitude (the first parameter) must not be negative.
     """
@@ -51,27 +51,27 @@ class Cause:
 
 
 def either_sign(name: str) -> Callable[[float, np.random.Generator], Drawn]:
-    """Draw the sign of the only parameter."""
+    """Return a draw function for one parameter of random sign."""
     return lambda magnitude, rng: {name: magnitude * rng.choice((-1.0, 1.0))}
 
 
 def positive(name: str) -> Callable[[float, np.random.Generator], Drawn]:
-    """Have one parameter that knows no sign."""
+    """Return a draw function for one non-negative parameter."""
     return lambda magnitude, _: {name: magnitude}
 
 
 def with_angle(name: str, angle: str) -> Callable[[float, np.random.Generator], Drawn]:
-    """Draw a direction, rad, beside the magnitude."""
+    """Return a draw function for a magnitude and a random direction, rad."""
     return lambda magnitude, rng: {name: magnitude, angle: rng.uniform(-np.pi, np.pi)}
 
 
 def spot_on(path: np.ndarray, rng: np.random.Generator) -> tuple[complex, float]:
-    """Draw a centre and a radius, m, of a part of the floor that a drive crosses often without living there.
+    """Return random centre and radius, m, of a part of the floor that a drive crosses often but does not stay in.
 
     Parameters
     ----------
     path : ndarray of complex, shape (n,)
-        Evenly timed places of the truth frame, m.
+        Positions x + iy at even times in the truth frame, m.
     """
     moved = np.abs(np.diff(path, append=path[-1:]))
     way_m = max(float(moved.sum()), 1e-9)
@@ -107,7 +107,7 @@ def _grow_both(robot: Robot, p: Mapping[str, Any]) -> Robot:
 
 
 def _grow_right_shrink_left(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    """Make wheels that turn equally fast roll on a circle of the wanted curvature, the mean radius being nominal."""
+    """Change the radii so that equal wheel speeds give the stated curvature, with nominal mean radius."""
     half = 0.5 * p["curvature"] * robot.nominal_track_m
     return replace(
         robot,
@@ -127,7 +127,7 @@ def _wet(robot: Robot, p: Mapping[str, Any]) -> Robot:
 
 
 def on_path(path: np.ndarray, rng: np.random.Generator) -> Drawn:
-    """Draw a disc that a drive along `path` (complex, m) crosses often."""
+    """Return a random disc that a drive along `path` (complex, m) crosses often."""
     centre, radius_m = spot_on(path, rng)
     return {"x": centre.real, "y": centre.imag, "radius": radius_m}
 
@@ -160,7 +160,7 @@ def _wobble(robot: Robot, p: Mapping[str, Any]) -> Robot:
 
 
 def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
-    """Return how a cause spoils one field of the machine, to which its parameter adds."""
+    """Return a function that adds a fault's parameter to one field of the machine."""
 
     def spoil(robot: Robot, p: Mapping[str, Any]) -> Robot:
         return replace(robot, **{name: getattr(robot, name) + p[parameter]})
@@ -194,7 +194,7 @@ CAUSES: dict[str, Cause] = {
         one_signed=True,
     ),
     "gyro_scale": Cause(0.005, 0.03, either_sign("e"), _adds("e", "gyro_scale"), yaw_from="gyro", shows_with=GYRO),
-    # A tyre can only yield to the side it is pushed to: these two have no negative.
+    # A tyre yields only in the direction of the force: these two are non-negative.
     "side_slip": Cause(0.01, 0.05, positive("k"), _adds("k", "lateral_creep_s"), one_signed=True),
     "accel_slip": Cause(0.02, 0.06, positive("k"), _adds("k", "traction_s2_per_m"), one_signed=True),
     "speed_scale": Cause(0.008, 0.03, either_sign("k"), _adds("k", "growth_s_per_m")),
@@ -256,7 +256,7 @@ def _scrub(robot: Robot, p: Mapping[str, Any]) -> Robot:
 
 
 def _wet_patch(robot: Robot, p: Mapping[str, Any]) -> Robot:
-    """Lay a patch at whose edge one wheel slips before the other: it kicks the robot round."""
+    """Add a patch at whose edge one wheel slips before the other and turns the robot."""
     patch = Slippery(Disc(p["x"], p["y"], p["radius"]), p["slip"], by_wheel=True)
     return replace(robot, floor=replace(robot.floor, slippery=(*robot.floor.slippery, patch)))
 

@@ -1,7 +1,4 @@
-"""Wheels on the floor: how turning wheels move the body.
-
-The wheels roll (`tyres`), the floor takes what it takes (`grip`), and the body turns about where it can.
-"""
+"""Kinematics: motion of the body from wheel angles, with creep, slip and the effective track."""
 
 from dataclasses import dataclass
 
@@ -16,18 +13,18 @@ from odomcorrupt.simulation.tyres import creep_sideways, hold, lose_by_place, ro
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """What truly happened, on a fine grid.
+    """True motion on a fine time grid.
 
     Attributes
     ----------
     grid_s : ndarray, shape (n,)
         True time, s.
     angle_rad : ndarray, shape (n, 2)
-        Turn of the right and left motor in turns of the wheels' axles, rad.
+        Right and left motor angle at the wheels' axles, rad.
     true_xyt : ndarray, shape (n, 3)
-        Base (midway between the wheels) from where it began; m, m, unwrapped rad.
+        Pose of the base (midway between the wheels) relative to the start; m, m, unwrapped rad.
     start_xyt : ndarray, shape (3,)
-        Where it began, in the truth frame; m, m, rad.
+        Start pose in the truth frame; m, m, rad.
     """
 
     grid_s: np.ndarray
@@ -48,16 +45,16 @@ class _Steps:
 def drive(
     grid_s: np.ndarray, angle_rad: np.ndarray, robot: Robot, creep: float, streams: Streams, start_xyt: np.ndarray
 ) -> Drive:
-    """Let the wheels carry the body, from rest at the origin.
+    """Return the true motion of the body, from rest at the origin.
 
     Parameters
     ----------
     grid_s : ndarray, shape (n,)
         Evenly spaced true time, s.
     angle_rad : ndarray, shape (n, 2)
-        Right and left motor angle, in turns of the wheels' axles, rad.
+        Right and left motor angle at the wheels' axles, rad.
     start_xyt : ndarray, shape (3,)
-        Where this is in the truth frame; m, m, rad.
+        Pose of that origin in the truth frame; m, m, rad.
     """
     step_s = grid_s[1] - grid_s[0]
     wheel_rad = turn_wheels(angle_rad, robot)
@@ -97,10 +94,10 @@ def _carry(
 
 
 def _turn(apart_m: np.ndarray, apart_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams) -> np.ndarray:
-    """Return the turn (n,), rad, of a body whose right side goes so much farther (n,), m, on the track of the moment.
+    """Return the turn (n,), rad, of the body for a travel difference right minus left (n,), m, and the effective track.
 
-    The track is the distance of the points about which the sides creep: load, scrub and floor move them. Which way
-    and how fast the machine is turned is said by its wheels (`apart_mps`): random creep moves no load.
+    The effective track depends on load, scrub and floor. Direction and speed of the turn are those of the wheels
+    (`apart_mps`), since random creep shifts no load.
     """
     turn_rad = apart_m / robot.track_m
     if robot.lean != 0.0:

@@ -1,10 +1,10 @@
-"""Rigid motion in the plane: what many small constant-twist steps add up to."""
+"""Rigid motion in the plane, from small steps of constant twist."""
 
 import numpy as np
 
 
 def add_up_steps(forward_m: np.ndarray, left_m: np.ndarray, turn_rad: np.ndarray) -> np.ndarray:
-    """Chain steps of constant body twist, each an exact circular arc, from the origin.
+    """Return the poses reached from the origin by steps of constant body twist, each an exact circular arc.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def attach(pose_xyt: np.ndarray, mounted_xyt: tuple[float, float, float]) -> np.
 
 
 def sample(grid_s: np.ndarray, values: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """Read the columns of a finely gridded signal at other times (headings must be unwrapped).
+    """Return the columns of a finely sampled signal interpolated at other times (headings must be unwrapped).
 
     Parameters
     ----------
@@ -60,5 +60,5 @@ def sample(grid_s: np.ndarray, values: np.ndarray, at_s: np.ndarray) -> np.ndarr
 
 
 def wrap(angle_rad: np.ndarray) -> np.ndarray:
-    """Bring angles into (-pi, pi], rad."""
+    """Return angles wrapped to (-pi, pi], rad."""
     return np.pi - (np.pi - angle_rad) % (2 * np.pi)

@@ -1,4 +1,4 @@
-"""The outcome of a simulated drive: a recording, and its hidden fault in a file whose hash is in the bag."""
+"""Result of a simulated drive: a recording, and its hidden fault in a file whose hash is in the bag."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,23 +19,23 @@ EPOCH_NS = 1_750_000_000_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class SimulatedRun:
-    """A recording and its secret. Poses are m, m, rad wrapped to (-pi, pi]; twists m/s, m/s, rad/s in the body.
+    """A recording and its fault. Poses are m, m, rad wrapped to (-pi, pi]; twists m/s, m/s, rad/s in the body.
 
     Attributes
     ----------
     odom_stamps_ns : ndarray of int64, shape (n,)
-        By the odometry's clock.
+        Stamps of the odometry's clock.
     odom_xyt, odom_twist : ndarray, shape (n, 3)
-        Base in the odometry frame; mean twist since the sample before.
+        Pose of the base in the odometry frame; mean twist since the previous sample.
     truth_stamps_ns : ndarray of int64, shape (m,)
-        By the tracker's clock.
+        Stamps of the tracker's clock.
     truth_xyt : ndarray, shape (m, 3)
-        Tracked frame in the world.
+        Pose of the tracked frame in the world.
     answer : dict
         ``cause`` (str, several joined by +, or None), ``parameters`` of a single cause (names and units as in the
         effects' table), ``causes`` (parameters of each by its name) and ``track_m`` (nominal).
     track_m : float
-        Nominal track, which a user would know; m.
+        Nominal track, m.
     """
 
     odom_stamps_ns: np.ndarray
@@ -48,12 +48,12 @@ class SimulatedRun:
 
 
 def record(odom: Odometry, track: Track, flaws: Mapping[str, Parameters], track_m: float) -> SimulatedRun:
-    """Put together what the driver and the tracker say, and what was wrong.
+    """Return the recording of odometry and tracker, with its faults.
 
     Parameters
     ----------
     flaws : mapping
-        Parameters of each cause by its name.
+        Parameters of each fault by its name.
     track_m : float
         Nominal track, m.
     """
@@ -79,16 +79,14 @@ def _wrapped(xyt: np.ndarray) -> np.ndarray:
 
 
 def format_answer(run: SimulatedRun, seed: int, made: Mapping[str, str | float]) -> str:
-    """Return the answer as TOML.
-
-    A salt makes sure that nobody finds the answer by hashing guesses.
+    """Return the fault as TOML, with a salt against recovery from the hash by guessing.
 
     Parameters
     ----------
     seed : int
-        Seed of the run, which tells all.
+        Seed of the run.
     made : mapping
-        How else the run was made.
+        Other arguments of the run.
     """
     lines = ["schema = 1", f"seed = {seed}", f'salt = "{stream(seed, "salt").bytes(16).hex()}"']
     lines += [f"{name} = {_toml(value)}" for name, value in made.items()]

@@ -14,13 +14,13 @@ class Disc:
     radius_m: float
 
     def holds(self, place: complex) -> bool:
-        """Tell whether a point (x + iy, m) lies in it."""
+        """Return whether a point (x + iy, m) is inside."""
         return abs(place - complex(self.x_m, self.y_m)) < self.radius_m
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A band without ends, as wide as twice `half_m`, whose middle line runs in `direction_rad` through (x, y)."""
+    """An infinite strip of width 2 `half_m`, whose centre line has direction `direction_rad` through (x, y)."""
 
     x_m: float
     y_m: float
@@ -28,14 +28,14 @@ class Strip:
     half_m: float
 
     def holds(self, place: complex) -> bool:
-        """Tell whether a point (x + iy, m) lies in it."""
+        """Return whether a point (x + iy, m) is inside."""
         along = (place - complex(self.x_m, self.y_m)) * np.exp(-1j * self.direction_rad)
         return bool(abs(along.imag) < self.half_m)
 
 
 @dataclass(frozen=True, slots=True)
 class Slippery:
-    """A place where the part `slip` of the way rolled is lost: by each wheel that is in it, or by the whole axle."""
+    """A place where the fraction `slip` of the travel is lost, by each wheel inside or by the whole axle."""
 
     place: Disc | Strip
     slip: float
@@ -45,7 +45,7 @@ class Slippery:
 
 @dataclass(frozen=True, slots=True)
 class Bursts:
-    """Short losses of grip: how many per second, the mean part of the way lost, and how long, s."""
+    """Short losses of grip: rate (1/s), mean fraction of the travel lost, and duration (s)."""
 
     rate_hz: float
     slip: float
@@ -54,7 +54,7 @@ class Bursts:
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """What the wheels roll on; the default is level, dry and the same everywhere."""
+    """The floor; the default is level, dry and uniform."""
 
     slippery: tuple[Slippery, ...] = ()
     bursts: tuple[Bursts, ...] = ()
@@ -83,9 +83,9 @@ DRIVE_TYPES = ("differential", "skid")
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """A machine with one driven wheel, or one driven row of wheels, on each side. The driver knows the nominal only.
+    """A machine with one driven wheel, or row of wheels, on each side; odometry uses the nominal dimensions only.
 
-    New physics is a new field whose default does nothing, read by the layer it belongs to.
+    New physics is a new field without effect at its default, read by the layer it belongs to.
     """
 
     nominal_radius_m: float
@@ -140,7 +140,7 @@ class Robot:
     hard_iron_from_rad: float = 0.0
     """World heading at which this error vanishes on its way up."""
 
-    # what the outside sees of it, and when
+    # tracked marker, and clocks
     marker_xyt: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Tracked frame as seen from the base; m, m, rad."""
     odom_clock_offset_s: float = 0.0
@@ -152,10 +152,10 @@ class Robot:
 
 
 def build_robot(rng: np.random.Generator, drive_type: str = "differential") -> Robot:
-    """Draw a flawless robot: its true wheels and track are the nominal ones.
+    """Return a random robot without faults: its true wheels and track are the nominal ones.
 
-    A skid-steered one turns as if its wheels stood farther apart than they do; its maker has measured how far, and
-    that is its nominal track. What is left is that its tread is dragged in turns.
+    The nominal track of a skid-steered robot is its effective one, larger than the distance of its wheels; its tread
+    is still dragged in turns.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Routes: segments of speed and turn rate, planned for an office or named; nothing steers on the truth."""
+"""Routes: segments of speed and turn rate, random in an office or by name, in open loop."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ ROOM_RADIUS_M = 7.0
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Ease from the speeds before to these within `ramp_s`, then hold them."""
+    """Segment of a route: a ramp of `ramp_s` from the previous speeds to these, then constant for `hold_s`."""
 
     v_mps: float
     omega_radps: float
@@ -22,7 +22,7 @@ class Segment:
 
 @dataclass(slots=True)
 class _Planner:
-    """Dead reckoning on paper: where the plan itself would lead, so that it stays in the room."""
+    """Random planner, with dead reckoning of the plan to stay inside the room."""
 
     rng: np.random.Generator
     place: complex = 0j
@@ -48,7 +48,7 @@ class _Planner:
         return self.to(0.0, 0.0, self.rng.uniform(low_s, high_s))
 
     def side(self) -> float:
-        """+1 left, -1 right: a coin that leans towards the middle of the room the farther out the plan is."""
+        """Return +1 (left) or -1 (right), with higher probability towards the middle of the room farther from it."""
         home_is_left = (-self.place * np.exp(-1j * self.heading_rad)).imag > 0
         lean = 0.25 * min(1.0, abs(self.place) / ROOM_RADIUS_M)
         return 1.0 if self.rng.random() < 0.5 + (lean if home_is_left else -lean) else -1.0
@@ -88,12 +88,12 @@ class _Planner:
 
 
 def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ...]:
-    """Draw an office drive that starts from and ends at rest.
+    """Return a random office drive that starts and ends at rest.
 
     Parameters
     ----------
     duration_s : float
-        The plan is cut so that the robot stands before this time, s.
+        Time before which the robot must be at rest, s.
     """
     planner = _Planner(rng)
     route = [planner.stand(1.5, 2.5)]
@@ -107,7 +107,7 @@ def draw_route(duration_s: float, rng: np.random.Generator) -> tuple[Segment, ..
 
 
 def follow(route: Sequence[Segment], grid_s: np.ndarray) -> np.ndarray:
-    """Return the commanded speeds: S-shaped ramps (bounded jerk), level between them, from rest.
+    """Return the commanded speeds: S-shaped ramps (bounded jerk) from rest, constant between them.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _stand(hold_s: float) -> Segment:
 
 
 def _ahead(way_m: float, v_mps: float) -> Iterator[Segment]:
-    """Drive so far (negative: backwards), from rest to rest."""
+    """Yield a straight drive of this length (negative: in reverse), from rest to rest."""
     ramp_s = 1.5 * v_mps / EASY_MPS2
     if abs(way_m) < v_mps * ramp_s:
         v_mps = float(np.sqrt(abs(way_m) * EASY_MPS2 / 1.5))
@@ -150,7 +150,7 @@ def _ahead(way_m: float, v_mps: float) -> Iterator[Segment]:
 
 
 def _spin(angle_rad: float, omega_radps: float) -> Iterator[Segment]:
-    """Turn on the spot by so much, from rest to rest."""
+    """Yield a turn on the spot by this angle, from rest to rest."""
     ramp_s = 1.5 * omega_radps / EASY_RADPS2
     if abs(angle_rad) < omega_radps * ramp_s:
         omega_radps = float(np.sqrt(abs(angle_rad) * EASY_RADPS2 / 1.5))
@@ -161,7 +161,7 @@ def _spin(angle_rad: float, omega_radps: float) -> Iterator[Segment]:
 
 
 def _loops(rng: np.random.Generator) -> Iterator[Segment]:
-    """Drive rounded rectangles, two laps to the left, two to the right, each lap at a speed of its own."""
+    """Yield rounded rectangles, two laps to the left and two to the right, each at its own speed."""
     long_m, short_m, bend_m = rng.uniform(3.0, 6.0), rng.uniform(1.5, 3.0), rng.uniform(0.7, 1.3)
     for side in cycle((1.0, -1.0)):
         for _ in range(2):
@@ -175,7 +175,7 @@ def _loops(rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _shuttle(rng: np.random.Generator) -> Iterator[Segment]:
-    """Go straight ahead and straight back, never turning."""
+    """Yield straight drives forward and in reverse, without turns."""
     while True:
         way_m, there_mps, back_mps = rng.uniform(2.0, 7.0), rng.uniform(0.2, 1.1), rng.uniform(0.2, 0.8)
         yield from _ahead(way_m, there_mps)
@@ -185,7 +185,7 @@ def _shuttle(rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _slalom(rng: np.random.Generator) -> Iterator[Segment]:
-    """Weave between poles, there and back, each time at another speed."""
+    """Yield slaloms there and back, each at its own speed."""
     for v_mps in cycle((0.3, 0.6, 0.9, 0.45)):
         poles, swing_rad = 2 * int(rng.integers(2, 4)), rng.uniform(0.6, 1.1)
         omega_radps = rng.uniform(0.5, 0.65) / max(v_mps, 0.5)
@@ -200,7 +200,7 @@ def _slalom(rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _yard(rng: np.random.Generator) -> Iterator[Segment]:
-    """Turn on the spot, go a little way, perhaps back off: a yard full of pallets."""
+    """Yield turns on the spot, short drives and reverses, as in a yard."""
     while True:
         for _ in range(int(rng.integers(1, 3))):
             yield from _spin(rng.choice((-1.0, 1.0)) * rng.uniform(0.5, 3.2), rng.uniform(0.3, 1.2))
@@ -213,7 +213,7 @@ def _yard(rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _umbmark(rng: np.random.Generator) -> Iterator[Segment]:
-    """Drive squares of 4 m with corners on the spot, five clockwise, five the other way, over and over."""
+    """Yield UMBmark squares of 4 m with turns on the spot, five clockwise and five counter-clockwise, repeatedly."""
     v_mps, omega_radps = rng.uniform(0.4, 0.6), rng.uniform(0.6, 0.9)
     for side in cycle((-1.0,) * 5 + (1.0,) * 5):
         for _ in range(4):
@@ -223,7 +223,7 @@ def _umbmark(rng: np.random.Generator) -> Iterator[Segment]:
 
 
 def _until(duration_s: float, moves: Iterator[Segment]) -> tuple[Segment, ...]:
-    """Cut a plan so that the robot stands before the end."""
+    """Return a plan truncated so that the robot is at rest before the end."""
     plan, left_s = [Segment(0.0, 0.0, 1.0, 1.0)], duration_s - 5.0
     for segment in moves:
         left_s -= segment.ramp_s + segment.hold_s

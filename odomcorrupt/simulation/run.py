@@ -1,4 +1,4 @@
-"""One recording from a seed: all layers in a row."""
+"""Simulation of a recording from a seed, through all layers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,38 +20,38 @@ from odomcorrupt.simulation.tracker import TRACKERS, Tracker, dock, watch
 
 STEP_S = 0.002
 DAY_S = 600.0
-"""How long a round is considered when a flaw gets its place on it."""
+"""Duration of the usual route along which the place of a fault is drawn, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """What a simulated robot does, who watches it, and how large its flaw is.
+    """Drive, tracker and size of the fault of a simulated recording.
 
     Attributes
     ----------
     duration_s : float
         Length, s.
     size : float
-        Multiplies the drawn magnitude of the flaw.
+        Factor on the drawn magnitude of the fault.
     truth : {"mocap", "rtk"} or Tracker
-        Who watches.
+        Tracker of the truth.
     parameters : mapping, optional
-        Parameters of the flaw instead of drawn ones; where there are several causes, by their names.
+        Parameters of the fault instead of drawn ones; for several faults, by their names.
     route : str, sequence of Segment, or Commands, optional
         A key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive.
     rig : Rig, optional
         Electronics and floor.
     yaw_from : {"encoders", "gyro"}, optional
-        The odometry's source of turns; by default what the cause needs. See `simulate_without`.
+        The odometry's source of turns; by default that in which the fault matters. See `simulate_without`.
     robot_seed : int, optional
-        Seed of the robot and its flaw, to meet the same robot in several drives; by default that of the drive.
+        Seed of the robot and its fault, for several drives of one robot; by default that of the drive.
     drive_type : {"differential", "skid"}
         Kind of machine.
     at_dock : bool, optional
-        Begin where the robot's own seed does, not the drive's; by default where a flaw has its place on the floor.
+        Whether the start pose depends on the robot's seed, not the drive's; by default if a fault has a place.
     home : str, optional
-        A key of `ROUTES`: the robot's daily round, on which a flaw that has a place was drawn. By default `route`,
-        or the office where that is speed commands.
+        A key of `ROUTES`: the usual route, along which the place of a fault is drawn. By default `route`, or the
+        office for speed commands.
     """
 
     duration_s: float = 600.0
@@ -70,18 +70,18 @@ class Scenario:
 def simulate(
     seed: int, cause: str | Sequence[str] | None, scenario: Scenario | None = None, **changes: Any
 ) -> SimulatedRun:
-    """Drive a robot with one flaw, several or none, and record it.
+    """Return a simulated recording of a robot with one fault, several or none.
 
-    Every layer draws from its own stream of the seed, so runs that differ in `cause` share robot, drive and noise.
+    Every layer has its own random stream, so runs that differ only in `cause` share robot, drive and noise.
 
     Parameters
     ----------
     seed : int
         Seed of the drive and all noise.
     cause : str, sequence of str, or None
-        Keys of `CAUSES` or `OUTSIDE`; None for a flawless robot.
+        Keys of `CAUSES` or `OUTSIDE`; None for a robot without faults.
     scenario : Scenario, optional
-        Drive, tracker and size of the flaw.
+        Drive, tracker and size of the fault.
     **changes
         Fields of the scenario that differ.
     """
@@ -113,7 +113,7 @@ def simulate(
 
 
 def simulate_without(seed: int, cause: str | Sequence[str] | None, **options: Any) -> SimulatedRun:
-    """Simulate what `simulate` would with the same arguments, had the robot not the flaw (but the same sensors)."""
+    """Return the recording of `simulate` for the same arguments and sensors, but without the fault."""
     causes = names_of(cause)
     same = {"yaw_from": source_of_turns(causes), "at_dock": is_placed(causes)}
     return simulate(seed, None, **{**same, **options, "parameters": None})
@@ -130,7 +130,7 @@ def _speeds(
 
 
 def _plan(route: str | Sequence[Segment] | None, seed: int, start_xyt: np.ndarray) -> np.ndarray:
-    """Return where a perfect robot would go in `DAY_S`, every 0.1 s, x + iy in the truth frame, m."""
+    """Return the path of a perfect robot over `DAY_S`, every 0.1 s, x + iy in the truth frame, m."""
     grid_s = np.arange(round(DAY_S / 0.1)) * 0.1
     steps = _speeds(route, DAY_S, seed, grid_s) * 0.1
     planned = add_up_steps(steps[:, 0], np.zeros(len(steps)), steps[:, 1])

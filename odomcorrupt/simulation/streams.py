@@ -1,4 +1,4 @@
-"""One random stream per layer, so that changing one layer leaves every other draw as it was."""
+"""One random stream per layer, so that a change of one layer leaves the draws of all others unchanged."""
 
 import zlib
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ def stream(seed: int, layer: str) -> np.random.Generator:
     seed : int
         Non-negative seed of the run.
     layer : str
-        Name of what is drawn, such as ``"encoders"``.
+        Name of the layer, such as ``"encoders"``.
     """
     return np.random.default_rng([seed, zlib.crc32(layer.encode())])
 
 
 @dataclass(frozen=True, slots=True)
 class Streams:
-    """The streams of one run. Opening a layer begins its stream anew, so each is opened once."""
+    """The streams of one run. Opening a layer restarts its stream, so each is opened once."""
 
     seed: int
 
     def open(self, layer: str) -> np.random.Generator:
-        """Return the generator of a layer, at its beginning."""
+        """Return the generator of a layer, at the start of its stream."""
         return stream(self.seed, layer)
 
 

@@ -1,4 +1,4 @@
-"""The judge outside: cameras (or RTK with two antennas) that see a frame on the robot, in a world of their own."""
+"""Ground truth: motion capture, or RTK with two antennas, of a frame on the robot in the world frame."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from odomcorrupt.simulation.streams import Streams, wander
 
 @dataclass(frozen=True, slots=True)
 class Tracker:
-    """How often and how well the robot is seen, and by which clock."""
+    """Rate, noise, dropouts and clock of the ground truth."""
 
     rate_hz: float = 100.0
     sampling_jitter_s: float = 0.0001
@@ -38,19 +38,19 @@ TRACKERS: dict[str, Tracker] = {
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What was seen: stamps (s, by the tracker's clock) and poses (m, 3) of the tracked frame in the world."""
+    """Tracker output: stamps (s, tracker's clock) and poses (m, 3) of the tracked frame in the world."""
 
     stamps_s: np.ndarray
     xyt: np.ndarray
 
 
 def dock(rng: np.random.Generator) -> np.ndarray:
-    """Draw where a robot begins in the truth frame; m, m, rad."""
+    """Return a random start pose (3,) in the truth frame; m, m, rad."""
     return np.array([*rng.uniform(-8.0, 8.0, size=2), rng.uniform(-np.pi, np.pi)])
 
 
 def watch(drive: Drive, robot: Robot, tracker: Tracker, streams: Streams) -> Track:
-    """Track the robot's marker."""
+    """Return the tracked poses of the robot's marker."""
     grid_s = drive.grid_s
     origin, heading_rad = complex(drive.start_xyt[0], drive.start_xyt[1]), drive.start_xyt[2]
 

@@ -1,4 +1,4 @@
-"""From wheel angles to travel on the floor: rolling, creep and slip, by load, speed, chance and place."""
+"""Tyres: travel on the floor from wheel angles, with creep and slip by load, speed, chance and place."""
 
 import numpy as np
 from scipy.signal import lfilter
@@ -11,16 +11,16 @@ JOLT_S = 0.5
 
 
 def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, streams: Streams) -> np.ndarray:
-    """Return the way each wheel's contact point makes over a floor that holds it.
+    """Return the travel of each wheel's contact point without slip.
 
-    A wheel of true radius rolls; its contact point creeps at random, with a variance that grows with the way.
+    A wheel rolls on its true radius; its contact point creeps at random, with variance proportional to the travel.
 
     Parameters
     ----------
     wheel_rad : ndarray, shape (n + 1, 2)
         Angle of the right and left wheel, rad.
     creep : float
-        Multiplies the robot's random travel (0 for none).
+        Factor on the robot's random travel (0 for none).
 
     Returns
     -------
@@ -41,7 +41,7 @@ def roll(wheel_rad: np.ndarray, step_s: float, robot: Robot, creep: float, strea
 
 
 def _radius_now(wheel_rad: np.ndarray, step_s: float, robot: Robot) -> np.ndarray | float:
-    """Return the radii (n, 2) of each step over their values at rest in the beginning."""
+    """Return the ratios (n, 2) of the radii at each step to their initial values at rest."""
     if robot.growth_s_per_m == robot.warming_per_s == robot.eccentricity == robot.load_squeeze == 0.0:
         return 1.0
     rim_mps = np.abs(np.diff(wheel_rad, axis=0)) * (robot.nominal_radius_m / step_s)
@@ -54,30 +54,30 @@ def _radius_now(wheel_rad: np.ndarray, step_s: float, robot: Robot) -> np.ndarra
 
 
 def _roughness(n: int, step_s: float, inverse_dof: float, streams: Streams) -> np.ndarray:
-    """Return what makes a normal draw one of Student's t, the same for all draws of a stretch of floor, shape (n,)."""
+    """Return factors (n,) that turn normal draws into Student's t, constant over each section of floor."""
     per_jolt = round(JOLT_S / step_s)
     chi2 = streams.open("jolts").chisquare(1.0 / inverse_dof, size=n // per_jolt + 1)
     return np.repeat(1.0 / np.sqrt(chi2 * inverse_dof), per_jolt)[:n]
 
 
 def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
-    """Let the tyres carry the mass: the body lags behind the wheels' rolling.
+    """Return the forward travel of the body, which lags behind the wheels by longitudinal tyre slip.
 
-    Newton with a tyre of slip stiffness C, rolling at u: ``m dv/dt = C (u - v) / abs(u)``, the force being shared by
-    both wheels, whose contact points creep alike. Only ``m / C`` is left in the answer. How fast they creep is said by
-    the wheels' turning: random creep moves no load, and must not be rectified by that product.
+    Newton's law with slip stiffness C at rolling speed u: ``m dv/dt = C (u - v) / abs(u)``, both wheels sharing the
+    force equally. The result depends on ``m / C`` alone. Slip is computed from the wheels' speed, not from their random
+    creep, which moves no load and must not be rectified by that product.
 
     Parameters
     ----------
     rolled_m : ndarray, shape (n,)
-        Forward way of the wheels per step, m.
+        Forward travel of the wheels per step, m.
     rim_mps : ndarray, shape (n,)
         Mean rim speed of both wheels.
 
     Returns
     -------
     ndarray, shape (n,)
-        Forward way of the body per step, m.
+        Forward travel of the body per step, m.
     """
     if robot.traction_s2_per_m == 0.0:
         return rolled_m
@@ -91,9 +91,9 @@ def yield_along(rolled_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot:
 
 
 def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, robot: Robot) -> np.ndarray:
-    """Integrate the body's sideways speed under the pull of the turn and the hold of the tyres.
+    """Return the lateral travel of the body under centripetal acceleration and lateral tyre force.
 
-    In the body's frame Newton says ``m (dv_y/dt + v omega) = -c v_y``, with only ``m / c`` left in the answer.
+    In the body frame ``m (dv_y/dt + v omega) = -c v_y``; the result depends on ``m / c`` alone.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def creep_sideways(v_mps: np.ndarray, omega_radps: np.ndarray, step_s: float, ro
     Returns
     -------
     ndarray, shape (n,)
-        Way to the left per step, m.
+        Travel to the left per step, m.
     """
     settle_s = robot.lateral_creep_s
     if settle_s == 0.0:
@@ -123,7 +123,7 @@ WEIGHT_SHIFT_S = 0.1
 
 
 def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floor: Floor) -> np.ndarray:
-    """Return the travel of each wheel (n, 2), m, less what a too fast wheel loses, plus what a dragged one gains.
+    """Return the travel of each wheel (n, 2), m, with slip of wheels that are too fast or braked.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ def lose_by_speed(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, floo
 
 
 def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.random.Generator) -> np.ndarray:
-    """Return the travel of each wheel (n, 2), m, less what bursts take.
+    """Return the travel of each wheel (n, 2), m, with random bursts of slip.
 
-    Bursts begin at random; each wheel loses a part of its own, from next to nothing to everything, of the given mean.
+    Bursts start at random; each wheel loses its own random fraction, between 0 and 1 and of the given mean.
     """
     steps = len(travel_m)
     lost = np.zeros_like(travel_m)
@@ -159,16 +159,16 @@ def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.
 def lose_by_place(
     travel_m: np.ndarray, drift: np.ndarray, robot: Robot, slippery: tuple[Slippery, ...], start_xyt: np.ndarray
 ) -> np.ndarray:
-    """Return the travel of each wheel, less what it loses where it stands at the moment.
+    """Return the travel of each wheel per step, m, with slip at slippery places.
 
     Parameters
     ----------
     travel_m : ndarray, shape (n, 2)
         Travel of the right and left wheel per step, m.
     drift : ndarray of complex, shape (n,)
-        What the body moves besides, in its own frame, m.
+        Further motion of the body per step, in its own frame, m.
     start_xyt : ndarray, shape (3,)
-        Where the body begins, in the truth frame; m, m, rad.
+        Start pose of the body in the truth frame; m, m, rad.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def lose_by_place(
 
 
 def hold(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams) -> np.ndarray:
-    """Return what the floor takes of each wheel's rolling (n, 2), m, wherever it is."""
+    """Return the travel of each wheel (n, 2), m, with slip that does not depend on the place."""
     travel_m = lose_by_speed(travel_m, rim_mps, step_s, robot.floor)
     for i, bursts in enumerate(robot.floor.bursts):
         travel_m = lose_by_chance(travel_m, step_s, bursts, streams.open(f"bursts {i}"))

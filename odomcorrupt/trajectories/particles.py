@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = ["Cloud", "cloud_along", "cloud_of", "csv_text", "json_text", "places_along", "report_text"]
+__all__ = ["ParticleSet", "csv_text", "json_text", "particles_at", "places_along", "report_text", "sample_particles"]
 
 
 @dataclass(frozen=True, slots=True)
-class Cloud:
+class ParticleSet:
     """Poses of many runs of one drive at k places along it.
 
     distance_m : (k,) distance travelled by the odometry, metres
@@ -51,7 +51,7 @@ def places_along(drive: Drive, every_m: float) -> NDArray[np.intp]:
     return np.append(np.searchsorted(travelled, marks), len(drive) - 1)
 
 
-def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> Cloud:
+def sample_particles(drive: Drive, model: MotionModel, *, seed: int, runs: int, every_m: float) -> ParticleSet:
     """Return the poses of noisy runs of a drive every `every_m` metres, and at the end.
 
     Run k is the path that corruption with `--seed` and `--run k` writes.
@@ -61,19 +61,19 @@ def cloud_along(drive: Drive, model: MotionModel, *, seed: int, runs: int, every
     for run in range(runs):
         knots = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
         xyt[run] = drive.xyt[places] + knots.error_xyt[places]
-    return cloud_of(drive, places, xyt, seed)
+    return particles_at(drive, places, xyt, seed)
 
 
-def cloud_of(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) -> Cloud:
+def particles_at(drive: Drive, places: NDArray[np.intp], xyt: Array, seed: int) -> ParticleSet:
     """Return the particle set of noisy poses (runs, k, 3) at the pose indices (k,) of a drive."""
-    return Cloud(drive.distance_m[places], drive.xyt[places], xyt, drive.xyt, seed)
+    return ParticleSet(drive.distance_m[places], drive.xyt[places], xyt, drive.xyt, seed)
 
 
-def report_text(cloud: Cloud) -> str:
+def report_text(particles: ParticleSet) -> str:
     """Return the particle set as text: one line per place."""
-    lines = [f"{len(cloud.xyt)} runs, seed {cloud.seed}"]
-    for i, distance in enumerate(cloud.distance_m):
-        moments = sample_moments(cloud.xyt[:, i])
+    lines = [f"{len(particles.xyt)} runs, seed {particles.seed}"]
+    for i, distance in enumerate(particles.distance_m):
+        moments = sample_moments(particles.xyt[:, i])
         about = ellipse(moments, 1.0)
         lines.append(
             f"after {distance:6.2f} m: 1 sigma {about.major_m:.3g} m by {about.minor_m:.3g} m, "
@@ -82,26 +82,26 @@ def report_text(cloud: Cloud) -> str:
     return "\n".join(lines)
 
 
-def csv_text(cloud: Cloud) -> str:
+def csv_text(particles: ParticleSet) -> str:
     """Return the particle set as CSV: one line per pose and run."""
     lines = ["run,distance_m,x_m,y_m,theta_rad"]
-    for run, poses in enumerate(cloud.xyt):
-        for distance, pose in zip(cloud.distance_m, poses, strict=True):
+    for run, poses in enumerate(particles.xyt):
+        for distance, pose in zip(particles.distance_m, poses, strict=True):
             lines.append(",".join([str(run), repr(float(distance)), *(repr(float(value)) for value in pose)]))
     return "\n".join(lines) + "\n"
 
 
-def json_text(cloud: Cloud) -> str:
+def json_text(particles: ParticleSet) -> str:
     """Return mean and covariance at every place, as JSON."""
     places: list[dict[str, Any]] = []
-    for i, distance in enumerate(cloud.distance_m):
-        moments = sample_moments(cloud.xyt[:, i])
+    for i, distance in enumerate(particles.distance_m):
+        moments = sample_moments(particles.xyt[:, i])
         places.append(
             {
                 "distance_m": float(distance),
-                "odometry_xyt": cloud.clean_xyt[i].tolist(),
+                "odometry_xyt": particles.clean_xyt[i].tolist(),
                 "mean_xyt": moments.mean_xyt.tolist(),
                 "covariance": moments.covariance.tolist(),
             }
         )
-    return json.dumps({"seed": cloud.seed, "runs": len(cloud.xyt), "places": places}, indent=1) + "\n"
+    return json.dumps({"seed": particles.seed, "runs": len(particles.xyt), "places": places}, indent=1) + "\n"

@@ -10,7 +10,7 @@ import pytest
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
-from odomcorrupt.info.scan import survey
+from odomcorrupt.info.scan import scan_bag
 
 OFFICE = str(Path(__file__).parent.parent.parent / "fixtures" / "office.mcap")
 
@@ -45,7 +45,7 @@ WORDS = 'expression = "across += k * v"\nk = 0.05\n'
 def drive_of(path):
     """Return the odometry's poses (n, 3)."""
     with open_reader(path) as reader:
-        return survey(reader).odometry[0].xyt
+        return scan_bag(reader).odometry[0].xyt
 
 
 @pytest.fixture

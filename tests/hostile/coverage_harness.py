@@ -48,8 +48,8 @@ with atheris.instrument_imports(include=INSTRUMENTED):
     from odomcorrupt.batching.manifest import read_beginning, read_records
     from odomcorrupt.corruption.run import Container, corrupt_bag
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.info.scan import survey
-    from odomcorrupt.info.summary import portrait, portrait_text
+    from odomcorrupt.info.scan import scan_bag
+    from odomcorrupt.info.summary import summarise, summary_text
 
 OURS = {"nav_msgs/Odometry", "nav_msgs/msg/Odometry", "tf2_msgs/TFMessage", "tf2_msgs/msg/TFMessage", "tf/tfMessage"}
 """Types of messages that may change."""
@@ -244,8 +244,8 @@ def _is_same(before: Any, after: Any, path: Path, out: Path) -> bool:
 
 def _described(path: Path) -> None:
     with open_reader(path) as reader:
-        seen = survey(reader)
-    portrait_text(portrait(seen, odom_topic=None, odom_frame=None, base_frame=None))
+        seen = scan_bag(reader)
+    summary_text(summarise(seen, odom_topic=None, odom_frame=None, base_frame=None))
 
 
 def _recovered(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Schemas and channels of an MCAP being written: the reader's own, those of another format, and added ones."""
+"""Schema and channel records of an MCAP being written, from an MCAP, another format, or added."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _LAST_FOREIGN_ID = 0xFFFFFFFF
 
 
 class Directory:
-    """Knows which schema and channel records a file has, and which it still needs.
+    """Ids and records of the channels and schemas of an output, and which of them are written.
 
-    Ids of an MCAP's own channels stay. Fresh ones count down from the last: on a pipe, channels still to come count
-    up from the first.
+    Ids of an MCAP's own channels are kept. New ones count down from the last, since on a pipe channels yet to come
+    count up from the first.
     """
 
     def __init__(self, reader: BagReader) -> None:
@@ -42,20 +42,20 @@ class Directory:
         self._waiting: set[int] = set()
 
     def header(self) -> bytes:
-        """Return the content of the header record: the input's, or one that names its profile."""
+        """Return the content of the header record: the input's, or a new one with its profile."""
         if self._native:
             return self._native.header
         return string("ros1" if self._reader.kind == "ros1" else "ros2") + string(f"odomcorrupt {__version__}")
 
     def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel that is published like another one."""
+        """Add a channel with the settings of another one; return it."""
         definition = self._reader.definition(like)
         if msgtype != like.msgtype:
             definition = retyped(self._reader, msgtype, like.encoding, definition)
         return self.add_defined(topic, msgtype, like.encoding, definition)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a channel of which everything is known."""
+        """Add a channel with a given definition; return it."""
         identifier = _LAST_ID if self._native else _LAST_FOREIGN_ID
         while identifier in self._ids or identifier in self._reader.channels:
             identifier -= 1

@@ -1,4 +1,4 @@
-"""Bring the parts of an MCAP's data section in as blocks."""
+"""Reading of the parts of an MCAP's data section."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ CODECS = ("none", "lz4", "zstd")
 
 @dataclass(frozen=True, slots=True)
 class McapFraming(Framing):
-    """How a block stood in its file.
+    """Framing of a block in its file.
 
     kind : "chunk"; "loose", messages outside chunks; "record", another record or a piece of a large one
     codec : of a chunk
@@ -42,7 +42,7 @@ class McapFraming(Framing):
     opcode: int = 0
 
     def goes_on_with(self, other: object) -> bool:
-        """Tell whether both are chunks of one compression."""
+        """Return whether both are chunks of one compression."""
         return self.kind == "chunk" and self == other
 
 
@@ -61,7 +61,7 @@ class Chunk:
 
 
 class Loose:
-    """Messages, schemas and channels outside chunks, collected until they are a block's worth."""
+    """Messages, schemas and channels outside chunks, collected for a block."""
 
     def __init__(self) -> None:
         self.data = bytearray()
@@ -81,7 +81,7 @@ class Loose:
         self.data += content
 
     def block(self) -> Block:
-        """Return what was collected."""
+        """Return the collected records as a block."""
         return Block(np.frombuffer(self.data, np.uint8), np.array(self._rows, dtype=TABLE), McapFraming("loose"))
 
 
@@ -108,14 +108,14 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
         data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf, source.budget)
-    source.read(behind, what)  # fields that a later version of the format has appended
+    source.read(behind, what)  # fields of later versions of the format
     if crc not in (0, crc32(data.data)):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
     return Chunk(data, codec, named)
 
 
 def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
-    """Yield a record that is not looked into, in pieces: attachments may be larger than memory."""
+    """Yield an unparsed record in pieces, since attachments may be larger than memory."""
     source.require(length, what)
     left = length
     head = struct.pack("<BQ", opcode, length)

@@ -1,7 +1,7 @@
-"""What lies in a chunk: its messages as a table, found by the message indexes where these are right.
+"""Table of the messages in a chunk, from its message indexes where these are correct.
 
-An index is believed only where every record it points at is a message and the records between are whole: then the
-table is the one that walking from record to record would give, for a handful of numpy calls.
+An index is used only if every record it lists is a message and the records between them are whole: the table is then
+that of a sequential parse, at the cost of a few NumPy calls.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a chunk holds.
+    """Content of a chunk.
 
     table : (n,) of dtype TABLE, in the order of the data
-    others : the records that are no messages
+    others : the other records
     """
 
     table: NDArray[np.void]
@@ -51,10 +51,10 @@ class Contents:
 
 
 def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
-    """Read a chunk's records.
+    """Return the messages and other records of a chunk.
 
     data : (size,) the decompressed chunk
-    indexes : contents of the message index records that follow it, possibly none, possibly wrong
+    indexes : contents of the message index records that follow it, possibly missing or wrong
     """
     indexed = _indexed(data, indexes)
     if indexed is not None:
@@ -65,7 +65,7 @@ def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> C
 
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
-    """Return the contents as the indexes tell them, or None where they do not tell all, or not the truth."""
+    """Return the content by the indexes, or None where these are incomplete or wrong."""
     entries = [np.frombuffer(index, _INDEX_ENTRY, offset=6) for index in indexes if (len(index) - 6) % 16 == 0]
     offsets = np.concatenate([entry["offset"] for entry in entries]) if entries else np.empty(0, dtype=np.uint64)
     if not offsets.size or data.size < MESSAGE_HEADER_BYTES or offsets.max() > data.size - MESSAGE_HEADER_BYTES:
@@ -92,7 +92,7 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
 
 
 def _walk(data: memoryview, begin: int, end: int, what: str) -> tuple[list[int], list[Record]]:
-    """Go from record to record; return where messages start, and the other records."""
+    """Parse record by record; return the offsets of messages, and the other records."""
     starts: list[int] = []
     others: list[Record] = []
     at = begin

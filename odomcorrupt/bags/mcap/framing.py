@@ -1,4 +1,4 @@
-"""Put messages into records: those of another format, and those that are added."""
+"""Message records for messages of another format and added ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Framed:
     ends: tuple[int, ...] = ()
 
     def followed_by(self, other: Framed) -> Framed:
-        """Return both, the other one in the last chunk of this one."""
+        """Return both, with the other one appended to the last chunk of this one."""
         if not self.data.size:
             return other
         moved = other.table.copy()
@@ -43,13 +43,13 @@ class Framed:
 
 
 class Sequences:
-    """Counts messages per channel, from 0."""
+    """Sequence numbers of messages per channel, from 0."""
 
     def __init__(self) -> None:
         self._next: dict[int, int] = {}
 
     def take(self, channels: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Return numbers for messages (n,) of these channels."""
+        """Return the next sequence numbers (n,) for messages of these channels (n,)."""
         numbers = np.empty(channels.size, dtype=np.uint32)
         for channel in set(channels.tolist()):
             own = np.flatnonzero(channels == channel)
@@ -62,7 +62,7 @@ class Sequences:
 def frame(
     data: NDArray[np.uint8], table: NDArray[np.void], sequences: Sequences, chunks: tuple[int, ...] = ()
 ) -> Framed:
-    """Frame messages that lie in data where a table says; the table's channels are those to be written.
+    """Return records of the messages in data at a table's offsets, with the table's channel ids.
 
     chunks : where chunks end in data; what is framed ends there, too
     """
@@ -90,7 +90,7 @@ def frame(
 
 
 def reframe(data: NDArray[np.uint8], table: NDArray[np.void], chunks: tuple[int, ...] = ()) -> Framed:
-    """Take message records of an MCAP out of their surroundings, and give them the table's channels."""
+    """Return the message records of an MCAP's data without the other records, with the table's channel ids."""
     lengths = table["length"] + MESSAGE_HEADER_BYTES
     ends = np.cumsum(lengths)
     framed = table.copy()
@@ -113,7 +113,7 @@ def _moved(chunks: tuple[int, ...], table: NDArray[np.void], ends: NDArray[np.in
 
 
 def frame_added(messages: list[Message], sequences: Sequences) -> Framed:
-    """Frame messages that were not in the bag before."""
+    """Return records of added messages."""
     table = np.empty(len(messages), dtype=TABLE)
     table["channel"] = [message.channel for message in messages]
     table["log_ns"] = [message.log_ns for message in messages]

@@ -1,4 +1,4 @@
-"""What an MCAP's summary tells, collected while the data section is written."""
+"""Summary section of an MCAP, collected while the data section is written."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ChunkRows(NamedTuple):
 
 @dataclass(slots=True)
 class Index:
-    """Statistics and indexes of a file that grows."""
+    """Statistics and indexes of a file being written."""
 
     counts: dict[int, int] = field(default_factory=dict)
     start_ns: int | None = None
@@ -80,7 +80,7 @@ class Index:
             self.end_ns = max(self.end_ns, end_ns)
 
     def add_chunk(self, span: ChunkSpan, place: ChunkPlace, indexes: list[tuple[int, bytes]]) -> bytes:
-        """Note a chunk; return the message index records to write behind it.
+        """Add a chunk; return the message index records that follow it.
 
         indexes : channel and whole record, as `message_indexes` gives them
         """
@@ -102,7 +102,7 @@ class Index:
         return b"".join(index for _, index in indexes)
 
     def add_record(self, opcode: int, head: bytes, position: int) -> None:
-        """Note a record of the data section that the summary points at.
+        """Add a record of the data section that the summary lists.
 
         head : the whole record or its first bytes, names included
         position : where it begins in the file

@@ -1,4 +1,4 @@
-"""Read an MCAP as blocks: one per chunk, messages outside chunks in batches, everything else as it stands."""
+"""MCAP reader: one block per chunk, messages outside chunks in batches, other records unchanged."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class McapReader:
 
     header : content of the header record
     schemas : by id
-    summary : what the summary section had; of a pipe, known when the blocks are read
-    losses : what could not be read, one sentence each, where recovery was asked for
-    count : messages that the last pass has given
+    summary : content of the summary section; on a pipe, after the blocks are read
+    losses : parts that could not be read, one sentence each, with recovery
+    count : number of messages of the last pass
     """
 
     kind: Kind = "mcap"
@@ -97,7 +97,7 @@ class McapReader:
                 self.summary = read_summary(source, source.size)
                 self._learn_summary()
             except BagError:
-                # What is lost shows when the blocks are read; here it is only the way to the channels.
+                # Losses are reported when the blocks are read; this pass is for the channels only.
                 if not recover:
                     raise
             if self.complete:
@@ -106,16 +106,16 @@ class McapReader:
                 source.seek(self._data_start)
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the file says of a channel's type."""
+        """Return the file's definition of a channel's type."""
         return self._known.definition(channel)
 
     @property
     def part_read(self) -> float | None:
-        """Which part of the file's bytes the present pass has read, None where its size is not known."""
+        """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
         return self._reading.position / self._reading.size if self._reading.size else None
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
-        """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
+        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
         del self.losses[self._first_losses :]
         self.count = 0
         if self.complete:
@@ -138,7 +138,7 @@ class McapReader:
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
-        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        """Yield the blocks of a source, and register channels on the way."""
         parts: Iterator[Chunk | Loose | Block] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
             parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
@@ -150,7 +150,7 @@ class McapReader:
                     yield from self._finished(part)
 
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
-        """Yield chunks, collected messages outside chunks, and what stands alone."""
+        """Yield chunks, collected messages outside chunks, and single records."""
         pending: Chunk | Loose | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
@@ -208,7 +208,7 @@ class McapReader:
             self._lose(error)
 
     def _ends(self, source: Source, opcode: int, length: int, what: str) -> bool:
-        """Read what follows the data section's end; tell whether that is all, or go to data that stands behind it."""
+        """Read the end of the data section; return whether it is the end, or seek to further data behind it."""
         source.read(length, what)
         private: list[bytes] = []
         end = source.position
@@ -228,7 +228,7 @@ class McapReader:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
         except BagError as error:
             self._lose(error)
-            # An end that is none: there may be data behind it.
+            # A false end: there may be data behind it.
             if next_record(source, end - 1, _DATA):
                 return False
         self.summary.private = private
@@ -244,13 +244,13 @@ class McapReader:
         yield block
 
     def _lose(self, error: BagError) -> None:
-        """Note what cannot be read, or give up where that was not asked for."""
+        """Record a loss with recovery, else raise the error."""
         if not self._recover:
             raise error
         self.losses.append(loss_of(error))
 
     def _learn_summary(self) -> None:
-        """Learn what the summary repeats; channels whose schemas it does not repeat are read where they stand."""
+        """Register the channels of the summary; those without a schema there are read from the data section."""
         for schema in self.summary.schemas:
             self._known.learn(SCHEMA, schema)
         for channel in self.summary.channels:
@@ -258,7 +258,7 @@ class McapReader:
                 self._known.learn(CHANNEL, channel)
 
     def _learn_all(self) -> None:
-        """Learn the channels of a file that its summary does not tell."""
+        """Register the channels of a file that its summary lacks."""
         if len(self.channels) != self.summary.channel_count:
             for _ in self.blocks():
                 if len(self.channels) == self.summary.channel_count:
@@ -286,7 +286,7 @@ def _is_packed(part: Chunk | Loose | Block) -> bool:
 
 
 def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
-    """Yield a record that stands alone; the end has no content of use, an index without its chunk is rebuilt."""
+    """Yield a single record as blocks; the footer and indexes without chunks are skipped."""
     if opcode == MESSAGE_INDEX:
         source.read(length, what)
     elif opcode not in _ENDS:
@@ -294,7 +294,7 @@ def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Bloc
 
 
 def _continues(pending: Chunk | Loose, opcode: int) -> bool:
-    """Tell whether a record belongs to what is being collected."""
+    """Return whether a record belongs to the part being collected."""
     if isinstance(pending, Chunk):
         return opcode == MESSAGE_INDEX
     return opcode in _LOOSE and len(pending.data) < _BATCH_BYTES

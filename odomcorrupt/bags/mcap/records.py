@@ -104,7 +104,7 @@ class ChannelRecord:
 
 
 class Fields:
-    """Reads a record's fields in order, and refuses lengths that reach beyond it."""
+    """Sequential reader of a record's fields; raises BagError for lengths beyond its end."""
 
     def __init__(self, content: bytes, what: str) -> None:
         self._content = content

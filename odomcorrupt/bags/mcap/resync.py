@@ -1,4 +1,4 @@
-"""Find the way back in a damaged MCAP: where a record begins that can be believed, and what a cut chunk holds."""
+"""Resynchronisation in a damaged MCAP: the next plausible record, and the intact part of a truncated chunk."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ __all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_behin
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
 _FARTHEST = 10
-"""How many records are looked at to believe one."""
+"""Number of following records examined to accept one."""
 _ADDED_BYTES = 32
 """Fields that later versions may append to a record; no other record has room in them."""
 _SHORTEST_MESSAGE = 22
@@ -64,7 +64,7 @@ _PRIVATE = 0x80
 
 
 def stands_here(source: Source) -> bool:
-    """Tell whether the next bytes of a file can be a record of the data section, or its end."""
+    """Return whether the next bytes are a plausible record of the data section, or its end."""
     head, here = source.sniff(_LOOK_BYTES), source.position
     if not _believable(head, 0, _left(source)):
         return False
@@ -76,12 +76,12 @@ def stands_here(source: Source) -> bool:
 
 
 def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
-    """Tell whether the next bytes can be the record behind the one that begins at byte `begin`.
+    """Return whether the next bytes are a plausible successor of the record at byte `begin`.
 
-    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too, or to the
-    end of one.
+    If bytes are missing from a chunk, its stated length ends inside the next one, possibly at a message, or at its
+    end.
 
-    failed : whether that one could not be read
+    failed : whether the record at `begin` could not be read
     """
     if not stands_here(source):
         return False
@@ -96,7 +96,7 @@ def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
 
 
 def _leads_to(source: Source, at: int, here: int) -> bool:
-    """Tell whether records follow each other from byte `at` up to byte `here`, or over it."""
+    """Return whether consecutive records lead from byte `at` to or past byte `here`."""
     while at < here:
         source.seek(at)
         head = source.sniff(_LOOK_BYTES)
@@ -107,9 +107,9 @@ def _leads_to(source: Source, at: int, here: int) -> bool:
 
 
 def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING) -> bool:
-    """Go to the first record behind byte `begin`, which led astray, or to the end; tell whether there is one.
+    """Seek to the first plausible record after byte `begin`, or to the end; return whether there is one.
 
-    In the bytes of a chunk messages are not looked for: they have no checksum of their own.
+    Messages inside a chunk do not count, as they have no checksum of their own.
     """
     source.seek(begin)
     if source.sniff(1)[:1] == bytes([CHUNK]) and stands_here(source):
@@ -121,12 +121,12 @@ def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING)
 
 
 def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chunk, str]:
-    """Read a chunk record, or of one that the file's end cuts what is whole; return it and what is lost, if any.
+    """Return a chunk, or the intact part of one truncated by the file's end, and a sentence on the loss ("" for none).
 
     Raises
     ------
     BagError
-        Where the chunk is damaged in another way: it claims what records behind it stand in.
+        If the chunk is damaged otherwise: its length covers later records.
 
     """
     left = _left(source)
@@ -145,7 +145,7 @@ def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chu
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the records (size,) that are whole, up to the first one that is not."""
+    """Return the bytes (size,) of the intact records before the first damaged one."""
     view, at = data.data, 0
     for _ in range(MOST_RECORDS):
         if at + RECORD_HEADER_BYTES > data.size:
@@ -160,7 +160,7 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def only_known(block: Block, channels: Container[int]) -> Block:
-    """Return a block of message records without the messages of channels that nobody defined."""
+    """Return a block of message records without messages of undefined channels."""
     known = np.array([number in channels for number in block.table["channel"].tolist()], dtype=bool)
     if known.all():
         return block
@@ -176,7 +176,7 @@ def _left(source: Source) -> int:
 
 
 def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Iterator[tuple[int, int]]:
-    """Yield where records of some kinds begin from byte `begin` to byte `end`, and where they say that they end."""
+    """Yield start and stated end of plausible records of some kinds between bytes `begin` and `end`."""
     while begin < end:
         source.seek(begin)
         window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
@@ -193,7 +193,7 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
 
 
 def _chained(source: Source, at: int) -> bool:
-    """Tell whether two more records follow one at byte `at` that is not known by itself; the source's place is lost."""
+    """Return whether two more records follow the unknown one at byte `at`; moves the source."""
     seen, ended = 0, False
     for _ in range(_FARTHEST):
         source.seek(at)
@@ -203,7 +203,7 @@ def _chained(source: Source, at: int) -> bool:
         opcode, length = struct.unpack_from("<BQ", head)
         if not (_believable(head, 0, left) or (ended and opcode in _SUMMARY and length < left)):
             return False
-        # Zeros behind a number are often taken for a private record: it proves nothing.
+        # Zeros after a number often resemble a private record, which proves nothing.
         seen += opcode < _PRIVATE
         if opcode == CHUNK or seen > 2:
             return True
@@ -229,10 +229,10 @@ def _believable(window: bytes, at: int, left: int) -> bool:
 
 
 def _adds_up(head: bytes, length: int, before: int, widths: tuple[int, ...], behind: int) -> bool:
-    """Tell whether the lengths of a record's fields, as far as they can be seen, add up to its own.
+    """Return whether the visible lengths of a record's fields are consistent with its own.
 
-    before, behind : bytes of the fields before and behind those with a length of their own
-    widths : of these lengths
+    before, behind : bytes of the fixed fields before and after those with a length prefix
+    widths : sizes of these prefixes, bytes
     """
     at = before
     for width in widths:

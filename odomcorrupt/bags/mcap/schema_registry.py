@@ -1,4 +1,4 @@
-"""What an MCAP has told of its schemas and channels so far, and its parts as blocks of messages of these."""
+"""Registry of the schemas and channels read so far from an MCAP, and its chunks as blocks."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ __all__ = ["Known"]
 
 
 class Known:
-    """The schemas and channels of one file or pipe, by id.
+    """Schemas and channels of a file or pipe, by id.
 
-    name : what errors call the file
+    name : name of the file in error messages
     """
 
     def __init__(self, name: str) -> None:
@@ -35,7 +35,7 @@ class Known:
         self.channels: dict[int, Channel] = {}
 
     def learn(self, opcode: int, content: bytes) -> None:
-        """Take note of a schema or channel; whoever repeats one must say the same again."""
+        """Register a schema or channel; a repetition must be identical."""
         if opcode == SCHEMA:
             schema = SchemaRecord.parse(content, self.name)
             if self.schemas.setdefault(schema.id, schema) != schema:
@@ -55,18 +55,18 @@ class Known:
         self.channels.setdefault(channel.id, Channel(channel.id, channel.topic, msgtype, channel.encoding, raw=channel))
 
     def defines(self, content: bytes) -> bool:
-        """Tell whether the schema of a channel record is known."""
+        """Return whether the schema of a channel record is known."""
         schema = ChannelRecord.parse(content, self.name).schema
         return schema == 0 or schema in self.schemas
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the file says of a channel's type."""
+        """Return the file's definition of a channel's type."""
         raw: ChannelRecord = channel.raw
         schema = self.schemas.get(raw.schema, SchemaRecord(0, "", "", b""))
         return Definition(schema.name, schema.encoding, schema.data, raw.metadata)
 
     def block(self, part: Chunk | Loose) -> Block:
-        """Return a chunk, or messages outside chunks, as a block; every message of a channel that is known."""
+        """Return a chunk, or messages outside chunks, as a block; BagError for a message of an unknown channel."""
         if isinstance(part, Chunk):
             contents = read_contents(part.data, part.indexes, part.what)
             for other in contents.others:
@@ -82,18 +82,18 @@ class Known:
         return block
 
     def salvaged(self, part: Chunk | Loose) -> Block:
-        """Return what is whole of a chunk or of messages outside chunks."""
+        """Return the intact messages of a chunk, or of messages outside chunks."""
         data = part.data if isinstance(part, Chunk) else np.frombuffer(part.data, dtype=np.uint8)
         data = whole_records(data)
         contents = read_contents(data, [], "")
         for other in contents.others:
-            # One that cannot be understood is missed where messages are its.
+            # An unreadable one matters only if messages use it.
             with suppress(BagError):
                 self._learn_within(data, other)
         framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
         return only_known(Block(data, contents.table, framing), self.channels)
 
     def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
-        """Take note of a record in a chunk's data, if it is one of these."""
+        """Register a record in a chunk's data if it is a schema or channel."""
         if other.opcode in (SCHEMA, CHANNEL):
             self.learn(other.opcode, data[other.start : other.end].tobytes())

@@ -1,4 +1,4 @@
-"""The end of an MCAP file that can seek: its footer, and what its summary says of channels."""
+"""Footer and summary section of a seekable MCAP file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _FOOTER_BYTES = RECORD_HEADER_BYTES + 20
 
 @dataclass(slots=True)
 class Summary:
-    """What a summary section says.
+    """Content of a summary section.
 
     schemas, channels : contents of the records repeated there
     channel_count, message_count : from the statistics, or None without them
@@ -45,7 +45,7 @@ class Summary:
     private: list[bytes] = field(default_factory=list)
 
     def keep(self, opcode: int, content: bytes, what: str, private: list[bytes] | None = None) -> None:
-        """Remember a record of the summary section, where it matters; those of applications in a list of their own."""
+        """Add a record of the summary section if it is needed; private ones to a separate list."""
         if opcode == SCHEMA:
             self.schemas.append(content)
         elif opcode == CHANNEL:
@@ -60,7 +60,7 @@ class Summary:
 
 
 def require_named(opcode: int, head: bytes, what: str) -> None:
-    """Refuse an attachment or metadata that does not begin with what the summary tells of it.
+    """Raise BagError for an attachment or metadata record that does not start with the fields its index requires.
 
     head : its content, or the beginning of it
     """
@@ -72,12 +72,12 @@ def require_named(opcode: int, head: bytes, what: str) -> None:
 
 
 def read_summary(source: Source, size: int) -> Summary:
-    """Read the summary of a file of this size; an absent or damaged one gives an empty one, it is rebuilt anyway.
+    """Return the summary of a file of this size in bytes; empty if absent or damaged, since it is rebuilt anyway.
 
     Raises
     ------
     BagError
-        Where the file does not end as an MCAP does: it was cut, or never closed.
+        If the file has no footer: it was truncated, or never closed.
 
     """
     tail_bytes = _FOOTER_BYTES + len(MAGIC)

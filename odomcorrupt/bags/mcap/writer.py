@@ -1,4 +1,4 @@
-"""Write blocks as an MCAP, to a file or a pipe: nothing is ever sought or told."""
+"""MCAP writer for files and pipes, without seeking."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ __all__ = ["McapWriter", "Packed", "packed"]
 class Packed(NamedTuple):
     """A chunk's compressed data.
 
-    crc, packed_crc : CRC-32 of what was compressed, and of the data itself where somebody knows it
-    shared : the same data, where other bags get it, too
+    crc, packed_crc : CRC-32 of the uncompressed data, and of the compressed data where known
+    shared : the same data, if several bags contain it
     """
 
     data: bytes | memoryview
@@ -59,25 +59,25 @@ class Packed(NamedTuple):
 
 
 def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
-    """Compress a chunk's records, and sum them."""
+    """Return a chunk's records compressed, with their CRC-32."""
     crc = crc32(data.data)
     require_level(codec, level)
     if codec == "none":
         return Packed(data.data, crc, crc)
     compressed = compress(codec, data, level)
-    # by the thread that has it in its cache
+    # in the thread that has the data in its cache
     return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
 
 
 class McapWriter:
     """An MCAP being written from the blocks of a reader of any format.
 
-    keeps_rest : whether what is never passed to `write` is there all the same
-    codec : of the chunks; None keeps each chunk's own
-    level : of compression; None is the fast one
-    workers : who compress chunks, while more is written; what is written must then stay as it is
-    whole : whether all messages of the reader are to be written, which is then made sure of
-    pack : compresses chunks, as `packed` does; a batch packs what its bags share once
+    keeps_rest : whether messages not passed to `write` are in the output (False)
+    codec : compression of the chunks; None keeps each chunk's own
+    level : compression level; None is the default of the codec
+    workers : threads for compression; written blocks must then not change
+    whole : whether the output must contain all messages of the reader, which is then checked
+    pack : compression function of chunks, default `packed`; a batch compresses common chunks once
     """
 
     keeps_rest = False
@@ -105,24 +105,24 @@ class McapWriter:
         self._sequences = Sequences()
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel that is published like another one (encoding, QoS, latching); its id is fresh."""
+        """Add a channel with the encoding, QoS and latching of another one; return it with a new id."""
         return self._directory.add(topic, msgtype, like)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a channel of which everything is known."""
+        """Add a channel with a given definition; return it."""
         return self._directory.add_defined(topic, msgtype, encoding, definition)
 
     def contents(self) -> PartContents:
-        """Count what was written so far."""
+        """Return the message counts and time span written so far."""
         counts = {self._directory.topic(channel): count for channel, count in self._index.counts.items()}
         return PartContents(Path(self._output.name).name, counts, self._index.start_ns or 0, self._index.end_ns)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
-        """Write a metadata record here and now."""
+        """Write a metadata record."""
         self._write_record(METADATA, record(METADATA, string(name), mapping(items)))
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own."""
+        """Write a block, its added messages last."""
         framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
         if isinstance(framing, McapFraming) and framing.kind == "record":
             self._write_record(framing.opcode, block.data.data)
@@ -141,11 +141,11 @@ class McapWriter:
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
 
     def settle(self) -> None:
-        """Wait until what was passed to `write` is written: its blocks may then change."""
+        """Wait until all blocks passed to `write` are written and may change."""
         self._results.finish()
 
     def _own(self, block: Block, framing: object) -> Framed:
-        """Return a block's own messages as records: as they stand, where they come from the file that is written."""
+        """Return a block's own messages as records, unchanged if they come from an MCAP."""
         native = isinstance(framing, McapFraming)
         if native and not isinstance(block.raw, PartFraming):
             return Framed(block.data, block.table, block.ends)
@@ -158,7 +158,7 @@ class McapWriter:
         return self._records(table["channel"]).followed_by(records)
 
     def _added(self, block: Block) -> Framed:
-        """Frame a block's added messages, behind the channels they need."""
+        """Return records of a block's added messages, after those of the channels they need."""
         messages = [replace(one, channel=self._directory.written_id(one.channel)) for one in block.added]
         framed = frame_added(messages, self._sequences)
         self._added_count += len(messages)
@@ -199,7 +199,7 @@ class McapWriter:
         self._output.write(self._index.add_chunk(span, ChunkPlace(position, len(head) + size, size), indexes))
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
-        """Write a record as it stands, or a later piece of one (opcode 0), behind what waits."""
+        """Write a record unchanged, or a later piece of one (opcode 0), after all pending writes."""
         self._results.put_behind(partial(self._write_record_now, opcode, data), len(data))
 
     def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:

@@ -1,4 +1,4 @@
-"""Bring the records of a ROS 1 bag in, and its chunks decompressed."""
+"""Reading of the records and chunks of a ROS 1 bag."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HEADER_LIMIT = 1 << 24
 
 @dataclass(frozen=True, slots=True)
 class Ros1Framing(Framing):
-    """How a block stood in its bag.
+    """Framing of a block in its bag.
 
     codec : of the chunk
     starts : (n,) offsets of the message records in the block's data, bytes
@@ -35,11 +35,11 @@ class Ros1Framing(Framing):
     starts: NDArray[np.int64]
 
     def goes_on_with(self, other: object) -> bool:
-        """Tell whether both are chunks of one compression."""
+        """Return whether both are chunks of one compression."""
         return isinstance(other, Ros1Framing) and self.codec == other.codec
 
     def joined(self, behind: list[Ros1Framing], begins: list[int]) -> Ros1Framing:
-        """Return how this chunk and those behind it stand as one block."""
+        """Return the framing of this chunk joined with those after it."""
         moved = [one.starts + begin for one, begin in zip(behind, begins, strict=True)]
         return Ros1Framing(self.codec, np.concatenate([self.starts, *moved]))
 
@@ -59,7 +59,7 @@ class Chunk:
 
 
 class Head(NamedTuple):
-    """A record up to its data, which the caller reads."""
+    """Header of a record; the caller reads its data."""
 
     op: int
     header: bytes
@@ -69,7 +69,7 @@ class Head(NamedTuple):
 
 
 def read_head(source: Source, *, whole: bool = True) -> Head:
-    """Read a record up to its data, which must be there as a whole unless that is not asked for."""
+    """Return a record's header; its data must be complete if `whole`."""
     what = f"record at byte {source.position}"
     named = f"{source.name}: {what}"
     length = int.from_bytes(source.read(4, what), "little")

@@ -1,7 +1,7 @@
-"""What lies in a chunk of a ROS 1 bag: its messages as a table, found by its index where that is right.
+"""Table of the messages in a chunk of a ROS 1 bag, from its index where that is correct.
 
-The fields of message headers may stand in any order, but one program writes them all alike: the first message's
-header is a template, and headers of another shape are read one by one.
+Header fields may be in any order, but one program writes all headers alike: the first message's header is the
+template, and headers of another layout are read one by one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SECOND_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a chunk holds.
+    """Content of a chunk.
 
     table : (n,) of dtype TABLE, in the order of the data
     starts : (n,) offsets of the message records in the data, bytes
@@ -44,7 +44,7 @@ class Contents:
 
 @dataclass(frozen=True, slots=True)
 class _Template:
-    """Where the numbers lie in a message record's header.
+    """Offsets of the numbers in a message record's header.
 
     head : (w,) uint8, the header with its length and the numbers zeroed
     mask : (w,) uint8, 0 where numbers lie and 255 elsewhere
@@ -58,7 +58,7 @@ class _Template:
 
 
 def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> Contents:
-    """Read a chunk's records.
+    """Return the messages and connections of a chunk.
 
     data : (size,) the decompressed chunk
     indexes : data of the index records that follow it, possibly wrong
@@ -67,7 +67,7 @@ def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> C
 
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
-    """Return the contents as the index tells them, or None where it does not tell all, or not the truth."""
+    """Return the content by the index, or None where it is incomplete or wrong."""
     if not indexes or sum(map(len, indexes)) % _INDEX_ENTRY.itemsize:
         return None
     starts = np.sort(np.frombuffer(b"".join(indexes), dtype=_INDEX_ENTRY)["offset"].astype(np.int64))
@@ -89,7 +89,7 @@ def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:
 
 
 def _between(data: NDArray[np.uint8], gaps: list[tuple[int, int]] | None) -> list[tuple[bytes, bytes]] | None:
-    """Return the connection records between indexed messages; None where there is anything that should not be."""
+    """Return the connection records between indexed messages; None where there is anything else."""
     connections: list[tuple[bytes, bytes]] = []
     try:
         for begin, end in gaps or []:
@@ -103,7 +103,7 @@ def _between(data: NDArray[np.uint8], gaps: list[tuple[int, int]] | None) -> lis
 
 
 def _template(data: NDArray[np.uint8], start: int) -> _Template | None:
-    """Read the shape of the message record at an offset; None where there is none."""
+    """Return the header layout of the message record at an offset; None where there is none."""
     length = int.from_bytes(data[start : start + 4].tobytes(), "little")
     head = data[start : start + 4 + length].copy()
     if length > 4096 or head.size < 4 + length:
@@ -132,7 +132,7 @@ def _column(heads: NDArray[np.uint8], offset: int, kind: np.dtype[Any]) -> NDArr
 
 
 def _walk(data: memoryview, begin: int, end: int, what: str) -> Contents:
-    """Go from record to record."""
+    """Parse record by record."""
     rows: list[tuple[int, int, int, int]] = []
     starts: list[int] = []
     connections: list[tuple[bytes, bytes]] = []

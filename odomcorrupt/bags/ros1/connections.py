@@ -1,4 +1,4 @@
-"""Connections of a ROS 1 bag being written: the reader's own, those of another format, and added ones."""
+"""Connection records of a ROS 1 bag being written, from a ROS 1 bag, another format, or added."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _LAST_ID = 0xFFFF
 
 
 class Connections:
-    """Knows which connection records a bag has, and which it still needs.
+    """Ids and records of the connections of an output, and which of them are written.
 
-    Ids of the bag's own connections stay. Fresh ones count down: on a pipe, those still to come count up.
+    Ids of the bag's own connections are kept. New ones count down, since on a pipe those yet to come count up.
     """
 
     def __init__(self, reader: BagReader) -> None:
@@ -37,7 +37,7 @@ class Connections:
                 self._make(channel, reader.definition(channel))
 
     def add(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel that is published like another one."""
+        """Add a channel with the settings of another one; return it."""
         identifier = _LAST_ID
         while identifier in self._made or identifier in self._reader.channels:
             identifier -= 1
@@ -86,5 +86,5 @@ class Connections:
 
 
 def _publisher(definition: Definition) -> dict[str, str]:
-    """Return what a definition says of the publisher rather than of the type."""
+    """Return the fields of a definition that belong to the publisher (callerid, latching), not to the type."""
     return {key: definition.metadata[key] for key in ("callerid", "latching") if key in definition.metadata}

@@ -1,4 +1,4 @@
-"""Put messages into records: those of another format, and those that are added."""
+"""Message records for messages of another format and added ones."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Framed:
     ends: tuple[int, ...] = ()
 
     def followed_by(self, other: Framed) -> Framed:
-        """Return both, the other one in the last chunk of this one."""
+        """Return both, with the other one appended to the last chunk of this one."""
         moved = other.table.copy()
         moved["offset"] += self.data.size
         return Framed(
@@ -66,7 +66,7 @@ class Framed:
 
 
 def pack_time(log_ns: int) -> bytes:
-    """Return a time as ROS 1 stores it, two unsigned 32-bit words."""
+    """Return a time in ROS 1's serialisation: seconds and nanoseconds as unsigned 32-bit words."""
     seconds, nanoseconds = divmod(log_ns, _SECOND_NS)
     if not 0 <= seconds < 1 << 32:
         raise BagError(f"log time {log_ns} ns: does not fit a ROS 1 bag (0 to 2106); write an MCAP instead")
@@ -74,7 +74,7 @@ def pack_time(log_ns: int) -> bytes:
 
 
 def frame(before: bytes, messages: list[Message]) -> Framed:
-    """Frame messages, behind records that must precede them."""
+    """Return records of messages, after records that must precede them."""
     pieces = [before]
     rows: list[tuple[int, int, int, int]] = []
     starts: list[int] = []

@@ -1,4 +1,4 @@
-"""Read a ROS 1 bag as blocks, one per chunk, from a file or a pipe."""
+"""ROS 1 bag reader: one block per chunk, from a file or a pipe."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ class _Connected(NamedTuple):
 class Ros1Reader:
     """A ROS 1 bag, file or pipe.
 
-    losses : what could not be read, one sentence each, where recovery was asked for
-    count : messages that the last pass has given
+    losses : parts that could not be read, one sentence each, with recovery
+    count : number of messages of the last pass
     """
 
     kind: Kind = "ros1"
@@ -83,7 +83,7 @@ class Ros1Reader:
         except BagError:
             if not recover:
                 raise
-            # The records are looked for where they stand.
+            # The records are read from the data section.
             self.losses.append(f"{self.name}: its header is damaged")
             next_record(source, len(MAGIC))
         if recover and not self.losses and not (source.at_end() or stands_here(source)):
@@ -116,7 +116,7 @@ class Ros1Reader:
         self._connection_count = number(head.fields, "conn_count", self.name)
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the bag says of a channel's type."""
+        """Return the bag's definition of a channel's type."""
         connection: Connection = channel.raw
         kept = {key: value.decode(errors="replace") for key, value in connection.fields.items()}
         kept.pop("message_definition", None)
@@ -124,11 +124,11 @@ class Ros1Reader:
 
     @property
     def part_read(self) -> float | None:
-        """Which part of the file's bytes the present pass has read, None where its size is not known."""
+        """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
         return self._reading.position / self._reading.size if self._reading.size else None
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
-        """Yield the blocks in file order; of a file as often as asked for, of a pipe once."""
+        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
         del self.losses[self._header_losses :]
         self.count = self._seen = 0
         if self.complete:
@@ -152,7 +152,7 @@ class Ros1Reader:
             )
 
     def _blocks(self, source: Source) -> Iterator[Block]:
-        """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
+        """Yield the blocks of a source, and register connections on the way."""
         parts: Iterator[Chunk | _Connected] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
             parts = read_ahead(self._parts(source), _size_of, _is_packed)
@@ -186,7 +186,7 @@ class Ros1Reader:
             yield chunk
 
     def _heads(self, source: Source) -> Iterator[Head]:
-        """Yield the records of the data section up to their data, which the caller reads; all there are, to recover."""
+        """Yield record headers of the data section (with recovery, of the whole file); the caller reads the data."""
         last, op = source.position, BAG_HEADER
         while self._recover and not source.at_end():
             if not (stands_behind(source, last) if op == CHUNK else stands_here(source)):
@@ -216,7 +216,7 @@ class Ros1Reader:
         return chunk
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
-        """Take note of a record between chunks; return the chunk that is being collected."""
+        """Process a record between chunks; return the chunk being collected."""
         if head.op == INDEX:
             if chunk:
                 chunk.indexes.append(data)
@@ -245,11 +245,11 @@ class Ros1Reader:
         yield block
 
     def _salvaged(self, chunk: Chunk) -> Block:
-        """Return what is whole of a chunk, without messages of connections that nobody defined."""
+        """Return the intact messages of a chunk, without those of undefined connections."""
         data = whole_records(np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data)
         contents = read_contents(data, [], "")
         for header, fields in contents.connections:
-            # One that cannot be understood is missed where messages are its.
+            # An unreadable one matters only if messages use it.
             with suppress(BagError):
                 self._learn(header, fields)
         known = np.array([number in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
@@ -263,7 +263,7 @@ class Ros1Reader:
         return Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
 
     def _lose(self, error: BagError) -> None:
-        """Note what cannot be read, or give up where that was not asked for."""
+        """Record a loss with recovery, else raise the error."""
         if not self._recover:
             raise error
         self.losses.append(loss_of(error))
@@ -288,7 +288,7 @@ class Ros1Reader:
             raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
     def _read_index(self, source: Source) -> None:
-        """Read connections and chunk infos at the bag's end: that they are all there tells that nothing was cut."""
+        """Read connections and chunk infos at the bag's end; if they are complete, the bag is not truncated."""
         for _ in range(self._connection_count + self._chunk_count):
             head = read_head(source)
             data = source.read(head.size, head.what)
@@ -317,5 +317,5 @@ def _size_of(part: Chunk | _Connected) -> int:
 
 
 def _counted(data: bytes) -> int:
-    """Return how many messages a chunk info tells of."""
+    """Return the number of messages in a chunk info."""
     return int(np.frombuffer(data[: len(data) // 8 * 8], dtype="<u4")[1::2].sum())

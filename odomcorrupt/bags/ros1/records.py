@@ -43,8 +43,8 @@ class Connection:
     """A topic of one publisher.
 
     topic : as recorded
-    fields : what the publisher said: type, md5sum, message_definition, callerid, latching, topic
-    header, data : the record's two parts as they stand in the bag
+    fields : connection header: type, md5sum, message_definition, callerid, latching, topic
+    header, data : the two parts of the record, unparsed
     """
 
     id: int
@@ -62,13 +62,13 @@ class Connection:
 
     @classmethod
     def build(cls, identifier: int, topic: str, fields: Mapping[str, bytes]) -> Connection:
-        """Make a connection record that was not in a bag."""
+        """Return a new connection record."""
         header = {"conn": struct.pack("<I", identifier), "op": bytes([CONNECTION]), "topic": topic.encode()}
         return cls(identifier, topic, fields, pack_fields(header), pack_fields(fields))
 
     @property
     def type(self) -> str:
-        """The message type, as ROS 1 writes it."""
+        """Message type in ROS 1 notation."""
         return self.fields.get("type", b"").decode(errors="replace")
 
     def pack(self) -> bytes:

@@ -1,4 +1,4 @@
-"""Find the way back in a damaged ROS 1 bag: where a record begins that can be believed, and what a cut chunk holds."""
+"""Resynchronisation in a damaged ROS 1 bag: the next plausible record, and the intact part of a truncated chunk."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ _KINDS = (MESSAGE, INDEX, CHUNK, CHUNK_INFO, CONNECTION)
 
 
 def stands_here(source: Source) -> bool:
-    """Tell whether the next bytes of a file can be a record."""
+    """Return whether the next bytes are a plausible record."""
     return _here(source) is not None
 
 
 def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
-    """Tell whether the next bytes can be the record behind the one that begins at byte `begin`, or the file's end.
+    """Return whether the next bytes are a plausible successor of the record at byte `begin`, or the file's end.
 
-    Bytes that are missing from a chunk let its length reach into the next one, where messages stand, too, or to the
-    end of one.
+    If bytes are missing from a chunk, its stated length ends inside the next one, possibly at a message, or at its
+    end.
 
-    failed : whether that one could not be read
+    failed : whether the record at `begin` could not be read
     """
     here = source.position
     if source.at_end():
@@ -58,7 +58,7 @@ def stands_behind(source: Source, begin: int, *, failed: bool = False) -> bool:
 
 
 def _leads_to(source: Source, at: int, here: int) -> bool:
-    """Tell whether records follow each other from byte `at` up to byte `here`, or over it."""
+    """Return whether consecutive records lead from byte `at` to or past byte `here`."""
     while at < here:
         source.seek(at)
         if _here(source) is None:
@@ -69,7 +69,7 @@ def _leads_to(source: Source, at: int, here: int) -> bool:
 
 
 def next_record(source: Source, begin: int) -> bool:
-    """Go to the first record behind byte `begin`, which led astray, or to the end; tell whether there is one."""
+    """Seek to the first plausible record after byte `begin`, or to the end; return whether there is one."""
     size = source.size or 0
     source.seek(begin)
     at = next(_found(source, begin + 1, size, _STRONG if _here(source) == CHUNK else _KINDS), size)
@@ -78,12 +78,12 @@ def next_record(source: Source, begin: int) -> bool:
 
 
 def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
-    """Read a chunk record, or of one that the file's end cuts what is whole; return it and what is lost, if any.
+    """Return a chunk, or the intact part of one truncated by the file's end, and a sentence on the loss ("" for none).
 
     Raises
     ------
     BagError
-        Where the chunk is damaged in another way: it claims what records behind it stand in.
+        If the chunk is damaged otherwise: its length covers later records.
 
     """
     left = (source.size or 0) - source.position
@@ -100,7 +100,7 @@ def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the records (size,) that are whole, up to the first one that is not."""
+    """Return the bytes (size,) of the intact records before the first damaged one."""
     view, at = data.tobytes(), 0
     while (kind := _kind_at(view, at, len(view) - at)) in (MESSAGE, CONNECTION):
         middle = at + 4 + int.from_bytes(view[at : at + 4], "little")
@@ -122,7 +122,7 @@ def _is_message(header: bytes) -> bool:
 
 
 def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Iterator[int]:
-    """Yield where records of some kinds begin from byte `begin` to byte `end`."""
+    """Yield the offsets of plausible records of some kinds between bytes `begin` and `end`."""
     while begin < end:
         source.seek(begin)
         window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
@@ -143,7 +143,7 @@ def _here(source: Source) -> int | None:
 
 
 def _kind_at(window: bytes, at: int, left: int) -> int | None:
-    """Return the kind of the record that can begin at a byte; None where none does."""
+    """Return the kind of a plausible record at a byte; None for none."""
     length = int.from_bytes(window[at : at + 4], "little")
     header = window[at + 4 : at + 4 + length]
     if not 9 <= length <= _LOOK_BYTES - 8 or len(header) < length or left < length + 8:

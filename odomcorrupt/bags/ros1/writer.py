@@ -1,4 +1,4 @@
-"""Write blocks as a ROS 1 bag: message bytes, definitions, md5sums, callerids and latching as they were."""
+"""ROS 1 bag writer: message bytes, definitions, md5sums, callerids and latching are those of the input."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _CHUNK_LIMIT = 1 << 32
 class Ros1Writer:
     """A ROS 1 bag being written from the blocks of a reader.
 
-    keeps_rest : whether what is never passed to `write` is there all the same
-    codec : of the chunks; None keeps each chunk's own
-    level : of compression; None is the fast one
-    workers : who compress chunks, while more is written; what is written must then stay as it is
-    pack : compresses chunks, as `compress_for_ros1` does; a batch packs what its bags share once
+    keeps_rest : whether messages not passed to `write` are in the output (False)
+    codec : compression of the chunks; None keeps each chunk's own
+    level : compression level; None is the default of the codec
+    workers : threads for compression; written blocks must then not change
+    pack : compression function of chunks, default `compress_for_ros1`; a batch compresses common chunks once
     """
 
     keeps_rest = False
@@ -66,14 +66,14 @@ class Ros1Writer:
         self._infos: list[bytes] = []
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a channel that is published like another one (latching, callerid); its id is fresh."""
+        """Add a channel with the latching and callerid of another one; return it with a new id."""
         return self._connections.add(topic, msgtype, like)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
-        """Say nothing: a ROS 1 bag has no place for it that is not a topic."""
+        """Do nothing: a ROS 1 bag has no metadata."""
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own."""
+        """Write a block, its added messages last."""
         added = self._frame(block.added)
         self._added += len(block.added)
         framing = block.raw
@@ -90,14 +90,14 @@ class Ros1Writer:
                 self._write_chunk(chunk, self._codec or codec)
 
     def settle(self) -> None:
-        """Wait until what was passed to `write` is written: its blocks may then change."""
+        """Wait until all blocks passed to `write` are written and may change."""
         self._results.finish()
 
     def _frame(self, messages: list[Message]) -> Framed:
         return frame(self._connections.take_records(one.channel for one in messages), messages)
 
     def _framed(self, block: Block) -> Framed:
-        """Frame the messages of another format's block, in chunks as they were."""
+        """Return records of the messages of another format's block, with its division into chunks."""
         messages = _messages(block)
         stops = [*np.searchsorted(block.table["offset"], block.ends[:-1]).tolist(), len(messages)]
         framed = self._frame(messages[: stops[0]])

@@ -1,4 +1,4 @@
-"""YAML of strangers: plain data of a bounded size, checked event by event before anything is constructed."""
+"""YAML from untrusted sources: plain data of bounded size, checked event by event before construction."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ DEEPEST = 24
 LONGEST_S = 20.0
 """CPU time."""
 _SHOWN = 200
-"""Characters of a problem that are told."""
+"""Maximum number of characters of a problem in an error message."""
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a small file; BagError where it is none: a pipe or device would be waited for."""
+    """Return the text of a small regular file; BagError for others, such as a pipe that would block."""
     if not path.is_file():
         raise BagError(f"{path}: is no file (a directory, pipe or device); restore it")
     try:
@@ -39,18 +39,18 @@ def read_text(path: Path) -> str:
 
 
 def load_plain(text: str) -> Any:
-    """Return a YAML text as dicts, lists, strings and numbers; ValueError where it is none, or more than is bounded."""
+    """Return a YAML text as dicts, lists, strings and numbers; ValueError if it is invalid or exceeds the bounds."""
     return _loaded(text, "safe")
 
 
 def load_faithful(text: str) -> Any:
-    """Return the same with its comments and quotes, to be changed and written again."""
+    """Return the same with comments and quotes kept, for editing."""
     return _loaded(text, "rt")
 
 
 def yaml_of(kind: str) -> Any:
     """Return a YAML reader and writer; lines are never folded."""
-    # Heavy, and needed for directories only.
+    # Slow to import, and needed for directories only.
     from ruamel.yaml import YAML  # noqa: PLC0415
 
     yaml = YAML(typ=kind, pure=True)
@@ -60,7 +60,7 @@ def yaml_of(kind: str) -> Any:
 
 
 def yaml_problem(error: Exception) -> str:
-    """Return an error in one line that is not too long: those of YAML quote what they are about."""
+    """Return an error in one short line; those of YAML quote the document."""
     mark = getattr(error, "problem_mark", None)
     where = f" in line {mark.line + 1}" if mark is not None else ""
     return _shown(getattr(error, "problem", None) or error) + where
@@ -114,7 +114,7 @@ class _Open(NamedTuple):
 
 
 class _Bounds:
-    """Counts the nodes of a document, those that aliases stand for each time."""
+    """Counter of a document's nodes, with aliases expanded."""
 
     def __init__(self) -> None:
         self._nodes = 0
@@ -123,7 +123,7 @@ class _Bounds:
         self._children = [0]
 
     def add(self, anchor: str | None, *, alias: bool = False) -> None:
-        """Count a scalar, or what an alias stands for."""
+        """Count a scalar, or the nodes of an alias."""
         if alias and anchor not in self._sizes:
             raise ValueError(f"*{anchor} stands for what it is part of, or for nothing")
         size = self._sizes[str(anchor)] if alias else 0

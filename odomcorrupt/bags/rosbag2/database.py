@@ -1,4 +1,4 @@
-"""The sqlite3 files of rosbag2: topics and what is known about their types, in all versions of the tables."""
+"""The sqlite3 files of rosbag2: topics and type definitions, in all versions of the tables."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""
 _LONGEST = 200
-"""Characters of a reason that are told."""
+"""Maximum number of characters of a reason in an error message."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 """Tables and columns without which nothing can be read."""
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
@@ -56,7 +56,7 @@ class Topic:
     definition_text: str
 
     def definition(self) -> Definition:
-        """Return the same in the words of an MCAP written by rosbag2."""
+        """Return the definition as in an MCAP written by rosbag2."""
         metadata = {"offered_qos_profiles": self.qos}
         if self.digest:
             metadata["topic_type_hash"] = self.digest
@@ -65,9 +65,9 @@ class Topic:
 
 @contextmanager
 def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Iterator[None]:
-    """Say of sqlite's errors which file they are about.
+    """Convert sqlite's errors to BagError with the file's name.
 
-    recover : whether recovery is under way, and need not be advised
+    recover : whether recovery is active, so that messages do not advise it
     """
     try:
         yield
@@ -84,15 +84,15 @@ def reported(path: Path, *, writing: bool = False, recover: bool = False) -> Ite
 
 
 def has_log(path: Path) -> bool:
-    """Tell whether a write-ahead log holds part of the data: the recorder is alive, or was killed."""
+    """Return whether a write-ahead log holds part of the data: the recorder is running, or was killed."""
     log = path.with_name(path.name + "-wal")
     return log.exists() and log.stat().st_size > 0
 
 
 def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
-    """Open a file without writing anything, not even the lock files that sqlite leaves beside a log.
+    """Return a connection that writes nothing, not even sqlite's lock files.
 
-    whole : refuse one that is shorter than it says
+    whole : raise BagError for a file shorter than its header says
     """
     if whole:
         _require_whole(path)
@@ -102,16 +102,16 @@ def read_only(path: Path, *, whole: bool = True) -> sqlite3.Connection:
     size = path.stat().st_size + (path.with_name(path.name + "-wal").stat().st_size if has_log(path) else 0)
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(max(size, _LEAST_BYTES), _MOST_BYTES))
     if not whole:
-        # With this sqlite reads what there is of a file that was cut; nothing is ever written.
+        # Lets sqlite read the rest of a truncated file; nothing is ever written.
         connection.execute("PRAGMA writable_schema = ON")
     harden(connection, defensive=whole)
     return connection
 
 
 def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
-    """Switch off what a file's own schema could do: triggers, views and functions in it.
+    """Disable triggers, views and functions of a file's schema.
 
-    defensive : not where the schema of a file that was cut is to be read as far as it goes
+    defensive : False to read the schema of a truncated file
     """
     connection.execute("PRAGMA trusted_schema = OFF").fetchall()
     connection.execute("PRAGMA cell_size_check = ON").fetchall()
@@ -121,12 +121,12 @@ def harden(connection: sqlite3.Connection, *, defensive: bool = True) -> None:
 
 
 def require_plain(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuse a file in which anything but its rows decides what is read, or what becomes of what is written.
+    """Raise BagError for a file whose schema can change what is read or written.
 
     Raises
     ------
     BagError
-        Where there is a trigger or a view, or a table of rosbag2's that computes, checks or replaces rows.
+        If there is a trigger or a view, or a table of rosbag2 that computes, checks or replaces rows.
 
     """
     for kind, name, table, text in connection.execute("SELECT type, name, tbl_name, sql FROM sqlite_master"):
@@ -152,7 +152,7 @@ def _is_plain_index(connection: sqlite3.Connection, name: str) -> bool:
 
 
 def count_messages(connection: sqlite3.Connection) -> dict[int, tuple[int, int]]:
-    """Return how many messages each topic id has, and their bytes; no message is read for it."""
+    """Return the number of messages and bytes of each topic id, without reading messages."""
     # The limit keeps sqlite from sorting messages together with their data, in files of its own.
     sizes = "SELECT topic_id, length(data) AS size FROM messages LIMIT -1"
     query = f"SELECT topic_id, count(*), total(size) FROM ({sizes}) GROUP BY topic_id"  # noqa: S608 - as it stands here
@@ -170,11 +170,11 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     Raises
     ------
     BagError
-        Where the tables are not those of a rosbag2, or messages are compressed one by one.
+        If the tables are not those of rosbag2, or messages are compressed one by one.
 
     """
     tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-    # A view may run for ever, and is nothing a recorder makes.
+    # A view may run for ever, and no recorder creates one.
     known = all(wanted <= set(columns(connection, table)) for table, wanted in _COLUMNS.items())
     if not (known and _COLUMNS.keys() <= tables):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
@@ -198,7 +198,7 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
 
 
 def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topic:
-    """Read a row of the topics table, whose columns became more with time."""
+    """Return a row of the topics table, whose columns depend on the version."""
     encoding, text = definitions.get(row["type"], ("", ""))
     return Topic(
         id=row["id"],
@@ -213,7 +213,7 @@ def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topi
 
 
 def _require_whole(path: Path) -> None:
-    """Refuse a file shorter than its own header says: sqlite would notice only when it meets a missing page."""
+    """Raise BagError for a file shorter than its header says; sqlite would fail only at a missing page."""
     with path.open("rb") as stream:
         head = stream.read(100)
     if len(head) < 100:

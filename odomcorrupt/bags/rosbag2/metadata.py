@@ -1,4 +1,4 @@
-"""metadata.yaml: read it, carry it over with what changed, or write one where there was none."""
+"""metadata.yaml: reading, editing, and creation where there was none."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ROOT = "rosbag2_bagfile_information"
 
 
 class TopicInfo(NamedTuple):
-    """A topic, as metadata.yaml knows it."""
+    """A topic of metadata.yaml."""
 
     name: str
     encoding: str
@@ -51,7 +51,7 @@ class Addition:
 
 
 def read_info(path: Path) -> dict[str, Any]:
-    """Read what a metadata.yaml says."""
+    """Return the bag information of a metadata.yaml."""
     try:
         document = _parsed(read_text(path))
     except ValueError as error:
@@ -65,7 +65,7 @@ def read_info(path: Path) -> dict[str, Any]:
 
 
 def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
-    """Return a YAML text with its bag information changed, all else as it stands."""
+    """Return a YAML text with its bag information changed, all else unchanged."""
     out = StringIO()
     try:
         document = deepcopy(_parsed(text))
@@ -77,16 +77,16 @@ def edited(text: str, change: Callable[[dict[str, Any]], None]) -> str:
 
 
 def add_provenance(info: dict[str, Any], name: str, items: Mapping[str, str]) -> None:
-    """Say in custom_data how the bag came about."""
+    """Add provenance metadata to custom_data."""
     custom = info.get("custom_data") or {}
     info["custom_data"] = {**custom, **{f"{name}.{key}": value for key, value in items.items()}}
 
 
 def added(info: dict[str, Any], additions: list[Addition], topics: Mapping[str, TopicInfo]) -> None:
-    """Count added messages.
+    """Add the counts and times of added messages.
 
     additions : by file, in the order of the file list
-    topics : those that were added to, by name
+    topics : topics of added messages, by name
     """
     entries = {entry["topic_metadata"]["name"]: entry for entry in info.get("topics_with_message_count") or []}
     files = info.get("files") or [{} for _ in additions]
@@ -106,7 +106,7 @@ def added(info: dict[str, Any], additions: list[Addition], topics: Mapping[str, 
 
 
 def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], distro: str) -> str:
-    """Write the metadata.yaml of a bag that had none."""
+    """Return a new metadata.yaml for a bag that had none."""
     counts: dict[str, int] = {}
     for part in parts:
         for topic, count in part.counts.items():
@@ -148,11 +148,11 @@ def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], 
 
 
 def _topic_entry(topic: TopicInfo, *, hashed: bool) -> dict[str, Any]:
-    """Describe a topic; QoS with names for numbers is version 9's, and is no text there."""
+    """Return the entry of a topic; since version 9 QoS uses names for numbers, and is not a string."""
     metadata = topic.definition.metadata
     qos: Any = metadata.get("offered_qos_profiles", "")
     if "history: keep" in qos or "history: system" in qos or "history: unknown" in qos:
-        # a text that is none stays one
+        # a string that is not YAML is kept
         with suppress(ValueError):
             qos = load_plain(qos)
     entry = {
@@ -175,5 +175,5 @@ def _extend(span: dict[str, Any], start_ns: int, end_ns: int) -> None:
 
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Any:
-    """Return a YAML document with its comments and quotes; one that is read and then edited is parsed once."""
+    """Return a YAML document with comments and quotes; cached between reading and editing."""
     return load_faithful(text)

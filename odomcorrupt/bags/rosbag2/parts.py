@@ -1,4 +1,4 @@
-"""Find the files of a ROS 2 bag."""
+"""The files of a ROS 2 bag directory."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class BagFiles:
 
 
 def find_files(directory: Path) -> BagFiles:
-    """Find a bag's files, by metadata.yaml or by their names.
+    """Return a bag's files, listed in metadata.yaml or found by name.
 
     Raises
     ------
     BagError
-        Where there are none, they are compressed as a whole or message by message, one is there twice, or they are not
-        of one recording.
+        If there are none, they are compressed as files or message by message, one is listed twice, or they do not
+        belong to one recording.
 
     """
     metadata = directory / "metadata.yaml"
@@ -72,7 +72,7 @@ def _listed(directory: Path, metadata: Path) -> BagFiles:
 
 
 def _named(directory: Path) -> list[Path]:
-    """Return the files of a directory without metadata.yaml, where their names say that they are one recording."""
+    """Return the files of a directory without metadata.yaml, whose names must be those of one recording."""
     visible = [path for path in directory.iterdir() if not path.name.startswith(".")]
     names = sorted(visible, key=lambda path: [int(x) if x.isdecimal() else x for x in _PARTS.split(path.name)])
     files = [path for path in names if path.suffix in (".db3", ".mcap")]
@@ -93,7 +93,7 @@ def _named(directory: Path) -> list[Path]:
 
 
 def _is_one_recording(files: list[Path]) -> bool:
-    """Whether names differ in their last number alone, which counts, as rosbag2 names what it splits."""
+    """Return whether names differ only in their last, consecutive number, as in a bag split by rosbag2."""
     if len(files) == 1:
         return True
     parts = [_COUNTED.fullmatch(path.name) for path in files]

@@ -1,4 +1,4 @@
-"""Read a ROS 2 bag of one or more files as if it were one."""
+"""ROS 2 bag reader for one or more files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Rosbag2Reader:
 
     metadata : text of metadata.yaml, or None without one
     parts : readers of the files
-    numbers : by file, the bag's channel of each of the file's channels
+    numbers : for each file, the bag's channel id by the file's channel id
     """
 
     complete = True
@@ -58,23 +58,23 @@ class Rosbag2Reader:
         self._number()
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the first file that has a channel says of its type."""
+        """Return the definition of a channel's type in the first file that has the channel."""
         part, own = self._origins[channel.id]
         return part.definition(own)
 
     @property
     def losses(self) -> list[str]:
-        """What could not be read of the files, one sentence each."""
+        """Parts of the files that could not be read, one sentence each."""
         return [loss for part in self.parts for loss in part.losses]
 
     @property
     def count(self) -> int:
-        """How many messages the last pass has given."""
+        """Number of messages of the last pass."""
         return sum(part.count for part in self.parts)
 
     @property
     def part_read(self) -> float | None:
-        """Which part of the files, each counted alike, the present pass has read; None where that is not known."""
+        """Part of the files read in this pass, 0 to 1, with equal weights; None where unknown."""
         now = self.parts[self._reading]
         part = now.part_read if isinstance(now, McapReader) else None
         return None if part is None else (self._reading + part) / len(self.parts)
@@ -94,7 +94,7 @@ class Rosbag2Reader:
                 yield Block(block.data, table, PartFraming(index, block), ends=block.ends)
 
     def _number(self) -> None:
-        """Give the channels of all files numbers: the first file's keep theirs, a topic has one in all files."""
+        """Assign channel ids: the first file's are kept, and a topic has the same id in all files."""
         channels: dict[int, Channel] = {}
         same: dict[tuple[str, str, str], int] = {}
         for part in self.parts:
@@ -123,7 +123,7 @@ class Rosbag2Reader:
 
 
 def open_part(path: Path, *, recover: bool = False, threads: int = 1) -> SqliteReader | McapReader:
-    """Open a file of a bag, by its content."""
+    """Return a reader for a file of a bag, by its content."""
     source = Source.of_file(path)
     try:
         begin = source.sniff(16)

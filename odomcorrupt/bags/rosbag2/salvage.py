@@ -1,4 +1,4 @@
-"""Save the rows of a damaged sqlite3 file: around pages that cannot be read, and into a file of their own."""
+"""Recovery of the rows of a damaged sqlite3 file around unreadable pages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
 
 
 def whole_pages(path: Path) -> _TemporaryFileWrapper[bytes] | None:
-    """Return the whole pages of a file that was cut within one: sqlite3 would read zeros for what is missing."""
+    """Return a copy of a truncated file without its incomplete last page, which sqlite3 would fill with zeros."""
     with path.open("rb") as stream:
         (page,) = struct.unpack(">H", stream.read(18)[16:].rjust(2, b"\0"))
         size = path.stat().st_size
@@ -40,7 +40,7 @@ def whole_pages(path: Path) -> _TemporaryFileWrapper[bytes] | None:
 
 
 def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) -> Iterator[tuple[Any, ...]]:
-    """Yield the messages that can be read, ascending by row; tell of the gaps."""
+    """Yield the readable messages in row order; add gaps to `losses`."""
     first: int | None = -(1 << 63)
     for _ in range(_GAPS):
         if first is None:
@@ -63,7 +63,7 @@ def salvaged_rows(connection: sqlite3.Connection, name: str, losses: list[str]) 
 
 
 def _next(connection: sqlite3.Connection, last: int) -> int | None:
-    """Return the first row behind one that cannot be read, None where there is none."""
+    """Return the first readable row after an unreadable one; None where there is none."""
     begin = max(last, 0)
     step = 1
     found = None
@@ -76,7 +76,7 @@ def _next(connection: sqlite3.Connection, last: int) -> int | None:
         if row is None:
             break
         found = int(row[0])
-    # Between the last step that failed, or found nothing, and this one: the first that can be read.
+    # Bisection between the last unreadable step and this one.
     low, high = begin + max(step // 2, 1), begin + step
     while low < high:
         middle = (low + high) // 2
@@ -92,12 +92,12 @@ def _next(connection: sqlite3.Connection, last: int) -> int | None:
 
 
 def copy_tables(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
-    """Make the tables of a bag anew, with all their rows but the messages."""
+    """Create a bag's tables in the target, with all rows except messages."""
     for table in _TABLES:
         rows = source.execute(f"PRAGMA table_info({table})").fetchall()
         if not rows:
             continue
-        # Names of rosbag2's columns are words; whatever else stands there is not taken over.
+        # Column names of rosbag2 are identifiers; others are not copied.
         known = [(str(row[1]), str(row[2]).upper()) for row in rows if str(row[1]).isidentifier()]
         kinds = [
             f'"{name}" INTEGER PRIMARY KEY' if name == "id" else f'"{name}" {kind if kind in _KINDS else ""}'

@@ -1,4 +1,4 @@
-"""Read a sqlite3 file of rosbag2 as blocks: batches of rows."""
+"""Reader of a sqlite3 file of rosbag2: blocks are batches of rows."""
 
 from __future__ import annotations
 
@@ -32,18 +32,17 @@ _LARGE_BYTES = 1 << 16
 
 
 def kept(message: Any) -> bytes:
-    """Return what tells a message from every other one: itself, or of a large one its hash."""
+    """Return a message for comparison: its bytes, or the hash of a large one."""
     large = len(message) > _LARGE_BYTES
     return hashlib.blake2b(message, digest_size=32).digest() if large else bytes(message)
 
 
 @dataclass(frozen=True, slots=True)
 class SqliteFraming:
-    """How a block stood in its file.
+    """Framing of a block in its file.
 
     rows : (n,) row ids of the messages
-    before : the messages as they were read, to tell which were changed, large ones as `kept` makes them; None of one
-        that was not read
+    before : original messages as of `kept`, to detect changes; None for one that was not read
     """
 
     rows: NDArray[np.int64]
@@ -53,11 +52,11 @@ class SqliteFraming:
 class SqliteReader:
     """One .db3 file.
 
-    readable : the file, or what is whole of one that was cut within a page
-    damaged : whether sqlite3 finds fault with it; looked at where recovery was asked for
-    losses : what could not be read, one sentence each, where recovery was asked for
-    lost_rows : row ids of messages that are told of as lost
-    count : messages that the last pass has given
+    readable : the file, or the whole pages of a truncated one
+    damaged : whether sqlite3's integrity check fails; with recovery only
+    losses : parts that could not be read, one sentence each, with recovery
+    lost_rows : row ids of messages reported as lost
+    count : number of messages of the last pass
     """
 
     kind: Kind = "sqlite3"
@@ -85,14 +84,14 @@ class SqliteReader:
         }
 
     def definition(self, channel: Channel) -> Definition:
-        """Return what the file says of a channel's type."""
+        """Return the file's definition of a channel's type."""
         topic: Topic = channel.raw
         return topic.definition()
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
-        """Yield the blocks in the order in which messages were recorded.
+        """Yield the blocks in the order of recording.
 
-        only : channels whose messages are read; those of others are told of, but large ones stay where they are
+        only : channels whose messages are read; of others, large messages are listed without their bytes
         """
         self.losses.clear()
         self.lost_rows.clear()
@@ -109,7 +108,7 @@ class SqliteReader:
             last = -(1 << 63)
             for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
-                    # Pages that point at each other could be read for ever.
+                    # Cyclic pages could be read for ever.
                     raise BagError(f"{self.path}: message {row} comes behind message {last}; the bag is damaged")
                 last = row
                 unread = only is not None and channel not in only and blob is None
@@ -129,7 +128,7 @@ class SqliteReader:
                 data.append(blob)
                 size += 0 if unread else len(blob)
                 self.count += 1
-                blob = None  # noqa: PLW2901 - whoever takes the block has it alone
+                blob = None  # noqa: PLW2901 - the block holds the only reference
                 if size >= _BATCH_BYTES:
                     block = _block(rows, of, times_ns, data)
                     rows, of, times_ns, data, size = [], [], [], [], 0
@@ -139,7 +138,7 @@ class SqliteReader:
                 yield _block(rows, of, times_ns, data)
 
     def _lose(self, sentence: str) -> None:
-        """Note what cannot be read, or give up where that was not asked for."""
+        """Record a loss with recovery, else raise the error."""
         if not self._recover:
             raise BagError(f"{sentence}; --recover saves what is whole")
         self.losses.append(sentence)
@@ -167,7 +166,7 @@ class SqliteReader:
 
 
 def _read_large(connection: sqlite3.Connection, row: int, size: int) -> bytearray:
-    """Return a message piece by piece: at once it would be in memory three times."""
+    """Return a large message, read in pieces to avoid three copies in memory."""
     out = bytearray(size)
     with connection.blobopen("messages", "data", row, readonly=True) as blob:
         for at in range(0, size, _PIECE_BYTES):

@@ -1,4 +1,4 @@
-"""Write a sqlite3 file of rosbag2: copy it, then update the rows that changed and insert those that are new."""
+"""Writer of a sqlite3 file of rosbag2: copies it, updates changed rows and inserts new ones."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SqliteWriter:
     """One .db3 file being written.
 
     overwrite : whether it may replace a file
-    keeps_rest : what is never passed to `write` is there all the same
+    keeps_rest : whether messages not passed to `write` are in the output (true unless the input is damaged)
     """
 
     def __init__(self, path: Path, reader: SqliteReader, *, overwrite: bool = False) -> None:
@@ -52,14 +52,14 @@ class SqliteWriter:
         self._changes = 0
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
+        """Add a topic with the encoding and QoS of another one; return it with a new id."""
         definition = self._reader.definition(like)
         if msgtype != like.msgtype:
             definition = retyped(self._reader, msgtype, like.encoding, definition)
         return self.add_defined(topic, msgtype, like.encoding, definition)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
-        """Add a topic of which everything is known."""
+        """Add a topic with a given definition; return it."""
         values = {
             "id": max([*self._reader.channels, *self._added], default=0) + 1,
             "name": topic,
@@ -85,24 +85,24 @@ class SqliteWriter:
         return Channel(identifier, topic, msgtype, encoding)
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
-        """Say how the bag came about in the file's own metadata, where it has any."""
+        """Write provenance metadata to the file's metadata table, where there is one."""
         with reported(self._path, writing=True):
             if not columns(self._connection, "metadata"):
                 return
             for row, raw in self._connection.execute("SELECT rowid, CAST(metadata AS BLOB) FROM metadata").fetchall():
-                # What cannot be understood stays as it is.
+                # Unreadable metadata are kept.
                 with suppress(BagError, UnicodeDecodeError):
                     new = edited((raw or b"").decode(), lambda info: add_provenance(info, name, items))
                     self._change("UPDATE metadata SET metadata = ? WHERE rowid = ?", [(new, row)])
 
     def write(self, block: Block) -> None:
-        """Update the messages of a block that changed, and insert its added ones."""
+        """Update the changed messages of a block, and insert its added ones."""
         framing = block.raw
         if not isinstance(framing, SqliteFraming):
             raise BagError(f"{self._path}: a bag of another format cannot become sqlite3; name the output .mcap")
         changed: list[tuple[bytes, int]] = []
         data = block.data.data
-        # what was not read, or is empty, cannot have changed
+        # messages that were not read, or are empty, cannot have changed
         read = np.flatnonzero(block.table["length"])
         spans = zip(block.table["offset"][read].tolist(), block.table["length"][read].tolist(), strict=True)
         for at, row, (offset, length) in zip(read.tolist(), framing.rows[read].tolist(), spans, strict=True):
@@ -122,7 +122,7 @@ class SqliteWriter:
             self._expect(one.channel, len(one.data))
 
     def _change(self, statement: str, rows: list[Any]) -> None:
-        """Change as many rows as are given."""
+        """Execute an update for each of the given rows."""
         self._connection.executemany(statement, rows)
         self._changes += len(rows)
 
@@ -131,7 +131,7 @@ class SqliteWriter:
         self._expected[topic] = (known[0] + count, known[1] + size)
 
     def _insert_all(self, block: Block, framing: SqliteFraming) -> None:
-        """Put a block's messages into a file that is made anew."""
+        """Insert a block's messages into a newly created file."""
         rows = list(zip(framing.rows.tolist(), block.table.tolist(), strict=True))
         self._change(
             "INSERT INTO messages (rowid, topic_id, timestamp, data) VALUES (?, ?, ?, ?)",
@@ -141,10 +141,10 @@ class SqliteWriter:
             self._expect(channel, length)
 
     def settle(self) -> None:
-        """Wait for nothing: rows are written at once."""
+        """Do nothing: rows are written immediately."""
 
     def contents(self) -> PartContents:
-        """Count what the file holds by now."""
+        """Return the message counts and time span of the file so far."""
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
         query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
         with reported(self._path, writing=True):
@@ -192,21 +192,21 @@ class SqliteWriter:
             ):
                 copy_tables(source, target)
         elif has_log(self._reader.path):
-            # Part of the data is in the log: only sqlite itself puts both together.
+            # Part of the data is in the log, which only sqlite itself can merge.
             with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)
         else:
             _copy(self._reader.path, self._partial)
         self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
-        # No journal: on any failure the whole file goes.
+        # No journal: on any failure the whole file is removed.
         for pragma in ("journal_mode = DELETE", "journal_mode = OFF", "synchronous = OFF", "locking_mode = EXCLUSIVE"):
             self._connection.execute(f"PRAGMA {pragma}").fetchall()
         harden(self._connection)
         self._connection.execute("BEGIN")
 
     def _drop_lost(self) -> None:
-        """Leave out of a copy what was told of as lost: without recovery nobody could read it."""
+        """Delete the rows reported as lost from the copy, which would be unreadable without recovery."""
         for row in self._reader.lost_rows:
             query = "SELECT topic_id, length(data) FROM messages WHERE rowid = ?"
             for topic, size in self._connection.execute(query, (row,)).fetchall():
@@ -214,7 +214,7 @@ class SqliteWriter:
                 self._expect(topic, -(size or 0), -1)
 
     def _require_all(self) -> None:
-        """Refuse a file in which other rows changed than were to change."""
+        """Raise BagError where the number of changed rows is not the expected one."""
         done = self._connection.total_changes
         expected = {topic: seen for topic, seen in self._expected.items() if seen != (0, 0)}
         if done != self._changes or count_messages(self._connection) != expected:
@@ -249,12 +249,12 @@ class SqliteWriter:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file; where the file system can let both share their bytes (Btrfs, XFS), that costs nothing."""
+    """Copy a file, as a reflink where the file system supports it (Btrfs, XFS)."""
     with suppress(OSError, AttributeError), source.open("rb") as here, target.open("wb") as there:
         size = os.fstat(here.fileno()).st_size
         while os.copy_file_range(here.fileno(), there.fileno(), _AT_ONCE_BYTES):
             pass
         if os.fstat(there.fileno()).st_size == size:
             return
-    # another file system, or a system that has no such call
+    # another file system, or no such call
     shutil.copyfile(source, target)

@@ -1,4 +1,4 @@
-"""Write a ROS 2 bag as a directory: its files one by one, and metadata.yaml carried over."""
+"""ROS 2 bag writer: a directory with the input's files and an updated metadata.yaml."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ __all__ = ["Rosbag2Writer"]
 
 
 class Rosbag2Writer:
-    """A directory being written beside its final name, with the files of the reader's bag."""
+    """A directory being written under a temporary name, with the files of the reader's bag."""
 
     def __init__(
         self,
@@ -65,7 +65,7 @@ class Rosbag2Writer:
         return self._writers
 
     def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a topic that is published like another one (encoding, QoS); its id is fresh."""
+        """Add a topic with the encoding and QoS of another one; return it with a new id."""
         definition = self._reader.definition(like)
         if msgtype != like.msgtype:
             definition = retyped(self._reader, msgtype, like.encoding, definition)
@@ -74,12 +74,12 @@ class Rosbag2Writer:
         return channel
 
     def provenance(self, name: str, items: Mapping[str, str]) -> None:
-        """Say how the bag came about: in custom_data, and in the first file."""
+        """Write provenance metadata to custom_data and to the first file."""
         self._provenance.append((name, items))
         self._writers[0].provenance(name, items)
 
     def write(self, block: Block) -> None:
-        """Write a block into the file it came from, its added messages behind its own."""
+        """Write a block to the file it came from, its added messages last."""
         part, own = (block.raw.part, block.raw.own) if isinstance(block.raw, PartFraming) else (0, block)
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
@@ -87,7 +87,7 @@ class Rosbag2Writer:
         self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
 
     def settle(self) -> None:
-        """Wait until what was passed to `write` is written: its blocks may then change."""
+        """Wait until all blocks passed to `write` are written and may change."""
         for writer in self._writers:
             writer.settle()
 
@@ -102,7 +102,7 @@ class Rosbag2Writer:
         return TopicInfo(known.topic, known.encoding, definition)
 
     def _written_id(self, part: int, channel: int) -> int:
-        """Return a channel's id in a file, where it is added when it is needed first."""
+        """Return a channel's id in a file; the channel is added at its first use."""
         if channel not in self._own[part]:
             info = self._described(channel)
             msgtype = (self._fresh[channel][0] if channel in self._fresh else self._reader.channels[channel]).msgtype

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.mapping.free_space import FreeSpace
-    from odomcorrupt.trajectories.particles import Cloud
+    from odomcorrupt.trajectories.particles import ParticleSet
 
 __all__ = ["draw_cloud"]
 
 SIGMAS = 2.0
 
 
-def draw_cloud(cloud: Cloud, title: str, space: FreeSpace | None = None) -> Figure:
+def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -> Figure:
     """Draw the odometry's path, and at each place the runs' positions with their ellipse.
 
     space : the map they were held against, drawn below

@@ -14,8 +14,8 @@ from odomcorrupt.cli import run
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.info.checks import CovarianceWatch
-from odomcorrupt.info.scan import survey
-from odomcorrupt.info.summary import portrait, portrait_text
+from odomcorrupt.info.scan import scan_bag
+from odomcorrupt.info.summary import summarise, summary_text
 
 DRIVE = office(20.0, 20.0)
 STATIC = Channel(6, "/tf_static", TF.msgtype, "cdr")
@@ -24,7 +24,7 @@ CHANNELS = {c.id: c for c in (ODOM, TF, IMU, OTHER, TRUTH, STATIC)}
 
 def look(messages, **asked):
     options = {"odom_topic": None, "odom_frame": None, "base_frame": None} | asked
-    return portrait(survey(MemoryBag(blocks_of(messages), CHANNELS)), **options)
+    return summarise(scan_bag(MemoryBag(blocks_of(messages), CHANNELS)), **options)
 
 
 def alone(t, poses, **options):
@@ -109,7 +109,7 @@ def test_restarts_swaps_jumps_zero_stamps_and_broken_poses_are_counted():
 def test_sideways_motion_points_to_the_omni_law():
     t, _ = DRIVE
     poses = np.column_stack((np.zeros(len(t)), np.linspace(0, 5, len(t)), np.zeros(len(t))))
-    assert "moves sideways (5 m): --law omni" in portrait_text(look(alone(t, poses)))
+    assert "moves sideways (5 m): --law omni" in summary_text(look(alone(t, poses)))
 
 
 def test_what_needs_a_choice_is_remarked():
@@ -145,7 +145,7 @@ def test_transforms_alone_are_described_where_their_frames_are_named(turned):
 def test_a_robot_that_never_reverses_has_gone_no_way_backwards_of_either_sign():
     t, _ = DRIVE
     straight = np.column_stack((np.linspace(0.0, 5.0, len(t)), np.zeros(len(t)), np.zeros(len(t))))
-    assert "(0.00 m of it backwards)" in portrait_text(look(alone(t, straight)))
+    assert "(0.00 m of it backwards)" in summary_text(look(alone(t, straight)))
 
 
 @pytest.mark.parametrize(
