@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.constrained_path import FreePath
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.preview.forecast import CleanDrive
 
-__all__ = ["Condition", "choose_condition", "choose_condition_of_run", "map_options"]
+__all__ = ["Condition", "choose_condition", "choose_condition_of_run", "clean_drive", "map_options"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +32,22 @@ class Condition:
     check: Check
     tries: int
 
-    def path(self, model: MotionModel, seed: int, run: int) -> FreePath | None:
-        """Return where one run of corruption goes within it; None where no noise is drawn, and nothing moves."""
+    def path(self, model: MotionModel, seed: int, run: int, drive: CleanDrive | None = None) -> FreePath | None:
+        """Return where one run of corruption goes within it; None where no noise is drawn, and nothing moves.
+
+        drive : the odometry; None where it can be read only once, as of a pipe
+        """
         from odomcorrupt.mapping.constrained_increments import without_effects
         from odomcorrupt.mapping.constrained_path import FreePath
+        from odomcorrupt.mapping.whole_path import whole_path
 
         if without_effects(model).noise.coefficients.silent:
             return None
-        return FreePath(model, self.space, seed=seed, run=run, check=self.check, tries=self.tries)
+        if drive is None:
+            return FreePath(model, self.space, seed=seed, run=run, check=self.check, tries=self.tries)
+        return whole_path(
+            drive.stamps_ns, drive.xyt, model, self.space, seed=seed, run=run, check=self.check, tries=self.tries
+        )
 
     def told(self) -> dict[str, str]:
         """Return what an output notes of it: a hash stands for the map, no file is named."""
@@ -163,3 +172,12 @@ def _refuse_alone(given: Mapping[str, Any]) -> None:
         of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given
         if of_map and context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
             raise click.UsageError(f"{option.opts[0]}: says more of a map; name the map with --map")
+
+
+def clean_drive(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
+    """Return the odometry of a bag, read for itself before the bag is corrupted."""
+    from odomcorrupt.bags.open import open_reader
+    from odomcorrupt.preview.forecast import read_clean_drive
+
+    with open_reader(source, recover=recover) as reader:
+        return read_clean_drive(reader, model, options)

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from odomcorrupt.commands._map import choose_condition_of_run, map_options
+from odomcorrupt.commands._map import choose_condition_of_run, clean_drive, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress, say
 
@@ -82,7 +82,10 @@ def command(input_: str, output: str, **given: Any) -> int:
     )
     seed = draw_seed() if given["seed"] is None else given["seed"]
     condition = choose_condition_of_run(given, source, options)
-    path = None if condition is None else condition.path(chosen.model, seed, given["run"])
+    path = None
+    if condition is not None:
+        drive = None if source is None else clean_drive(source, chosen.model, options, recover=given["recover"])
+        path = condition.path(chosen.model, seed, given["run"], drive)
     keep_freed_memory()
     with Progress() as progress:
         outcome = corrupt_bag(

@@ -113,10 +113,6 @@ class NoisyPath:
         self._travelled_m = 0.0
         self._origin = np.zeros(2)
 
-    def push(self, shift_xy: Array) -> None:
-        """Move the noisy robot by (2,) metres where it stands; the path goes on from there."""
-        self._error = self._error + np.append(shift_xy, 0.0)
-
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
         """Return the noisy path at the next n poses.
 

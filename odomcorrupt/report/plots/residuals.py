@@ -123,15 +123,15 @@ def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number
 
 
 def _limit(row: Sequence[Axes], rates: Array) -> None:
-    """Scale a row by nine tenths of its bins; triangles at the border stand for bins beyond it.
+    """Scale a row by the bins that are known well; triangles at the border stand for bins beyond it.
 
     rates : (2, n) of all bins in the row
     """
     mean, chance = rates[:, np.isfinite(rates).all(axis=0)]
     if not len(mean):
         return
-    # room for chance, and for all but the few that would flatten the others
-    most = 1.3 * max(float(np.quantile(np.abs(mean), 0.9)) + 2.0 * float(np.median(chance)), 1e-9)
+    well = chance <= 2.0 * np.median(chance)
+    most = 1.3 * float((np.abs(mean) + 2.0 * chance)[well].max())
     if most > float((np.abs(mean) + 2.0 * chance).max()):
         return
     for axes in row:
