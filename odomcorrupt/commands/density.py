@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing
@@ -22,11 +23,13 @@ __all__ = ["command"]
 @move_options
 @click.option(
     "--reading",
-    type=click.Choice(["pose", "product"]),
+    type=click.Choice(["pose", "product", "hypothetical"]),
     default="pose",
-    help="A density over poses, or the lecture's product of three. [default: pose]",
+    help="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
+    "motion to each pose. [default: pose]",
 )
 @click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
+@map_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 def command(
@@ -42,7 +45,7 @@ def command(
 
     from odomcorrupt.errors import ModelError
     from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.density import density_on_grid, pose_density, product
+    from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
     from odomcorrupt.sampling.samples import move_sampled
     from odomcorrupt.sampling.text import law_words
 
@@ -55,13 +58,26 @@ def command(
     move, variances = chosen.move, chosen.variances
     unit = "1/(m^2 rad)" if reading == "pose" else "1/(m rad^2)"
     click.echo(f"noise: {law_words(chosen.noise.model.noise, article_code=chosen.noise.article_code)}")
+    density_of = {
+        "pose": lambda at: pose_density(at, move, variances),
+        "product": lambda at: product(at, move, variances),
+        "hypothetical": lambda at: hypothetical(at, move, chosen.noise.model.noise),
+    }[reading]
+    condition = choose_condition(given, None, "")
     try:
+        grid = density_on_grid(move, variances, density_of=density_of)
+        part, free = 1.0, None
+        if condition is not None:
+            start = move.start_xyt[:2]
+            grid, part = within_map(grid, condition.space, start, condition.check)
+            ends = np.array(poses).reshape(-1, 3)[:, :2]
+            free = condition.space.allows(np.broadcast_to(start, ends.shape), ends, condition.check)
+            click.echo(f"map: {100.0 * part:.4g} % of it is free, by which it is divided")
         if poses:
-            values = (pose_density if reading == "pose" else product)(np.array(poses), move, variances)
+            values = density_of(np.array(poses)) / part * (1.0 if free is None else free)
             for pose, value in zip(poses, values, strict=True):
                 x, y, theta = pose
                 click.echo(f"at ({x:g} m, {y:g} m, {np.degrees(theta):g} deg): {value:.6g} {unit}")
-        grid = density_on_grid(move, variances, reading=reading)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
     meaning = "one is a density" if reading == "pose" else "the product is not a density over poses"
@@ -72,7 +88,10 @@ def command(
 
     seed = draw_seed() if given["seed"] is None else given["seed"]
     xyt = move_sampled(move, variances, chosen.count, stream(seed, 0, "sample"))
-    name = "Density of end poses" if reading == "pose" else "Product p1 p2 p3 at end poses"
+    if condition is not None:
+        start = np.broadcast_to(move.start_xyt[:2], (len(xyt), 2))
+        xyt = xyt[condition.space.allows(start, xyt[:, :2], condition.check)]
+    name = "Density of end poses" if reading == "pose" else f"p1 p2 p3 ({reading}) at end poses"
     law = "article-code" if chosen.noise.article_code else chosen.noise.model.noise.law_name
     per_area = "density (1/m^2)" if reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
     save_picture(output, draw_density(move, grid, xyt, f"{name}: law {law}, samples of seed {seed}", per_area))
