@@ -37,9 +37,10 @@ __all__ = ["command"]
 @click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
 @click.option(
     "--tf",
-    type=click.Choice(["odometry", "correction"]),
+    type=click.Choice(["odometry", "correction", "subtraction"]),
     default="odometry",
-    help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
+    help="Move the odometry, or leave it and publish the drift as a transform: the rigid motion of the odom frame, or "
+    "noisy minus clean as the article's listing has it. [default: odometry]",
 )
 @click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction.")
 @map_options
@@ -67,8 +68,10 @@ def command(input_: str, output: str, **given: Any) -> int:
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     if input_ == "-" and sys.stdin.isatty():
         raise click.UsageError("INPUT is - but stdin is a terminal; feed it a bag")
-    if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
-        raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
+    if (given["tf"] != "odometry") != (given["new_odom_frame"] is not None):
+        raise click.UsageError(
+            "--tf correction (or subtraction) and --new-odom-frame FRAME go together; give both or neither"
+        )
     source = None if input_ == "-" else Path(input_)
     options = Options(
         odom_topic=given["odom_topic"],
@@ -79,6 +82,7 @@ def command(input_: str, output: str, **given: Any) -> int:
         keep_truth=given["keep_truth"],
         keep_localisation=given["keep_localisation"],
         new_odom_frame=given["new_odom_frame"],
+        subtracted=given["tf"] == "subtraction",
     )
     seed = draw_seed() if given["seed"] is None else given["seed"]
     condition = choose_condition_of_run(given, source, options)

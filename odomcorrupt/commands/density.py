@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,6 +12,11 @@ from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["command"]
 
@@ -58,11 +63,12 @@ def command(
     move, variances = chosen.move, chosen.variances
     unit = "1/(m^2 rad)" if reading == "pose" else "1/(m rad^2)"
     click.echo(f"noise: {law_words(chosen.noise.model.noise, article_code=chosen.noise.article_code)}")
-    density_of = {
+    readings: dict[str, Callable[[Array], Array]] = {
         "pose": lambda at: pose_density(at, move, variances),
         "product": lambda at: product(at, move, variances),
         "hypothetical": lambda at: hypothetical(at, move, chosen.noise.model.noise),
-    }[reading]
+    }
+    density_of = readings[reading]
     condition = choose_condition(given, None, "")
     try:
         grid = density_on_grid(move, variances, density_of=density_of)

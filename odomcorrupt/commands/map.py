@@ -132,7 +132,8 @@ def _table(surveys: Sequence[Survey]) -> str:
 
     lines = [
         f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m)",
-        "  after      " + "  ".join(f"{name:>20}" for name in (*(s.name for s in surveys), "added by noise", "hits off the walls")),
+        "  after      "
+        + "  ".join(f"{name:>20}" for name in (*(s.name for s in surveys), "added by noise", "hits off the walls")),
     ]
     clean, noisy = (s.thickness_m for s in surveys[:2])
     added = added_thickness(clean, noisy)
@@ -143,9 +144,16 @@ def _table(surveys: Sequence[Survey]) -> str:
         [
             *lines,
             f"walls became {noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them",
-            f"noisy hits left the clean map's walls by {100.0 * surveys[1].off_surface_m[-1]:.1f} cm in the last part of "
-            f"the drive, {100.0 * surveys[1].off_surface_m[0]:.1f} cm in the first (root mean square, across the walls)",
+            _hits_line(surveys[1].off_surface_m),
         ]
+    )
+
+
+def _hits_line(off_surface_m: Any) -> str:
+    first, last = 100.0 * off_surface_m[0], 100.0 * off_surface_m[-1]
+    return (
+        f"noisy hits are {first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the "
+        "last (root mean square, across the walls)"
     )
 
 

@@ -63,7 +63,8 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
         drive = read_clean_drive(reader, chosen.model, options, progress)
         losses = list(reader.losses)
     paths = (
-        (None if condition is None else condition.path(chosen.model, seed, run, drive)) or NoisyPath(chosen.model, seed, run)
+        (None if condition is None else condition.path(chosen.model, seed, run, drive))
+        or NoisyPath(chosen.model, seed, run)
         for run in range(given["run"], given["run"] + given["runs"])
     )
     outlook = forecast(drive, chosen.model, paths, first_run=given["run"])

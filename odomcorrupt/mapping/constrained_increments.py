@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["FIRST_TRIES", "MotionReader", "Motions", "NoFreePoseError", "moved", "must_be_free", "rounds", "swing_of", "without_effects"]
+__all__ = [
+    "FIRST_TRIES",
+    "MotionReader",
+    "Motions",
+    "NoFreePoseError",
+    "moved",
+    "must_be_free",
+    "rounds",
+    "swing_of",
+    "without_effects",
+]
 
 FIRST_TRIES = 12
 """A few tries are mostly enough, and a robot that is stuck takes all."""

@@ -112,7 +112,7 @@ class FreePath:
             rows = slice(done, done + self._ahead)
             part = self._as_far_as_free(stamps_ns[rows], motions, done, normals[rows])
             if not len(part):
-                part = self._one_again(stamps_ns[rows][:1], motions, done, normals[done])
+                part = self._one_again(stamps_ns[rows][:1], motions, done)
             self._pose = part.clean_xyt[-1] + part.error_xyt[-1]
             parts.append(part)
             done += len(part)
@@ -140,8 +140,8 @@ class FreePath:
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> Knots:
-        """Go on one increment whose first draw, normals (4,), is not free."""
+    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> Knots:
+        """Go on one increment whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
         for count in rounds(self._tries):
@@ -159,9 +159,9 @@ class FreePath:
                     return knots
         x, y = self._pose[:2]
         raise NoFreePoseError(
-            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the map "
-            "is free; check --map-pose, --robot-radius and --unknown, or leave out --map. A drive in a file, unlike one "
-            "on a pipe, is drawn as whole paths"
+            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
+            "map is free; check --map-pose, --robot-radius and --unknown, or leave out --map. A drive in a file is "
+            "drawn as whole paths, one on a pipe is not"
         )
 
 

@@ -144,7 +144,7 @@ def _linear(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variance
 
 
 def _article_code(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
-    """The article's listing as it stands: it passes sd * sd where a standard deviation is asked for."""
+    """Do as the article's listing does: pass sd * sd where a standard deviation is asked for."""
     v = _linear(k, rot1, trans, rot2)
     return Variances(v.rot1**2, v.trans**2, v.across**2, v.rot2**2)
 

@@ -200,7 +200,10 @@ def _factors(errors: _Errors, variances: Array) -> Array:
     rot1, trans, rot2 = (np.atleast_1d(v) for v in variances)
     density = _normal(errors.trans, trans)
     # on an arc whole turns are ways of their own
-    for angle, variance, turns in ((errors.rot1, rot1, TURNS[1:2] if errors.arc else TURNS), (errors.rot2, rot2, TURNS)):
+    for angle, variance, turns in (
+        (errors.rot1, rot1, TURNS[1:2] if errors.arc else TURNS),
+        (errors.rot2, rot2, TURNS),
+    ):
         density = density * _normal(angle[:, None] + turns, variance[:, None]).sum(axis=1)
     return np.nan_to_num(density)
 

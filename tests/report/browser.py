@@ -95,7 +95,8 @@ def browser(folder):
          "--disable-background-networking", "--disable-component-update", "--disable-sync",
          "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={folder / 'tab_profile'}",
          "--remote-debugging-pipe"],
-        preexec_fn=wire, close_fds=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        preexec_fn=wire,  # noqa: PLW1509 - no thread of ours runs yet
+        close_fds=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(to_read)
     os.close(from_write)

@@ -20,11 +20,6 @@ from odomcorrupt.study.validate.compare import compare
 
 
 @pytest.fixture(scope="module")
-def page(comparison):
-    return report_html(comparison, version="0")
-
-
-@pytest.fixture(scope="module")
 def data(page):
     return json.loads(re.search(r'id="explorer-data">(.*?)</script>', page, re.DOTALL).group(1))
 

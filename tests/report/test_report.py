@@ -46,11 +46,6 @@ class Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
-@pytest.fixture(scope="session")
-def page(comparison):
-    return report_html(comparison, version="0")
-
-
 def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
     parsed = Balanced()
     parsed.feed(page)

@@ -12,7 +12,21 @@ from matplotlib.figure import Figure
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = ["BLACK", "BLUE", "GREEN", "ORANGE", "RED", "SKY", "YELLOW", "drawing", "new_figure", "remove_unused", "rendered", "short_name", "shown_models"]
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "GREEN",
+    "ORANGE",
+    "RED",
+    "SKY",
+    "YELLOW",
+    "drawing",
+    "new_figure",
+    "remove_unused",
+    "rendered",
+    "short_name",
+    "shown_models",
+]
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, RED, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"

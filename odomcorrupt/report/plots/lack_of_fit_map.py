@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
-from odomcorrupt.report.plots.figure import BLACK, RED, drawing, new_figure, remove_unused, shown_models, short_name
+from odomcorrupt.report.plots.figure import BLACK, RED, drawing, new_figure, remove_unused, short_name, shown_models
 from odomcorrupt.report.text.lack_of_fit import MOST
 from odomcorrupt.study.estimate.windows import distance_windows, window_errors
 

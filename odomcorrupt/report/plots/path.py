@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.report.plots.figure import BLACK, BLUE, RED, SKY, drawing, new_figure, remove_unused, shown_models, short_name
+from odomcorrupt.report.plots.figure import (
+    BLACK,
+    BLUE,
+    RED,
+    SKY,
+    drawing,
+    new_figure,
+    remove_unused,
+    short_name,
+    shown_models,
+)
 from odomcorrupt.study.validate.predictive_check import replay
 
 if TYPE_CHECKING:
@@ -46,7 +56,9 @@ def draw_paths(comparison: Comparison) -> Figure:
             try:
                 _panel(axes, paths_of(judgement), short_name(judgement.name))
             except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
-                axes.set_title(f"{short_name(judgement.name)}\nno odometry of this drive obeys it: no runs to show", fontsize=10)
+                axes.set_title(
+                    f"{short_name(judgement.name)}\nno odometry of this drive obeys it: no runs to show", fontsize=10
+                )
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", ncols=4, fontsize=9)
     return figure
