@@ -1,15 +1,16 @@
-"""How long a bag takes to be corrupted, beside copying it and beside the loops that people write.
+"""How long a bag takes to be corrupted, beside copying it and beside the loops that people write: CPU and wall.
 
     python benchmarks/bags.py                        # 150 s of a robot with a camera, 600 MB raw, 3 rounds
     python benchmarks/bags.py --seconds 30 --rounds 5     # smaller bags: start-up is a larger part of it
-    python benchmarks/bags.py --only "odom mcap zstd"
+    python benchmarks/bags.py --only "odom mcap zstd" --threads 1
     python benchmarks/bags.py --cpp ./loop_cpp    # beside the C++ MCAP library, too; loop_cpp.cpp says how to compile
+    sudo python benchmarks/bags.py --first        # on a machine that has other work: measured processes come first
 
 It makes the bags, then runs `odomcorrupt`, `cp`, a rosbags loop, an mcap loop and, where they are installed, a loop
-over ROS 1's own rosbag and one with the C++ MCAP library, one after the other in every round, and counts the CPU
-seconds (user + system) of whole processes. Medians are printed, and ratios beside the goals. Bags without a camera are
-8 times as long, 120 000 messages at 150 s; the long one 133 times, 2 million: there the loops in Python take minutes
-and are left out.
+over ROS 1's own rosbag and one with the C++ MCAP library, one after the other in every round, and takes the CPU
+seconds (user + system) and the wall time of whole processes. Medians are printed, and ratios beside the goals. Bags
+without a camera are 8 times as long, 120 000 messages at 150 s; the long one 133 times, 2 million: there the loops in
+Python take minutes and are left out.
 A round that is not counted comes first: it compiles modules, ours as well as theirs, as installing them does. Before
 every process the bag is copied, memory beside it is written to, and both are given back: on a virtual machine whoever
 first touches memory that the host had taken back pays for it, with up to 2 s for 600 MB, and that would be chance.
@@ -26,6 +27,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,10 +43,10 @@ _BESIDE_BYTES = 300 << 20
 
 @dataclass(frozen=True)
 class Case:
-    """A bag, whom it is measured beside, and the goals: our time as a part of theirs and the most it may be, if any."""
+    """A bag, whom it is measured beside, and the goals: our time as a part of theirs, CPU and wall, if any."""
 
     name: str
-    goals: dict[str, tuple[float, float] | None]
+    goals: dict[str, tuple[float | None, float | None]]
 
     @property
     def kind(self) -> str:
@@ -73,15 +75,23 @@ class Case:
 
 
 CASES = (
-    Case("camera mcap zstd", {"rosbags": (0.27, 0.40), "mcap": None, "cpp": (1.2, 1.6)}),
-    Case("camera mcap none", {"rosbags": (0.27, 0.40), "cp": (2.5, 3.5), "cpp": (1.4, 1.6)}),
-    Case("camera mcap lz4", {"mcap": None, "cpp": (1.5, 1.8)}),
-    Case("odom mcap zstd", {"rosbags": (0.10, 0.15), "mcap": (0.03, 0.05), "cpp": None}),
-    Case("long mcap zstd", {"cpp": (1.0, 1.4)}),
-    Case("camera ros1 lz4", {"rosbags": (0.5, 0.6), "ros1": (0.22, 0.3)}),
-    Case("odom ros1 lz4", {"rosbags": (0.09, 0.15), "ros1": (0.066, 0.10)}),
-    Case("camera sqlite3 none", {"rosbags": (0.26, 0.4), "cp": (2.3, 3.0)}),
+    Case("camera mcap zstd", {"cpp": (1.15, 0.8), "rosbags": (0.27, None), "mcap": (None, None)}),
+    Case("camera mcap none", {"cpp": (1.2, None), "cp": (None, 1.6), "rosbags": (0.27, None)}),
+    Case("camera mcap lz4", {"cpp": (1.5, None), "mcap": (None, None)}),
+    Case("camera ros1 lz4", {"rosbags": (0.35, 0.25), "ros1": (0.22, None)}),
+    Case("camera sqlite3 none", {"cp": (2.0, 2.0), "rosbags": (0.26, None)}),
+    Case("long mcap zstd", {"cpp": (1.4, 1.0)}),
+    Case("odom mcap zstd", {"rosbags": (0.09, 0.06), "cpp": (None, None), "mcap": (0.03, None)}),
+    Case("odom ros1 lz4", {"rosbags": (0.09, 0.06), "ros1": (0.066, None)}),
 )
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What a process took, seconds."""
+
+    cpu_s: float
+    wall_s: float
 
 
 def ros1_python() -> str | None:
@@ -93,10 +103,11 @@ def ros1_python() -> str | None:
     return python
 
 
-def commands(case: Case, source: Path, target: Path, cpp: Path | None) -> dict[str, list[str]]:
+def commands(case: Case, source: Path, target: Path, given: argparse.Namespace) -> dict[str, list[str]]:
     """Return what is measured: each rewrites or copies source to target."""
+    cpp, threads = given.cpp, [] if given.threads is None else ["--threads", str(given.threads)]
     out = {
-        "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1"],
+        "odomcorrupt": [sys.executable, "-m", "odomcorrupt", str(source), str(target), "--seed", "1", *threads],
         "cp": ["cp", "-r", str(source), str(target)],
     }
     out |= {
@@ -120,15 +131,17 @@ def environment(folder: Path) -> dict[str, str]:
     return out | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": str(folder / "compiled")}
 
 
-def cpu_seconds(command: list[str], env: dict[str, str]) -> float:
-    """Run a process to its end and return its CPU seconds."""
+def spent(command: list[str], env: dict[str, str]) -> Spent:
+    """Run a process to its end and return what it took."""
+    begun_s = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=env)
     said = process.stderr.read() if process.stderr is not None else b""
     _, status, usage = os.wait4(process.pid, 0)
+    wall_s = time.perf_counter() - begun_s
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         sys.exit(f"{' '.join(command)}: {said.decode()}")
-    return usage.ru_utime + usage.ru_stime
+    return Spent(usage.ru_utime + usage.ru_stime, wall_s)
 
 
 def warm_up(source: Path, target: Path) -> None:
@@ -147,21 +160,33 @@ def discard(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def measure(case: Case, folder: Path, given: argparse.Namespace) -> tuple[float, dict[str, float]]:
-    """Return the bag's size in MB and the median CPU seconds of each command."""
+def measure(case: Case, folder: Path, given: argparse.Namespace) -> tuple[float, dict[str, Spent]]:
+    """Return the bag's size in MB, and medians of what each command took."""
     source, target = case.file(folder, "in"), case.file(folder, "out")
     WRITERS[case.format](source, case.kind, case.codec, given.seconds * TIMES[case.length])
     files = source.iterdir() if source.is_dir() else [source]
     size = sum(file.stat().st_size for file in files) / 1e6
-    measured = commands(case, source, target, given.cpp)
-    taken: dict[str, list[float]] = {name: [] for name in measured}
+    measured = commands(case, source, target, given)
+    first = ["chrt", "--rr", "10"] if given.first else []
+    taken: dict[str, list[Spent]] = {name: [] for name in measured}
     for _ in range(1 + given.rounds):
         for name, command in measured.items():
             warm_up(source, target)
-            taken[name].append(cpu_seconds(command, environment(folder)))
+            taken[name].append(spent([*first, *command], environment(folder)))
             discard(target)
     discard(source)
-    return size, {name: statistics.median(all_[1:]) for name, all_ in taken.items()}
+    return size, {name: _median(all_[1:]) for name, all_ in taken.items()}
+
+
+def _median(taken: list[Spent]) -> Spent:
+    return Spent(statistics.median(one.cpu_s for one in taken), statistics.median(one.wall_s for one in taken))
+
+
+def _ratio(name: str, ours: Spent, theirs: Spent, goals: tuple[float | None, float | None]) -> str:
+    """Return our CPU and wall time as parts of theirs, with goals in brackets."""
+    parts = (ours.cpu_s / theirs.cpu_s, ours.wall_s / theirs.wall_s)
+    shown = [f"{part:.2g}" + ("" if goal is None else f" ({goal:g})") for part, goal in zip(parts, goals, strict=True)]
+    return f"{name} {shown[0]}, {shown[1]}"
 
 
 def main() -> None:
@@ -171,24 +196,26 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--only", action="append", choices=[case.name for case in CASES])
     parser.add_argument("--folder", type=Path, help="where to write the bags")
+    parser.add_argument("--threads", type=int, help="of odomcorrupt")
+    parser.add_argument("--first", action="store_true", help="run what is measured before all else (chrt)")
     parser.add_argument("--cpp", type=Path, help="loop_cpp, compiled")
     given = parser.parse_args()
-    print("| bag | MB | odomcorrupt, CPU s | cp | part of the time of (goal; at most) |\n|---|---|---|---|---|")
+    print(
+        "| bag | MB | odomcorrupt: CPU, wall s | cp | CPU and wall as parts of those of (goal) |\n|---|---|---|---|---|"
+    )
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         for case in CASES:
             if given.only and case.name not in given.only:
                 continue
             size, took = measure(case, Path(folder), given)
-            ratios = [
-                f"{name} {took['odomcorrupt'] / took[name]:.2g}"
-                + ("" if goal is None else f" ({goal[0]:g}; {goal[1]:g})")
-                for name, goal in case.goals.items()
-                if name in took
-            ]
+            ours, copied = took["odomcorrupt"], took["cp"]
+            ratios = [_ratio(name, ours, took[name], goal) for name, goal in case.goals.items() if name in took]
             print(
-                f"| {case.name} | {size:.0f} | {took['odomcorrupt']:.2f} | {took['cp']:.2f} | {', '.join(ratios)} |",
+                f"| {case.name} | {size:.0f} | {ours.cpu_s:.2f}, {ours.wall_s:.2f} | {copied.cpu_s:.2f}, "
+                f"{copied.wall_s:.2f} | {'; '.join(ratios)} |",
                 flush=True,
             )
+    print(f"\nLoad of the machine, 1, 5 and 15 minutes: {', '.join(f'{load:.1f}' for load in os.getloadavg())}")
 
 
 if __name__ == "__main__":

@@ -81,7 +81,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory(dir=sys.argv[1] if len(sys.argv) > 1 else None) as scratch:
         here = Path(scratch)
         camera_bag(here / "camera.mcap", 30)
-        print(f"camera bag {(here / 'camera.mcap').stat().st_size / 1e6:.1f} MB, {RUNS} runs: CPU s, MB, peak MB")
+        print(
+            f"camera bag {(here / 'camera.mcap').stat().st_size / 1e6:.1f} MB, {RUNS} runs: CPU s, wall s, MB, peak MB"
+        )
         one = [cost([*own, "camera.mcap", f"x{k}.mcap", *ALPHA, "--run", str(k)], here) for k in range(3)]
         separate = RUNS * sorted(one)[1][0]
         print(f"separate runs       {separate:7.2f}  (x {RUNS} of the median of 3)")
@@ -92,10 +94,15 @@ def main() -> None:
             ("full, split", ["--layout", "split"]),
             ("overlay", ["--output", "overlay"]),
             ("trajectories", ["--output", "trajectories"]),
+            ("full, 1 thread", ["--threads", "1"]),
+            ("full, 2 processes", ["--jobs", "2", "--threads", "2"]),
         ):
-            cpu, _, memory = cost([*own, "batch", "camera.mcap", "runs", "--runs", str(RUNS), *ALPHA, *more], here)
+            words = [*own, "batch", "camera.mcap", "runs", "--runs", str(RUNS), *ALPHA, *more]
+            cpu, wall, memory = cost(words, here)
             print(
-                f"{name:18}  {cpu:7.2f}  {cpu / separate:.3f} of separate  {size_of(here / 'runs'):8.1f}  {memory:.0f}"
+                f"{name:18}  {cpu:7.2f}  {cpu / separate:.3f} of separate  {wall:7.2f}  {size_of(here / 'runs'):8.1f}  "
+                f"{memory:.0f}",
+                flush=True,
             )
             shutil.rmtree(here / "runs")
         small = Path(__file__).parent.parent / "fixtures" / "office.mcap"

@@ -12,7 +12,7 @@ import argparse
 
 import numpy as np
 
-from odomcorrupt.score.gate import compare_paired
+from odomcorrupt.scoring.gate import compare_paired
 
 RUNS = 40
 BETWEEN = 0.5

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from odomcorrupt.effects.effect import amplitudes, check_bounds
 from odomcorrupt.export.nav2 import amcl_alphas
@@ -25,7 +25,7 @@ from odomcorrupt.export.robot_localization import Steady
 from odomcorrupt.model.model_file import format_model, read_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, drawing, new_figure, rendered
-from odomcorrupt.score import ScoreReport, score
+from odomcorrupt.scoring import ScoreReport, score
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
@@ -107,7 +107,7 @@ def results(data: Path, folder: Path, runs: Path, chosen: dict[str, tuple[float,
 
 
 def _score(runs: Path, estimates: Path) -> ScoreReport:
-    from odomcorrupt.score import Limits  # noqa: PLC0415 - for this function alone
+    from odomcorrupt.scoring import Limits  # noqa: PLC0415 - for this function alone
 
     return score(runs, truth="/ground_truth", outputs=estimates, align="none", limits=Limits(lost_m=LOST_M))
 
@@ -122,17 +122,27 @@ def draw(found: dict[str, list[ScoreReport]]) -> bytes:
             drift[0] = 0.5 * drift[1]
             median = [report.summary("ate_m").median.value for report in reports[:-1]]
             p90 = [report.summary("ate_m").p90.value for report in reports[:-1]]
-            axes.plot(drift, median, "o-", color=colour, label=f"alphas {name}: median")
-            axes.plot(drift, p90, ":", color=colour, label="9 of 10 runs below")
+            axes.plot(drift, median, "o-", color=colour, label=f"alphas {name}")
+            axes.plot(drift, p90, ":", color=colour)
             point = reports[-1].breakdown
             if point.drift is not None:
                 axes.axvline(100.0 * point.drift, color=colour, linewidth=1.0, alpha=0.5)
-        axes.set(xscale="log", yscale="log", ylabel="ATE of the localisation, m")
-        axes.set_xlabel("drift of the odometry, % of the way (rms over 10 m); leftmost: perfect, off the scale")
+                axes.text(100.0 * point.drift, 0.038, " 5 % lost", color=colour, fontsize=8)
+        axes.set(xscale="log", yscale="log", ylim=(0.025, 9.0), ylabel="ATE of the localisation, m")
+        axes.set_xlabel("drift of the odometry, % of the way (rms over 10 m)")
+        axes.plot([], [], ":", color="0.4", label="9 of 10 runs below")
+        for at, words in (
+            (drift[0], "perfect\nodometry"),
+            (drift[1], "the learned\nrobot"),
+            (drift[-1], "32 times\nas much"),
+        ):
+            axes.text(at, 0.0265, words, ha="center", fontsize=8.5)
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axis.set_minor_locator(NullLocator())
+        axes.set_xlim(left=0.8 * drift[0])
+        axes.xaxis.set_major_locator(FixedLocator([1, 2, 5, 10, 20]))
         axes.set_title("A localiser under the drift of a learned robot, and of larger ones")
         axes.legend(loc="upper left", fontsize=9)
     return rendered(figure, "png")

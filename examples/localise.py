@@ -28,7 +28,7 @@ from odomcorrupt.mapping.scans import read_rays
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
-from odomcorrupt.score.estimates import read_estimate
+from odomcorrupt.scoring.estimates import read_estimate
 from odomcorrupt.trajectories.reader import read_poses
 
 if TYPE_CHECKING:

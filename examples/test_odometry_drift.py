@@ -7,7 +7,7 @@ from localise import Field, localise, map_of, read_scans
 
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.score.estimates import read_estimate
+from odomcorrupt.scoring.estimates import read_estimate
 from odomcorrupt.study.io.recording import Trajectory
 
 OFFICE = Path("fixtures/office.mcap")

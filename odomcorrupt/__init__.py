@@ -1,3 +1,82 @@
-"""Make recorded odometry as wrong as a real robot's, and learn how wrong the real robot's is, and why."""
+"""Add realistic, repeatable drift to the odometry in ROS bags and MCAP; find out what makes your robot drift.
+
+The Python interface; each name is imported when it is first used, so that `import odomcorrupt` is instant.
+
+>>> import odomcorrupt as oc
+>>> oc.Model.preset("typical").parameters["rot_trans"]
+0.02
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from odomcorrupt.api.corruption import Batch, Correction, Corruption, batch, correct, corrupt
+    from odomcorrupt.api.model import Model, Noise
+    from odomcorrupt.api.motion import Density, Samples, density, sample
+    from odomcorrupt.api.recordings import Recordings, read_recordings
+    from odomcorrupt.api.simulation import Simulation, simulate
+    from odomcorrupt.api.study import Comparison, Diagnosis, Fit, Learned, compare, diagnose, fit, learn
+    from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.scoring.run import score
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "api.corruption": ("Batch", "Correction", "Corruption", "batch", "correct", "corrupt"),
+    "api.model": ("Model", "Noise"),
+    "api.motion": ("Density", "Samples", "density", "sample"),
+    "api.recordings": ("Recordings", "read_recordings"),
+    "api.simulation": ("Simulation", "simulate"),
+    "api.study": ("Comparison", "Diagnosis", "Fit", "Learned", "compare", "diagnose", "fit", "learn"),
+    "errors": ("OdomCorruptError",),
+    "scoring.run": ("score",),
+}
+"""Modules of the public names."""
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "Batch",
+    "Comparison",
+    "Correction",
+    "Corruption",
+    "Density",
+    "Diagnosis",
+    "Fit",
+    "Learned",
+    "Model",
+    "Noise",
+    "OdomCorruptError",
+    "Recordings",
+    "Samples",
+    "Simulation",
+    "__version__",
+    "batch",
+    "compare",
+    "correct",
+    "corrupt",
+    "density",
+    "diagnose",
+    "fit",
+    "learn",
+    "read_recordings",
+    "sample",
+    "score",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the module of a public name."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted(__all__)

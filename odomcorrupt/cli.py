@@ -30,7 +30,7 @@ __all__ = ["DEFAULT", "cli", "main", "run"]
 
 DEFAULT = "corrupt"
 
-_OWN_FLAGS = frozenset({"--help", "--version"})
+_OWN_FLAGS = frozenset({"-h", "--help", "--version"})
 
 
 @cache
@@ -105,7 +105,7 @@ def _suggest(word: str, *, alone: bool) -> None:
         raise click.UsageError(f"{word}: no such file, and no such command; name a command, or INPUT and OUTPUT")
 
 
-_HELP = """Make recorded odometry as wrong as a real robot's, and learn how wrong the real robot's is, and why.
+_HELP = """Add realistic, repeatable drift to the odometry in ROS bags and MCAP; find out what makes your robot drift.
 
 \b
 odomcorrupt in.bag out.bag --alpha 0.05 0.02 0.05 0.01 --seed 7
@@ -114,7 +114,7 @@ odomcorrupt - - --odom-topic /odom < in.mcap > out.mcap
 INPUT and OUTPUT are bags; - is a pipe (MCAP). A bag that is called like a command is reached as ./fit."""
 
 
-@click.group(cls=_Group, help=_HELP)
+@click.group(cls=_Group, help=_HELP, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="odomcorrupt", message="%(prog)s %(version)s")
 def cli() -> None:
     """Be the group."""

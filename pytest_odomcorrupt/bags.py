@@ -11,19 +11,18 @@ from typing import TYPE_CHECKING, Any, overload
 import odomcorrupt
 from odomcorrupt.batching.engine import Shard, missing_runs, tasks_of
 from odomcorrupt.batching.manifest import begin, fingerprint_of, read_records, write_manifest
-from odomcorrupt.batching.plan import plan
+from odomcorrupt.batching.plan import BatchSpec, plan
 from odomcorrupt.batching.runner import attempt
-from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.model.model_file import read_model
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import PRESETS, preset_named
-from odomcorrupt.score.errors import PathErrors, path_errors
-from odomcorrupt.score.estimates import read_estimate
+from odomcorrupt.scoring.errors import PathErrors, path_errors
+from odomcorrupt.scoring.estimates import read_estimate
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.errors import Alignment
+    from odomcorrupt.scoring.errors import Alignment
     from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["CorruptedBag", "CorruptedBags", "corrupted"]
@@ -69,7 +68,7 @@ class CorruptedBag:
         truth
             Topic or edge of TF of this run's bag with the truth. None: the odometry before it was corrupted.
         align
-            As `odomcorrupt.score.path_errors` has it.
+            As `odomcorrupt.scoring.path_errors` has it.
 
         """
         covariance = None
@@ -142,10 +141,7 @@ def corrupted(
     text = repr((fingerprint, chosen, seed, given, odomcorrupt.__version__))
     directory = cache / f"{source.stem}-{hashlib.sha256(text.encode()).hexdigest()[:20]}"
     file = Path(model) if isinstance(model, str | Path) and Path(model).is_file() else None
-    (job,) = plan(
-        [source], directory, chosen, model_file=file, sweeps=(), posterior=False, seed=seed, options=given,
-        container=Container(), output="full", split=False, typed=(), option_words=(),
-    )  # fmt: skip
+    (job,) = plan([source], directory, BatchSpec(model=chosen, model_file=file, seed=seed, options=given))
     begin(job, fingerprint)
     todo = missing_runs(job, range(runs), Shard(1, 1))
     failures = [failure for task in tasks_of(job, todo, 1) for failure in attempt(task)]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.commands._output import write_text
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.score.gate import STATISTICS, Comparison, compare_paired
+from odomcorrupt.files import write_text
+from odomcorrupt.scoring.gate import STATISTICS, Comparison, compare_paired
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,9 +80,9 @@ class ErrorGate:
         except OdomCorruptError as error:
             raise AssertionError(f"{self.path}: {error}") from error
         assert not found.rise, (
-            f"the {statistic} of the errors rose by {found.statistic_ratio - 1.0:.1%}, of a typical run by "
-            f"{found.ratio - 1.0:.1%} (95 % interval {found.low - 1.0:.1%} to {found.high - 1.0:.1%}; {found.pairs} "
-            f"runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
+            f"the {statistic} of the errors rose by {_percent(found.statistic_ratio)}, of a typical run by "
+            f"{_percent(found.ratio)} (95 % interval {_percent(found.low)} to {_percent(found.high)}; "
+            f"{found.pairs} runs, p {found.p:.2g}). Where that is meant, accept it with --odomcorrupt-update."
         )
         return found
 
@@ -93,3 +93,7 @@ class ErrorGate:
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise AssertionError(f"{self.path}: is no baseline; write it again with --odomcorrupt-update") from error
         return errors
+
+
+def _percent(ratio: float) -> str:
+    return f"{100.0 * (ratio - 1.0):.1f} %"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -32,7 +33,7 @@ def corrupt(tmp_path, capsys):
 
     def call(*args, source=OFFICE, name="out.mcap"):
         target = tmp_path / name
-        code = run([source, str(target), *args])
+        code = run([source, str(target), "-v", *args])
         captured = capsys.readouterr()
         assert not captured.out
         return code, captured.err, target
@@ -80,18 +81,18 @@ def test_version_and_no_arguments(capsys):
 @pytest.mark.parametrize("first", [[], ["corrupt"], ["--"]])
 def test_the_default_command_needs_no_name(first, tmp_path, capsys):
     assert run([*first, OFFICE, str(tmp_path / "out.mcap"), *([] if first == ["--"] else ["--seed", "1"])]) == 0
-    assert "Moved: 3000 messages on /odom, 3000 transforms odom -> base_link" in capsys.readouterr().err
+    assert "/odom 3000, TF odom -> base_link 3000" in capsys.readouterr().err
 
 
 def test_options_may_come_first(tmp_path, capsys):
     assert run(["--seed", "1", OFFICE, str(tmp_path / "out.mcap")]) == 0
-    assert "seed 1, run 0" in capsys.readouterr().err
+    assert re.search(r"seed +1, run 0", capsys.readouterr().err)
 
 
 def test_a_bag_named_like_a_command_is_reached_by_its_path(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("fit").write_bytes(Path(OFFICE).read_bytes())
-    assert run(["./fit", "out.mcap", "--seed", "1"]) == 0
+    assert run(["./fit", "out.mcap", "-v", "--seed", "1"]) == 0
     assert Path("out.mcap").exists()
     assert "Moved" in capsys.readouterr().err
 
@@ -159,7 +160,7 @@ def test_effects_alone_draw_no_noise_and_say_so(corrupt):
 )
 def test_alpha_takes_as_many_numbers_as_the_law_has_wherever_it_stands(tmp_path, capsys, alphas, law, said_back):
     target = tmp_path / "out.mcap"
-    assert run(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "--seed", "1"]) == 0
+    assert run(["--law", law, "--alpha", *alphas.split(), OFFICE, str(target), "-v", "--seed", "1"]) == 0
     assert said_back in capsys.readouterr().err
     assert run([OFFICE, str(target), "--overwrite", "--law", law, "--seed", "1", "--alpha", *alphas.split()]) == 0
 
@@ -318,7 +319,7 @@ def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path, source):
     with Path(source).open("rb") as file:
         done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file)
     assert done.returncode == 0
-    assert done.stderr.startswith(b"Moved: ")
+    assert done.stderr.startswith(b"MOVED ")
     assert run([source, str(tmp_path / "out.mcap"), "--seed", "5"]) == 0
     assert done.stdout == (tmp_path / "out.mcap").read_bytes()
 

@@ -10,7 +10,7 @@ import click
 import pytest
 
 from odomcorrupt.cli import cli
-from odomcorrupt.score.gate import parse_rule
+from odomcorrupt.scoring.gate import parse_rule
 
 DOCS = Path(__file__).parent.parent / "docs"
 PAGES = [*sorted((DOCS / "how-to").glob("*.md")), DOCS / "score.md", DOCS / "batch.md"]

@@ -32,5 +32,5 @@ def test_the_page_names_the_keys(command, more, capsys):
     named = {code.split(".")[-1].removesuffix("[]") for codes in first for code in codes} | {*topics, *edges}
     assert run([command, OFFICE, "--json", *more]) == 0
     values = json.loads(capsys.readouterr().out)
-    assert values["schema"] == 1
+    assert values["schema"] == 2
     assert keys_of(values) - {"schema"} == named

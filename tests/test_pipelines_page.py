@@ -52,7 +52,7 @@ def command(word):
 
 def test_cat_gives_the_bytes_that_a_file_has(shell, expected):
     code, said, work = shell(command("cat "))
-    assert (code, said[:7]) == (0, "Moved: ")
+    assert (code, said[:7]) == (0, "MOVED  ")
     assert (work / "noisy.mcap").read_bytes() == expected
 
 

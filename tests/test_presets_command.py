@@ -41,7 +41,7 @@ def test_a_preset_is_printed_as_a_model_file_of_the_same_noise(name, capsys, tmp
     assert (read.noise.law_name, read.effects) == (preset.noise.law_name, ())
     assert asdict(read.noise.coefficients) == pytest.approx(asdict(preset.noise.coefficients), rel=1e-8)
     assert read.source["from"] == preset.source
-    assert run([OFFICE, str(tmp_path / "out.mcap"), "--seed", "1", "--model", str(file)]) == 0
+    assert run([OFFICE, str(tmp_path / "out.mcap"), "-v", "--seed", "1", "--model", str(file)]) == 0
     assert f"(of {file})" in capsys.readouterr().err
 
 

@@ -135,7 +135,7 @@ def corrupt(tmp_path, capsys):
         if not BAGS.exists():
             pytest.skip(ABSENT)
         target = tmp_path / Path(path).name
-        code = run([str(BAGS / path), str(target), "--seed", "7", *args])
+        code = run([str(BAGS / path), str(target), "-v", "--seed", "7", *args])
         return code, capsys.readouterr().err, target
 
     return call

@@ -207,7 +207,10 @@ class BagWriter(Protocol):
         """Say how the bag came about, where its format has a place for that; ROS 1 has none."""
 
     def write(self, block: Block) -> None:
-        """Write a block, its added messages behind its own."""
+        """Write a block, its added messages behind its own; it must stay as it is where threads compress."""
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
 
     def __enter__(self) -> Self: ...
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SHELF_BYTES", "BufferPool"]
 
-SHELF_BYTES = 16 << 20
+SHELF_BYTES = 12 << 20
 """What is put side by side: more would save no more time."""
 
 

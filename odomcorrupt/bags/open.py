@@ -5,6 +5,7 @@ A format is imported when a bag has it: all of them take a tenth of the time in 
 
 from __future__ import annotations
 
+import difflib
 import sys
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -146,13 +147,14 @@ def open_writer(
 
     """
     kind = kind_of(path, reader)
+    rosbag2 = _as_rosbag2(reader)
+    _refuse_suffix(path, directory=rosbag2 is not None)
     if compression is not None and compression not in _CODECS[kind]:
         raise BagError(
             f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
         )
     if compression is not None or kind == "sqlite3":
         require_level(compression or "none", level)
-    rosbag2 = _as_rosbag2(reader)
     if path is not None and str(path) != "-":
         named = path.suffix.lower() in _SUFFIXES
         refuse_target(path, reader.paths, overwrite=overwrite, directory=rosbag2 is not None and not named)
@@ -178,6 +180,17 @@ def open_writer(
     if path is None or not isinstance(part, SqliteReader):
         raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
     return SqliteWriter(path, part, overwrite=overwrite)
+
+
+def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
+    """Raise where an output's name ends in what is no format; directories may be called anything but nearly one."""
+    suffix = "" if path is None else path.suffix.lower()
+    if not suffix or suffix in _SUFFIXES:
+        return
+    near = difflib.get_close_matches(suffix, _SUFFIXES, 1, 0.5)
+    if near or not directory:
+        meant = f" (did you mean {near[0]}?)" if near else ""
+        raise BagError(f"{path}: {suffix} is no format of bags{meant}; end the name in {', '.join(_SUFFIXES)}")
 
 
 def kind_of(path: Path | None, reader: BagReader) -> Kind:

@@ -11,8 +11,9 @@ from __future__ import annotations
 import os
 import threading
 from collections import deque
+from contextlib import closing
 from functools import partial
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
@@ -24,13 +25,13 @@ __all__ = ["MOST_THREADS", "OrderedResults", "Workers", "default_threads", "read
 MOST_THREADS = 4
 """More are of use to slow codecs only, and each holds memory."""
 
-AHEAD_BYTES = 12 << 20
+AHEAD_BYTES = 8 << 20
 """What is read before it is asked for: more would find no place in a processor's cache."""
 
 _BATCH_BYTES = 1 << 20
 """What is handed over at once: less would have threads wait for each other."""
 
-WAITING_BYTES = 16 << 20
+WAITING_BYTES = 12 << 20
 """What may wait for being compressed and written."""
 
 T = TypeVar("T")
@@ -109,6 +110,16 @@ class Workers:
         self._tasks.put(task)  # type: ignore[arg-type] # whatever it returns
         return task
 
+    def help(self) -> bool:
+        """Make a call that no thread has begun; tell whether there was one."""
+        try:
+            task = self._tasks.get_nowait()
+        except Empty:
+            return False
+        if task is not None:
+            task.run()
+        return task is not None
+
     def _work(self) -> None:
         while (task := self._tasks.get()) is not None and not self._closed:
             task.run()
@@ -146,7 +157,7 @@ class OrderedResults:
         self._waiting: deque[tuple[Callable[[], None], Callable[[], bool], int]] = deque()
         self._bytes = 0
 
-    def put(self, call: Callable[[], T], then: Callable[[T], None], size: int) -> None:
+    def put(self, call: Callable[[], T], then: Callable[[T], None], size: int, *, worth: bool = True) -> None:
         """Make a call, and later something of its result.
 
         Parameters
@@ -155,32 +166,41 @@ class OrderedResults:
             What any thread may do, and what is to be done with its result.
         size : int
             Bytes that it holds in memory until then.
+        worth : bool
+            Whether the call takes longer than to hand over what it is about; else it is made when its turn comes.
 
         """
-        if self._workers is None:
-            then(call())
+        if self._workers is None or not worth:
+            self.put_behind(lambda: then(call()), size)
             return
         task = self._workers.submit(call)
         self._waiting.append((partial(_pass_on, task, then), lambda: task.done, size))
         self._bytes += size
-        while self._waiting and (self._bytes > WAITING_BYTES or self._waiting[0][1]()):
-            self._take()
+        self._take_ready()
 
-    def put_behind(self, then: Callable[[], None]) -> None:
-        """Do something when all that was put before is done."""
-        if self._waiting:
-            self._waiting.append((then, lambda: True, 0))
-        else:
+    def put_behind(self, then: Callable[[], None], size: int = 0) -> None:
+        """Do something, which holds so many bytes until then, when all that was put before is done."""
+        if not self._waiting:
             then()
+            return
+        self._waiting.append((then, lambda: True, size))
+        self._bytes += size
+        self._take_ready()
 
     def finish(self) -> None:
         """Wait for all that was put."""
         while self._waiting:
             self._take()
 
+    def _take_ready(self) -> None:
+        while self._waiting and (self._bytes > WAITING_BYTES or self._waiting[0][1]()):
+            self._take()
+
     def _take(self) -> None:
-        act, _, size = self._waiting.popleft()
+        act, done, size = self._waiting.popleft()
         self._bytes -= size
+        while not done() and self._workers is not None and self._workers.help():
+            pass
         act()
 
 
@@ -188,8 +208,10 @@ def _pass_on(task: _Task[T], then: Callable[[T], None]) -> None:
     then(task.result())
 
 
-def read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> Iterator[T]:
-    """Yield the items of a generator which a thread of its own runs, ahead of who asks for them.
+def read_ahead(
+    items: Generator[T, None, None], size_of: Callable[[T], int], worth: Callable[[T], bool] = lambda _: True
+) -> Iterator[T]:
+    """Yield the items of a generator which, behind the first that is worth it, a thread of its own runs ahead.
 
     It runs at most `AHEAD_BYTES` and one item ahead, is stopped when nobody asks any more, and must not wait for
     anything but files: who closes this generator waits for it.
@@ -200,8 +222,19 @@ def read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> 
         It is run, and closed, by the thread.
     size_of : Callable
         Bytes that an item holds in memory.
+    worth : Callable
+        Whether items like this one take longer to make than to hand over: what is only read, and not unpacked, is best
+        used while it is in the cache of the processor that has read it.
 
     """
+    with closing(items):
+        for item in items:
+            yield item
+            if worth(item):
+                yield from _read_ahead(items, size_of)
+
+
+def _read_ahead(items: Generator[T, None, None], size_of: Callable[[T], int]) -> Iterator[T]:
     hall = _Hall[T]()
     thread = threading.Thread(target=_fill, args=(hall, items, size_of), name="read", daemon=True)
     thread.start()

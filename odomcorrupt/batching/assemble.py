@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.batching.manifest import BatchError
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class _Messages:
     def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
         for block in self._reader.blocks():
             if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
-                self.provenance = _mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
+                self.provenance = mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
             for channel, log_ns, offset, length in block.table.tolist():
                 yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]
 
@@ -94,15 +94,3 @@ class _Messages:
         left = sum(1 for _ in self._stream)
         if left:
             raise BatchError(f"{self._path}: has {left} messages more than {source}; name the input it was made from")
-
-
-def _mapping_of(content: bytes) -> dict[str, str]:
-    """Return the strings of a metadata record."""
-    words: list[str] = []
-    at = 4 + struct.unpack_from("<I", content)[0]
-    at += 4
-    while at < len(content):
-        (size,) = struct.unpack_from("<I", content, at)
-        words.append(content[at + 4 : at + 4 + size].decode())
-        at += 4 + size
-    return dict(zip(words[::2], words[1::2], strict=True))

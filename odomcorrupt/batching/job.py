@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["Job", "Output", "Task"]
@@ -20,7 +21,7 @@ __all__ = ["Job", "Output", "Task"]
 Output = Literal["full", "overlay", "trajectories"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One directory of runs.
 
@@ -30,6 +31,7 @@ class Job:
     model_text : of the directory's model.toml
     model_words, option_words : how a single run is told its model, where none is drawn, and everything else
     shown_source, shown_directory : the paths as they were typed
+    condition : the map that no run may leave; None without one
     """
 
     source: Path
@@ -46,6 +48,7 @@ class Job:
     option_words: tuple[str, ...]
     shown_source: str
     shown_directory: str
+    condition: MapCondition | None = None
 
     def model_of(self, run: int) -> MotionModel:
         """Return the model of a run: that of all, or the robot that is drawn for it."""

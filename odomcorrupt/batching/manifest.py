@@ -13,11 +13,12 @@ import json
 import os
 import re
 import socket
-import zlib
+import stat
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import odomcorrupt
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.errors import BagError, OdomCorruptError
@@ -85,6 +86,7 @@ def fingerprint_of(source: Path) -> str:
 
 
 def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
+    map_words = [] if job.condition is None else [*job.condition.provenance().values()]
     return {
         "version": odomcorrupt.__version__,
         "input": {"path": job.shown_source, "hash": fingerprint},
@@ -92,7 +94,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
         "seed": job.seed,
         "output": [job.output, "split" if job.split else "as it was"],
-        "options": [repr(job.options), repr(job.container)],
+        "options": [repr(job.options), repr(job.container), *map_words],
     }
 
 
@@ -121,11 +123,10 @@ def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
 
 
 def _read(path: Path) -> bytes:
-    """Return the bytes of a file that a batch wrote; ValueError where they are more than it ever writes."""
-    with path.open("rb") as stream:
-        data = stream.read(_LARGEST_BYTES + 1)
-    _require(len(data) <= _LARGEST_BYTES)
-    return data
+    """Return the bytes of a file that a batch wrote; ValueError where it is none, or larger than it ever is."""
+    found = path.stat()
+    _require(stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES)
+    return path.read_bytes()
 
 
 def _parsed(text: bytes) -> Any:
@@ -228,10 +229,10 @@ def content_of(path: Path) -> Content:
     """Return size and checksum of a run's file, or of a directory's files with their names."""
     crc = 0
     for file in _files(path):
-        crc = zlib.crc32(file.name.encode(), crc) if file != path else crc
+        crc = crc32(file.name.encode(), crc) if file != path else crc
         with file.open("rb") as stream:
             while piece := stream.read(_PIECE_BYTES):
-                crc = zlib.crc32(piece, crc)
+                crc = crc32(piece, crc)
     return Content(_size(path), crc)
 
 

@@ -1,51 +1,79 @@
-"""The jobs of a batch: one for each input and each point of a sweep, a directory each."""
+"""The jobs of a batch, one for each input and each point of a sweep, a directory each; and how they are made."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.batching.engine import Shard, missing_runs, run_local, run_on_dask, tasks_of
 from odomcorrupt.batching.job import Job
-from odomcorrupt.batching.manifest import BatchError
+from odomcorrupt.batching.manifest import (
+    BatchError,
+    begin,
+    fingerprint_of,
+    locked,
+    read_beginning,
+    read_records,
+    write_manifest,
+)
 from odomcorrupt.batching.parameter_draws import spreads_of, stated_spreads
 from odomcorrupt.batching.sweep import variants
-from odomcorrupt.model.model_file import format_model
+from odomcorrupt.batching.tum import read_tum, write_npz
+from odomcorrupt.corruption.run import Container
+from odomcorrupt.corruption.transform import Options, Transform
+from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from odomcorrupt.batching.job import Output
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.batching.engine import Audience
+    from odomcorrupt.batching.job import Output, Task
+    from odomcorrupt.batching.runner import Failure
+    from odomcorrupt.mapping.map_condition import MapCondition
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["plan"]
+__all__ = ["BatchSpec", "Made", "plan", "require_odometry", "run_batch", "seed_of"]
 
 
-def plan(
-    inputs: Sequence[Path],
-    target: Path,
-    model: MotionModel,
-    *,
-    model_file: Path | None,
-    sweeps: Sequence[str],
-    points: int = 0,
-    posterior: bool,
-    seed: int,
-    options: Options,
-    container: Container,
-    output: Output,
-    split: bool,
-    typed: Sequence[str],
-    option_words: Sequence[str],
-) -> list[Job]:
-    """Return the jobs.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchSpec:
+    """What is to be made of every input.
 
-    points : how many cover ranges of the sweep
-    model_file : where the model was read from, whose "a +- b" are drawn for each run; posterior: all standard errors
-    typed : how the model was told on the command line, but for --model
-    option_words : how frames and containers were told
+    model : of all runs
+    seed : of all draws
+    model_file : where the model was read from, whose "a +- b" are drawn for each run
+    posterior : draw everything that has a standard error
+    sweeps : as in "alpha-scale=0.5,1,2"
+    points : how many Sobol points cover the ranges of the sweeps
+    options, container : what is moved, and how bags are read and written
+    output : whole bags, changed topics alone, or paths
+    split : whether changed messages go into chunks of their own
+    condition : the map that no run may leave
+    model_words : how the model is said on the command line of a single run; None: by the directory's model.toml
+    map_words : how the map is said there
+    """
+
+    model: MotionModel
+    seed: int
+    model_file: Path | None = None
+    posterior: bool = False
+    sweeps: tuple[str, ...] = ()
+    points: int = 0
+    options: Options = field(default_factory=Options)
+    container: Container = field(default_factory=Container)
+    output: Output = "full"
+    split: bool = False
+    condition: MapCondition | None = None
+    model_words: tuple[str, ...] | None = None
+    map_words: tuple[str, ...] = ()
+
+
+def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
+    """Return the jobs of a batch in the directory `target`.
 
     Raises
     ------
@@ -57,40 +85,173 @@ def plan(
     if len(set(stems)) < len(stems):
         twice = next(stem for stem in stems if stems.count(stem) > 1)
         raise BatchError(f"inputs: two of them are called {twice}, and would share a directory; rename one")
-    if posterior and not model.standard_errors:
+    if spec.posterior and not spec.model.standard_errors:
         raise BatchError("--robots posterior: the model has no standard errors; give the --model that a fit wrote")
-    stated = frozenset[str]() if model_file is None else stated_spreads(model_file)
+    stated = frozenset[str]() if spec.model_file is None else stated_spreads(spec.model_file)
     jobs = []
     for source in inputs:
         if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
             raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
-        if split and _is_sqlite(source, container):
+        if spec.split and _is_sqlite(source, spec.container):
             raise BatchError(
                 f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
                 "again; leave --layout out"
             )
-        for variant in variants(model, sweeps, points):
+        for variant in variants(spec.model, spec.sweeps, spec.points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
-            shown = str(directory)
-            told = tuple(typed)
-            text = format_model(variant.model)
-            if variant.name:
-                told = ("--model", f"{shown}/model.toml")
-            elif model_file is not None:
+            by_file = ("--model", f"{directory}/model.toml")
+            model, text = variant.model, format_model(variant.model)
+            words: tuple[str, ...] = by_file
+            if not variant.name and spec.model_file is not None:
                 # the file as it is now: somebody may edit it later
-                told = ("--model", f"{shown}/model.toml", *typed)
-                text = model_file.read_text(encoding="utf8")
-            spreads = spreads_of(variant.model, None if posterior else stated)
+                text, words = spec.model_file.read_text(encoding="utf8"), (*by_file, *(spec.model_words or ()))
+            elif not variant.name and spec.model_words is not None:
+                words = spec.model_words
+            elif not variant.name:
+                # a single run reads the file, which has nine digits
+                model = parse_model(text)
             jobs.append(
                 Job(
-                    source.absolute(), directory.absolute(), variant.model, spreads, seed, options, container, output,
-                    split, text, told, tuple(option_words), str(source), shown,
+                    source=source.absolute(),
+                    directory=directory.absolute(),
+                    model=model,
+                    spreads=spreads_of(model, None if spec.posterior else stated),
+                    seed=spec.seed,
+                    options=spec.options,
+                    container=spec.container,
+                    output=spec.output,
+                    split=spec.split,
+                    model_text=text,
+                    model_words=words,
+                    option_words=(*_option_words(spec.options, spec.container), *spec.map_words),
+                    shown_source=str(source),
+                    shown_directory=str(directory),
+                    condition=spec.condition,
                 )
-            )  # fmt: skip
+            )
     return jobs
 
 
 def _is_sqlite(source: Path, container: Container) -> bool:
     with open_reader(source, recover=container.recover) as reader:
         return reader.kind == "sqlite3"
+
+
+def _drift_words(options: Options) -> str | None:
+    if options.new_odom_frame is None:
+        return None
+    return "subtraction" if options.subtracted else "correction"
+
+
+def _option_words(options: Options, container: Container) -> list[str]:
+    """Return how frames, topics and containers are said on a command line."""
+    values = (
+        ("--odom-topic", options.odom_topic),
+        ("--odom-frame", options.odom_frame),
+        ("--base-frame", options.base_frame),
+        ("--twist", "keep" if options.keep_twist else None),
+        ("--covariance", "keep" if options.keep_covariance else None),
+        ("--keep-truth", options.keep_truth),
+        ("--tf", _drift_words(options)),
+        ("--new-odom-frame", options.new_odom_frame),
+        ("--compression", container.compression),
+        ("--level", container.level),
+    )
+    words = [word for flag, value in values if value is not None for word in (flag, str(value))]
+    return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover
+
+
+def seed_of(directory: Path) -> int:
+    """Return the seed of the batch in a directory, or a fresh one."""
+    there = next(iter(sorted(directory.rglob("batch.json"))), None)
+    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
+
+
+def require_odometry(jobs: Sequence[Job]) -> None:
+    """Raise at once where all runs would: no odometry, or a model that is none."""
+    for job in jobs:
+        with open_reader(job.source, recover=job.container.recover) as reader:
+            Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What a call made: how many runs, and those that could not be made, with the reason."""
+
+    runs: int
+    failures: tuple[Failure, ...]
+
+
+class _Counter:
+    """Collects failures, and passes on how tasks get on."""
+
+    def __init__(self, audience: Audience | None) -> None:
+        self._audience = audience
+        self.shown = audience is not None and audience.shown
+        self.failures: list[Failure] = []
+
+    def done(self, task: Task, failures: list[Failure]) -> None:
+        self.failures.extend(failures)
+        if self._audience is not None:
+            self._audience.done(task, failures)
+
+    def under_way(self, task: Task, part: float | None, past_s: float) -> None:
+        if self._audience is not None:
+            self._audience.under_way(task, part, past_s)
+
+
+def run_batch(
+    jobs: Sequence[Job],
+    runs: range,
+    *,
+    processes: int = 1,
+    shard: Shard | None = None,
+    verify: bool = False,
+    dask: str | None = None,
+    audience: Audience | None = None,
+) -> Made:
+    """Make the runs of jobs that are missing, and their manifests.
+
+    Parameters
+    ----------
+    jobs, runs : jobs and the numbers of their runs
+    processes : how many work at once
+    shard : which part of the runs to make, where several machines share them
+    verify : whether runs whose bytes are not those noted are made again
+    dask : address of a Dask scheduler whose workers make them
+    audience : hears how far the runs have got
+
+    Raises
+    ------
+    BatchError
+        Where a directory has another batch already.
+
+    """
+    require_odometry(jobs)
+    fingerprints = {source: fingerprint_of(source) for source in {job.source for job in jobs}}
+    for job in jobs:
+        begin(job, fingerprints[job.source])
+    part = shard or Shard(1, 1)
+    counter = _Counter(audience)
+    with ExitStack() as locks:
+        for job in jobs:
+            locks.enter_context(locked(job, shared=part.count > 1))
+        todo = [(job, missing_runs(job, runs, part, verify=verify)) for job in jobs]
+        if dask is not None:
+            run_on_dask(todo, dask, counter)
+        else:
+            run_local([task for job, own in todo for task in tasks_of(job, own, processes)], processes, counter)
+        for job in jobs:
+            write_manifest(job.directory)
+            _collect(job, runs)
+    return Made(sum(len(own) for _, own in todo) - len(counter.failures), tuple(counter.failures))
+
+
+def _collect(job: Job, runs: range) -> None:
+    """Put all paths into one file, when the last of them is there."""
+    if job.output == "trajectories":
+        made = read_records(job.directory)
+        if set(runs) <= made.keys():
+            files = [job.directory / record["file"] for record in made.values()]
+            write_npz(job.directory / "trajectories.npz", read_tum(job.directory / "clean.tum"), list(made), files)

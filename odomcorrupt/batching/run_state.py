@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.corruption.additions import CorrectionEdge
     from odomcorrupt.corruption.drift import PathWatcher
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import Knots, PathSource
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
@@ -65,19 +65,27 @@ def _error(knots: Knots, i: int) -> tuple[float, float, float]:
 class RunState:
     """One run over a drive that is read for many.
 
+    path : where the odometry is moved to, in place of the noisy path that the model draws
     drift, marks : what to tell of it
     """
 
     def __init__(
-        self, model: MotionModel, seed: int, run: int, options: Options, watchers: Iterable[PathWatcher] = ()
+        self,
+        model: MotionModel,
+        seed: int,
+        run: int,
+        options: Options,
+        watchers: Iterable[PathWatcher] = (),
+        *,
+        path: PathSource | None = None,
     ) -> None:
         self.model = model
         self.run = run
         self.drift = DriftMeter()
         self.marks = MarkMeter()
         self._watchers: list[PathWatcher] = [self.drift, self.marks, *watchers]
-        self._path = NoisyPath(model, seed, run)
-        self._curve = Curve()
+        self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
+        self._curve = Curve(subtracted=options.subtracted)
         self._new_frame = options.new_odom_frame is not None
         self._patcher = Patcher(model, keep_twist=options.keep_twist, keep_covariance=options.keep_covariance)
 

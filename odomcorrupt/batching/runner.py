@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
@@ -94,8 +95,10 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
     try:
         room.mkdir()
         with ExitStack() as stack:
-            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover))
-            records = _make(task, room, whole, stack, reader, part(reader))
+            threads = default_threads() if job.container.threads is None else job.container.threads
+            workers = stack.enter_context(Workers(threads))
+            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            records = _make(task, room, whole, stack, reader, part(reader), workers)
         contents = [content_of(room / record["file"]) for record in records]
         note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
         for record in records:
@@ -105,7 +108,13 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
 
 
 def _make(
-    task: Task, room: Path, whole: set[int], stack: ExitStack, reader: BagReader, part: BagReader
+    task: Task,
+    room: Path,
+    whole: set[int],
+    stack: ExitStack,
+    reader: BagReader,
+    part: BagReader,
+    workers: Workers,
 ) -> list[dict[str, Any]]:
     """Make the runs in a folder; return their records."""
     job = replace(task.job, directory=room)
@@ -113,7 +122,7 @@ def _make(
     shared = SharedTransform(job.options)
     shared.driver.prepare(reader, reader.name)
     rests = Rests()
-    runs = [_begin(job, run, reader, rests) for run in task.runs]
+    runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -130,6 +139,7 @@ def _make(
             data = one.strand.patched(portion) if one.patches and portion.targets else portion.data
             if one.sink is not None:
                 one.sink.put(portion, data, _edges(one, portion, shared))
+    shared.require_frame()
     for one in runs:
         _put_beside(job, home, one)
     return [_record(job, one.strand, part.losses) for one in runs]
@@ -152,17 +162,18 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, reader: BagReader, rests: Rests) -> _Run:
+def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
     model = job.model_of(run)
+    within = None if job.condition is None else job.condition.path(model, job.seed, run)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
-        return _Run(RunState(model, job.seed, run, job.options, [path]), path, patches=False)
-    strand = RunState(model, job.seed, run, job.options)
+        return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
+    strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
         return _Run(strand, OverlaySink(job, run, reader), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader)
+    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader, workers)
     frame = job.options.new_odom_frame
     edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
+    from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
 
@@ -49,7 +50,8 @@ class Sink(Protocol):
 def provenance(job: Job, run: int) -> dict[str, str]:
     """Return what a run's bag says of how it came about."""
     model = format_model(job.model_of(run))
-    return {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
+    own = {"version": odomcorrupt.__version__, "seed": str(job.seed), "run": str(run), "model": model}
+    return own if job.condition is None else own | job.condition.provenance()
 
 
 class BagSink:
@@ -100,18 +102,21 @@ class MultiSink:
 class FullSink(BagSink):
     """A whole bag, the same bytes as of a run made alone."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader) -> None:
+    def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
         c = job.container
-        path = job.path_of(run)
-        super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
+        writer = open_writer(
+            job.path_of(run), reader, overwrite=True, compression=c.compression, level=c.level, workers=workers
+        )
+        super().__init__(job, run, writer)
 
     def put(self, portion: Portion, data: NDArray[np.uint8], added: Added = None) -> None:
-        """Write the blocks."""
+        """Write the blocks, which the next run patches in its turn."""
         for number in range(len(portion.blocks)):
             block = portion.put_back(number, data)
             if added is not None:
                 block = replace(block, added=block.added + added[number])
             self._writer.write(block)
+        self._writer.settle()
 
 
 class _Foreign:

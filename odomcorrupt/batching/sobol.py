@@ -7,7 +7,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.errors import ModelError
+from odomcorrupt.extras import require
 from odomcorrupt.model.motion_model import parse_alpha
 
 if TYPE_CHECKING:
@@ -67,10 +68,9 @@ def sobol_points(ranges: Sequence[Range], count: int) -> list[list[tuple[str, st
     """
     if not 1 <= count <= _MOST_POINTS:
         raise ModelError(f"--points {count}: must be 1 to {_MOST_POINTS}")
-    try:
-        from scipy.stats import qmc  # noqa: PLC0415 - slow to import, and an extra
-    except ImportError as error:
-        raise OdomCorruptError('scipy is not installed; ranges need it: pip install "odomcorrupt[study]"') from error
+    require("scipy", "ranges of a sweep need it", "study")
+    from scipy.stats import qmc  # noqa: PLC0415 - slow to import, and an extra
+
     exponent = max(math.ceil(math.log2(count)), 0)
     parts: Any = qmc.Sobol(len(ranges), scramble=False).random_base2(exponent)[:count] + 0.5 / 2**exponent
     return [[(one.name, one.at(float(part))) for one, part in zip(ranges, row, strict=True)] for row in parts]

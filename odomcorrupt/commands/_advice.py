@@ -1,54 +1,58 @@
-"""What diagnose and learn do with what they found: write the drive that settles what is open, and the report."""
+"""What diagnose and learn write besides their result: the drive that would settle what is open, and the report."""
 
 from __future__ import annotations
 
-import io
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
+from odomcorrupt.commands._poses import need_pictures
+from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable
 
-    from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.select.stepwise import Learned
-    from odomcorrupt.study.validate.compare import Comparison
+    from odomcorrupt.api.study import Diagnosis, Learned
+    from odomcorrupt.commands._standard import Voice
 
-__all__ = ["check_drive", "write_drive", "write_report"]
-
-
-def check_drive(path: Path | None, *, overwrite: bool) -> None:
-    """Refuse a name that cannot be written, before any work is done."""
-    if path is not None and path.suffix != ".mcap":
-        raise click.UsageError(f"--drive {path}: commands are written as MCAP; end the name in .mcap")
-    refuse_existing(path, overwrite=overwrite)
+__all__ = ["advice_options", "check_advice", "write_advice"]
 
 
-def write_drive(path: Path, advice: Advice) -> None:
-    """Write the advised manoeuvre as /cmd_vel, and say what it is; where nothing is open, say that."""
-    import numpy as np
+def advice_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add --drive and --report."""
+    for option in (
+        click.option(
+            "--report",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="Write all of it as one page of HTML, pictures too.",
+        ),
+        click.option(
+            "--drive",
+            type=click.Path(dir_okay=False, path_type=Path),
+            help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
+        ),
+    ):
+        command = option(command)
+    return command
 
-    from odomcorrupt.bags.write_twist import write_twists
-    from odomcorrupt.report.text.design import drive_sentence
-    from odomcorrupt.study.design.plan import STEP_S
 
-    plan = advice.best
-    if plan is None:
-        click.echo(f"{path} is not written: nothing is open that a drive would settle", err=True)
-        return
-    twist = np.stack((plan.v_mps, np.zeros_like(plan.v_mps), plan.omega_radps), axis=1)
-    bag = io.BytesIO()
-    write_twists(bag, np.arange(len(twist), dtype=np.float64) * STEP_S, twist)
-    write_bytes(path, bag.getvalue())
-    click.echo(f"wrote {path}: {drive_sentence(plan)}", err=True)
+def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) -> None:
+    """Refuse names that cannot be written, before any work is done."""
+    if drive is not None and drive.suffix != ".mcap":
+        raise click.UsageError(f"--drive {drive}: commands are written as MCAP; end the name in .mcap")
+    if report is not None:
+        need_pictures()
+    for path in (drive, report):
+        refuse_existing(path, overwrite=overwrite)
 
 
-def write_report(path: Path, learned: Learned, ladder: Comparison, advice: Advice, following: str) -> None:
-    """Write the page; `following` is the command to type next, or ""."""
-    from odomcorrupt import __version__
-    from odomcorrupt.report.html.diagnosis import Story, found_html
-
-    write_text(path, found_html(Story(learned, ladder, advice, following), version=__version__))
-    click.echo(f"wrote {path}", err=True)
+def write_advice(result: Diagnosis | Learned, drive: Path | None, report: Path | None, voice: Voice) -> None:
+    """Write the drive as /cmd_vel and the page, and say what it is; where nothing is open, say that."""
+    if drive is not None:
+        words = result.save_next_drive(drive, overwrite=True)
+        nothing = f"{drive} is not written: nothing is open that a drive would settle"
+        voice.note(f"wrote {drive}: {words}" if words else nothing)
+    if report is not None:
+        write_text(report, result.report())
+        voice.note(f"wrote {report}")

@@ -24,8 +24,8 @@ class Rate:
     failures : of the runs that are done
     """
 
-    def __init__(self, total: int) -> None:
-        self.shown = sys.stderr.isatty()
+    def __init__(self, total: int, *, quiet: bool = False) -> None:
+        self.shown = sys.stderr.isatty() and not quiet
         self.failures: list[Failure] = []
         self._total = total
         self._done = 0

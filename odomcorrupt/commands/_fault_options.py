@@ -12,9 +12,7 @@ from odomcorrupt.errors import EffectError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.simulation.fault_draws import Hidden
-
-__all__ = ["HEADINGS", "size_of", "what_is_wrong"]
+__all__ = ["faults_of", "size_of"]
 
 HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Sources of heading, as users and as the simulator call them."""
@@ -22,39 +20,35 @@ _LARGEST = 100.0
 """Times its usual size, a flaw makes no drive any more."""
 
 
-def what_is_wrong(
-    effects: Sequence[str], robot: int, heading: str | None
-) -> tuple[Hidden, dict[str, dict[str, float | str]]]:
-    """Return the causes asked for, and their parameters as far as these are given.
+def faults_of(effects: Sequence[str], heading: str | None) -> tuple[list[str], dict[str, dict[str, float | str]]]:
+    """Return the names of the faults asked for (none: they are drawn), and their parameters as far as given.
 
     Parameters
     ----------
-    robot : int
-        Seed of what is hidden.
+    effects : as in "wheelbase:e=0.01", "hidden" or "none"
     heading : {"wheels", "gyro"} or None
         Source of heading asked for.
     """
-    from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
+    from odomcorrupt.simulation.fault_draws import EVERY, names_of, source_of_turns
 
-    source = HEADINGS[heading] if heading else None
+    if "hidden" in effects and len(effects) > 1:
+        raise click.UsageError("--effect hidden: stands alone, since what else there is would be known")
+    if "none" in effects and len(effects) > 1:
+        raise click.UsageError("--effect none: stands alone; leave it out or leave out the others")
     if not effects or "hidden" in effects:
-        if len(effects) > 1:
-            raise click.UsageError("--effect hidden: stands alone, since what else there is would be known")
-        return draw_causes(robot, source), {}
+        return [], {}
     if "none" in effects:
-        if len(effects) > 1:
-            raise click.UsageError("--effect none: stands alone; leave it out or leave out the others")
-        return Hidden((), source or "encoders"), {}
+        return ["none"], {}
     given = dict(_parse(text) for text in effects)
     try:
         causes = names_of([text.partition(":")[0].strip() for text in effects])
-        chosen = source or source_of_turns(causes)
+        chosen = HEADINGS[heading] if heading else source_of_turns(causes)
     except EffectError as error:
         raise click.UsageError(f"--effect {error}") from error
     for name in causes:
         if chosen not in EVERY[name].shows_with:
             raise click.UsageError(f"--heading {heading}: {name} does not show with it; choose the other source")
-    return Hidden(causes, chosen), given
+    return list(causes), given
 
 
 def _parse(text: str) -> tuple[str, dict[str, float | str]]:

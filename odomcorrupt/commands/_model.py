@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.model.motion_model import MotionModel, Noise
-    from odomcorrupt.model.noise_laws import Law
+    from odomcorrupt.api.model import Model
+    from odomcorrupt.model import motion_model
 
-__all__ = ["MODEL_OPTIONS", "AlphaCommand", "Chosen", "choose_model", "model_options"]
+__all__ = ["MODEL_OPTIONS", "AlphaCommand", "choose_model", "model_options"]
 
 MODEL_OPTIONS = ("alpha", "law", "twist_noise", "step", "preset", "effects", "model", "track")
 """What `choose_model` takes."""
@@ -25,14 +25,6 @@ MOST = 6
 """The most coefficients that any law has."""
 
 NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
-
-
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """A model, and in words where its numbers come from (empty where the user typed them)."""
-
-    model: MotionModel
-    origin: str
 
 
 def _complete_laws(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
@@ -118,7 +110,7 @@ class AlphaCommand(click.Command):
             if joined[-1] == "--alpha":
                 count = next((i for i, word in enumerate(rest[:MOST]) if not NUMBER.match(word)), min(len(rest), MOST))
                 # fewer than four are taken as four, so that what is not a number can be named
-                count = max(count, min(4, len(rest)))
+                count = max(count, min(4, len(rest))) if not rest or "," not in rest[0] else 1
                 joined.append(" ".join(rest[:count]))
                 del rest[:count]
         return super().parse_args(ctx, joined + rest)
@@ -126,15 +118,15 @@ class AlphaCommand(click.Command):
 
 def choose_model(
     *,
-    alpha: str | None,
-    law: str | None,
-    twist_noise: tuple[float, float] | None,
-    step: str | None,
-    preset: str | None,
-    effects: tuple[str, ...],
-    model: Path | None,
+    alpha: str | None = None,
+    law: str | None = None,
+    twist_noise: tuple[float, float] | None = None,
+    step: str | None = None,
+    preset: str | None = None,
+    effects: tuple[str, ...] = (),
+    model: Path | None = None,
     track: float | None = None,
-) -> Chosen:
+) -> Model:
     """Return the model that the options describe; with no numbers at all, the default preset.
 
     Raises
@@ -145,9 +137,10 @@ def choose_model(
         Where the model file is wrong.
 
     """
+    from odomcorrupt.api.model import Model
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.model.model_file import read_model
 
+    alpha, preset, model = _typed_before_defaults(alpha, preset, model)
     given = [name for name, value in (("--alpha", alpha), ("--preset", preset), ("--model", model)) if value]
     if len(given) > 1 and given != ["--alpha", "--model"]:
         raise click.UsageError(f"{' and '.join(given)} both bring noise; give one of them")
@@ -155,94 +148,71 @@ def choose_model(
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
     if track is not None and not 0.0 < track < 100.0:
         raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
-    base = None if model is None else read_model(model)
+    base = None if model is None else Model.load(model)
     try:
-        added = tuple(_effect(text) for text in effects)
-        noise, origin = _noise(alpha, law, preset, base, others=bool(added or twist_noise))
-        if base is not None and alpha is None:
-            origin = f"of {model}"
-        noise = _refined(noise, step, twist_noise)
+        chosen = _noise(alpha, law, preset, base, others=bool(effects or twist_noise))
+        chosen = _refined(chosen, step, twist_noise)
+        if track is not None:
+            chosen = Model.of(replace(chosen.motion_model, track_m=track), chosen.origin)
+        return chosen.with_effects(effects)
     except ModelError as error:
-        raise click.UsageError(str(error)) from error
-    start = _model_of(noise) if base is None else replace(base, noise=noise)
-    start = start if track is None else replace(start, track_m=track)
-    return Chosen(replace(start, effects=start.effects + added), origin)
+        said = str(error)
+        raise click.UsageError(f"--{said}" if said.startswith("effect ") else said) from error
 
 
-def _noise(
-    alpha: str | None, law: str | None, preset: str | None, base: MotionModel | None, *, others: bool
-) -> tuple[Noise, str]:
-    """Return the noise, and where it comes from; none where only other errors are asked for."""
-    from odomcorrupt.model.motion_model import Noise
-    from odomcorrupt.model.noise_laws import Coefficients, law_named
-    from odomcorrupt.model.presets import DEFAULT, preset_named
+def _typed_before_defaults(
+    alpha: str | None, preset: str | None, model: Path | None
+) -> tuple[str | None, str | None, Path | None]:
+    """Return what brings noise: what was typed, where a file of defaults has something else."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return alpha, preset, model
+    typed = {n for n in ("alpha", "preset", "model") if context.get_parameter_source(n) is ParameterSource.COMMANDLINE}
+    if not typed:
+        return alpha, preset, model
+    return (
+        alpha if "alpha" in typed else None,
+        preset if "preset" in typed else None,
+        model if "model" in typed else None,
+    )
+
+
+def _noise(alpha: str | None, law: str | None, preset: str | None, base: Model | None, *, others: bool) -> Model:
+    """Return a model with the noise; none where only other errors are asked for."""
+    from odomcorrupt.api.model import Model, Noise
 
     if alpha is not None:
-        chosen_law = law_named(law or (base.noise.law_name if base is not None else "diffusion"))
-        words = alpha.split()
-        names = chosen_law.alphas + ("",) * len(words)
-        values = [_coefficient(word, name, chosen_law) for word, name in zip(words, names, strict=False)]
-        return Noise(chosen_law.name, chosen_law.coefficients(values)), ""
+        _require_spaces(alpha)
+        own = law or (base.motion_model.noise.law_name if base is not None else "diffusion")
+        noise = Noise(alpha=alpha.split(), law=own).as_motion_noise()
+        return _with_noise(base or Model(), noise)
     if base is not None:
-        return base.noise, ""
-    if preset is None and others:
-        return Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), ""
-    chosen = preset_named(preset or DEFAULT)
-    return chosen.noise, f"preset {chosen.name}: {chosen.source}"
+        return base
+    return Model() if preset is None and others else Model.preset(preset or "typical")
 
 
-def _coefficient(word: str, name: str, law: Law) -> float:
-    """Return a coefficient; angles are taken where an angle is meant, and after what it is meant."""
-    from odomcorrupt.errors import ModelError
-    from odomcorrupt.model.motion_model import parse_alpha
+def _with_noise(model: Model, noise: motion_model.Noise) -> Model:
+    from odomcorrupt.api.model import Model
 
-    value = parse_alpha(word)
-    unit = next((unit for unit in ("deg", "rad") if unit in word.split("/", maxsplit=1)[0]), None)
-    after = word.partition("/")[2]
-    cause = "m" if name.endswith("_trans") else "rad"
-    if unit is not None and law.degree == 1:
-        raise ModelError(f"{name}: {word}; alphas of the law {law.name} scale variances, write them without a unit")
-    if unit is not None and name and not name.startswith("rot_"):
-        raise ModelError(f"{name}: {word} is an angle, and it is metres; write a number")
-    if after and name and after != cause:
-        raise ModelError(f"{name}: {word}; it is caused per {cause}, and not per {after}")
-    return value
+    return Model.of(replace(model.motion_model, noise=noise))
 
 
-def _refined(noise: Noise, step: str | None, twist_noise: tuple[float, float] | None) -> Noise:
+def _require_spaces(alpha: str) -> None:
+    """Raise where the numbers of --alpha have commas between them."""
+    if "," in alpha:
+        words = [word for word in re.split(r"[\s,]+", alpha) if word]
+        if all(NUMBER.match(word) for word in words):
+            raise click.UsageError(f"--alpha {alpha}: put spaces between the numbers: --alpha {' '.join(words)}")
+
+
+def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | None) -> Model:
+    from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import Step
 
+    noise = model.motion_model.noise
     if twist_noise is not None:
         white_v, white_omega = twist_noise
-        coefficients = replace(noise.coefficients, white_v=white_v, white_omega=white_omega)
-        noise = replace(noise, coefficients=coefficients)
-    return noise if step is None else replace(noise, step=Step.parse(step))
-
-
-def _model_of(noise: Noise) -> MotionModel:
-    from odomcorrupt.model.motion_model import MotionModel
-
-    return MotionModel(noise)
-
-
-def _effect(text: str) -> Effect:
-    """Return the effect written as NAME:key=value,key=value; values may be degrees, and NAME module.Class."""
-    from odomcorrupt.effects import effect_at, effect_named, effect_of
-    from odomcorrupt.effects.effect import choices
-    from odomcorrupt.errors import EffectError, ModelError
-    from odomcorrupt.model.motion_model import parse_alpha
-
-    name, _, rest = text.partition(":")
-    name = name.strip()
-    kind = effect_at(name) if "." in name else effect_named(name)
-    words = choices(kind)
-    values: dict[str, float | str] = {}
-    for part in rest.split(",") if rest else ():
-        key, equals, value = part.partition("=")
-        try:
-            values[key.strip()] = value.strip() if key.strip() in words else parse_alpha(value)
-        except ModelError:
-            equals = ""
-        if not equals:
-            raise EffectError(f"--effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01")
-    return effect_of(kind, values)
+        noise = replace(noise, coefficients=replace(noise.coefficients, white_v=white_v, white_omega=white_omega))
+    if step is not None:
+        noise = replace(noise, step=Step.parse(step))
+    return Model.of(replace(model.motion_model, noise=noise), model.origin)

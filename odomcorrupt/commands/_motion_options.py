@@ -13,9 +13,7 @@ from odomcorrupt.commands._poses import POSE
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.model.noise_laws import Variances
-    from odomcorrupt.sampling.samples import Move
+    from odomcorrupt.api.model import Model
 
 __all__ = ["ARTICLE_CODE", "MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
 
@@ -24,20 +22,19 @@ ARTICLE_CODE = "article-code"
 
 @dataclass(frozen=True, slots=True)
 class ChosenNoise:
-    """A model, where its numbers come from, and whether the article's listing is imitated."""
+    """A model, and whether the article's listing is imitated."""
 
-    model: MotionModel
-    origin: str
+    model: Model
     article_code: bool
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenMove:
-    """A motion with its noise, and how many samples to draw."""
+    """A motion (poses before and after it, metres and radians) with its noise, and how many samples to draw."""
 
     noise: ChosenNoise
-    move: Move
-    variances: Variances
+    start_xyt: tuple[float, ...]
+    end_xyt: tuple[float, ...]
     count: int
 
 
@@ -64,6 +61,7 @@ def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
 
     `--law article-code` is the article's law with its listing's mistake.
     """
+    from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
 
@@ -76,7 +74,7 @@ def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
         raise click.UsageError(f"--example {example} brings its own noise; leave out the other numbers")
     if numbers or options["law"]:
         chosen = choose_model(**options)
-        return ChosenNoise(chosen.model, chosen.origin, article_code)
+        return ChosenNoise(chosen, article_code)
     chosen_example = example_named(example or DEFAULT_EXAMPLE)
     noise = chosen_example.noise
     if options["step"] is not None:
@@ -85,7 +83,7 @@ def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
         from odomcorrupt.model.motion_model import Step
 
         noise = replace(noise, step=Step.parse(options["step"]))
-    return ChosenNoise(MotionModel(noise), chosen_example.source, article_code)
+    return ChosenNoise(Model.of(MotionModel(noise), chosen_example.source), article_code)
 
 
 def choose_move(given: Mapping[str, Any]) -> ChosenMove:
@@ -95,24 +93,19 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     from odomcorrupt.errors import ModelError
     from odomcorrupt.geometry.se2 import between, compose
     from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
-    from odomcorrupt.sampling.samples import move_between, move_variances
 
     try:
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
         noise = choose_noise(given, given["example"])
-        if noise.model.effects:
-            raise click.UsageError(
-                "effects act along a drive, one motion has no time: name a bag, or leave --effect out"
-            )
-        first, last = np.array(example.start_xyt), np.array(example.end_xyt)
-        if given["end"] is not None:
-            # a motion of the user's own begins at the origin unless it says otherwise
-            first, last = np.zeros(3), np.array(given["end"])
-        start = first if given["start"] is None else np.array(given["start"])
-        # with a start alone, the example's motion is made from there
-        end = last if given["end"] is not None else compose(start, between(first, last))
-        move = move_between(start, end, arc=noise.model.noise.law.arc)
-        variances = move_variances(noise.model.noise, move, article_code=noise.article_code)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    return ChosenMove(noise, move, variances, given["count"] or example.count)
+    if noise.model.effects:
+        raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
+    first, last = np.array(example.start_xyt), np.array(example.end_xyt)
+    if given["end"] is not None:
+        # a motion of the user's own begins at the origin unless it says otherwise
+        first, last = np.zeros(3), np.array(given["end"])
+    start = first if given["start"] is None else np.array(given["start"])
+    # with a start alone, the example's motion is made from there
+    end = last if given["end"] is not None else compose(start, between(first, last))
+    return ChosenMove(noise, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)

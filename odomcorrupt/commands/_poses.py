@@ -54,10 +54,11 @@ def picture_kind(path: Path) -> str | None:
     return kind if kind in PICTURES else None
 
 
-def save_picture(path: Path, figure: Figure) -> None:
+def save_picture(path: Path, figure: Figure, *, quiet: bool = False) -> None:
     """Write a figure in the kind its name asks for, whole or not at all."""
-    from odomcorrupt.commands._output import write_bytes
+    from odomcorrupt.files import write_bytes
     from odomcorrupt.report.plots.figure import rendered
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))
-    click.echo(f"wrote {path}", err=True)
+    if not quiet:
+        click.echo(f"wrote {path}", err=True)

@@ -1,32 +1,62 @@
-"""How far a bag has got, on terminals only."""
+"""How far a command has got, on terminals only: of a bag by its blocks, of a study by its stages."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from typing import TYPE_CHECKING, Self
 
 import click
-
-from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
     from types import TracebackType
 
     from odomcorrupt.bags.block import Block
 
-__all__ = ["Progress", "say"]
+__all__ = ["Progress", "Stages", "time_left"]
 
 PAUSE_S = 0.2
 """Time between two lines: often enough to look alive."""
+FIRST_S = 1.0
+"""Nothing is said of what takes less."""
 
 
-class Progress:
-    """Counts blocks as they go by, and says so on stderr where that is a terminal."""
+def time_left(share: float, spent_s: float) -> str:
+    """Return the share done and the time left in words; "" before anything is known."""
+    if not 0.0 < share <= 1.0 or spent_s <= 0.0:
+        return ""
+    left_s = spent_s * (1.0 - share) / share
+    words = f"{left_s:.0f} s" if left_s < 120.0 else f"{left_s / 60.0:.0f} min"
+    return f"{100.0 * share:.0f} % done, about {words} left"
 
-    def __init__(self) -> None:
-        self._shown = sys.stderr.isatty()
-        self._next_s = time.monotonic() + PAUSE_S
+
+class _Line:
+    """A line on stderr that is written over again; nothing where that is no terminal, or nothing is to be said."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._shown = sys.stderr.isatty() and not quiet
+        self._begun_s = time.monotonic()
+
+    def _say(self, words: str) -> None:
+        if self._shown:
+            click.echo(f"\r\x1b[K{words}", nl=False, err=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._say("")
+
+
+class Progress(_Line):
+    """Counts blocks as they go by."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__(quiet=quiet)
+        self._next_s = self._begun_s + PAUSE_S
         self._bytes = 0
         self._first_ns: int | None = None
 
@@ -40,20 +70,38 @@ class Progress:
         if time.monotonic() >= self._next_s:
             self._next_s = time.monotonic() + PAUSE_S
             past_s = (int(block.table["log_ns"][-1]) - self._first_ns) * 1e-9
-            click.echo(f"\r\x1b[K{past_s:.0f} s of the bag, {self._bytes / 1e6:.0f} MB", nl=False, err=True)
+            self._say(f"{past_s:.0f} s of the bag, {self._bytes / 1e6:.0f} MB")
+
+
+class Stages(_Line):
+    """Says which stage of a study is under way, the share that is done and the time left."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__(quiet=quiet)
+        self._stage, self._share = "reading", 0.0
+        self._ended = threading.Event()
+        self._ticker = threading.Thread(target=self._tick, daemon=True)
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Take note of a stage that begins, and of the share of the work done before it."""
+        self._stage, self._share = stage, share
+
+    def _tick(self) -> None:
+        while not self._ended.wait(PAUSE_S):
+            spent_s = time.monotonic() - self._begun_s
+            if spent_s >= FIRST_S:
+                left = time_left(self._share, spent_s)
+                self._say(f"{self._stage}, {spent_s:.0f} s" + (f", {left}" if left else ""))
 
     def __enter__(self) -> Self:
+        if self._shown:
+            self._ticker.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._shown:
-            click.echo("\r\x1b[K", nl=False, err=True)
-
-
-def say(paragraph: str) -> None:
-    """Print a paragraph on stderr, folded where that is a terminal."""
-    paragraph = visible(paragraph)
-    folded = click.wrap_text(paragraph, click.get_current_context().terminal_width or 100)
-    click.echo(folded if sys.stderr.isatty() else paragraph, err=True)
+        self._ended.set()
+        if self._ticker.is_alive():
+            self._ticker.join()
+        super().__exit__(kind, error, trace)

@@ -13,11 +13,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._param_types import TRACK, Number
+from odomcorrupt.commands._progress import Stages
+from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from odomcorrupt.api.recordings import Recordings
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["Reading", "recording_options", "split_arguments"]
 
@@ -32,12 +35,17 @@ class Reading:
     truth_shift_s: float = 0.0
     track: float | None = None
 
-    def read(self, paths: Sequence[Path], *, track: float | None = None) -> Recordings:
+    def stages(self, voice: Voice) -> Stages:
+        """Return what says which stage is under way."""
+        require("scipy", "the study needs it", "study")
+        return Stages(quiet=voice.quiet)
+
+    def read(self, paths: Sequence[Path], voice: Voice, *, track: float | None = None) -> Recordings:
         """Return the recordings; `track` is that of a model, where the command line names none."""
-        return self.read_with_held_out(paths, (), track=track)[0]
+        return self.read_with_held_out(paths, (), voice, track=track)[0]
 
     def read_with_held_out(
-        self, paths: Sequence[Path], held_out: Sequence[Path], *, track: float | None = None
+        self, paths: Sequence[Path], held_out: Sequence[Path], voice: Voice, *, track: float | None = None
     ) -> tuple[Recordings, Recordings | None]:
         """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
         count = len(paths) + len(held_out)
@@ -48,10 +56,10 @@ class Reading:
         first, others = self.truth_bags, self.truth_bags
         if len(self.truth_bags) > 1:
             first, others = first[: len(paths)], others[len(paths) :]
-        runs = self._read(paths, first, track)
-        return runs, self._read(held_out, others, track) if held_out else None
+        runs = self._read(paths, first, voice, track)
+        return runs, self._read(held_out, others, voice, track) if held_out else None
 
-    def _read(self, paths: Sequence[Path], truth_bags: Sequence[Path], track: float | None) -> Recordings:
+    def _read(self, paths: Sequence[Path], truth_bags: Sequence[Path], voice: Voice, track: float | None) -> Recordings:
         from odomcorrupt.api.recordings import describe, read_recordings
 
         runs = read_recordings(
@@ -64,9 +72,9 @@ class Reading:
             names=["stdin" if str(path) == "-" else "" for path in paths],
         )
         for recording in runs:
-            click.echo(describe(recording), err=True)
+            voice.detail(describe(recording))
             for note in recording.notes:
-                click.echo(f"  {note}", err=True)
+                voice.detail(f"  {note}")
         return runs
 
     def words(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -9,19 +10,21 @@ import click
 from odomcorrupt.commands._map import choose_condition
 from odomcorrupt.commands._model import choose_model
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
-from odomcorrupt.commands._output import write_text
 from odomcorrupt.commands._poses import PICTURES, save_picture
+from odomcorrupt.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
+
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["DEFAULT_RUNS", "sample_along"]
 
 DEFAULT_RUNS = 300
 
 
-def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: bool, given: Mapping[str, Any]) -> None:
+def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, look at them along the way, and print and write what is asked for."""
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
@@ -44,33 +47,30 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, as_json: b
     runs = given["count"] or DEFAULT_RUNS
     condition = choose_condition(given, bag, drive.frame_id)
     if condition is None:
-        cloud = cloud_along(drive, chosen.model, seed=seed, runs=runs, every_m=every)
+        cloud = cloud_along(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
     else:
         places = places_along(drive, every)
         free = free_paths(
-            drive.stamps_ns, drive.xyt, chosen.model, condition.space, seed=seed, runs=range(runs), places=places,
-            check=condition.check, tries=condition.tries,
+            drive.stamps_ns, drive.xyt, chosen.motion_model, condition.space, seed=seed, runs=range(runs),
+            places=places, check=condition.check, tries=condition.tries,
         )  # fmt: skip
         cloud = cloud_of(drive, places, free.xyt, seed)
-        click.echo(free.account(), err=True)
-    if as_json:
-        click.echo(json_text(cloud), nl=False)
-    else:
-        origin = f" ({chosen.origin})" if chosen.origin else ""
-        click.echo(f"noise: {law_words(chosen.model.noise)}{origin}")
-        click.echo(report_text(cloud))
+        voice.note(free.account())
+    origin = f" ({chosen.origin})" if chosen.origin else ""
+    text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
+    voice.say(text, text, {"schema": 2, **json.loads(json_text(cloud))})
     if output is None:
         return
     if kind in PICTURES:
         from odomcorrupt.report.plots.particles import draw_cloud
 
-        law = chosen.model.noise.law_name
+        law = chosen.motion_model.noise.law_name
         within = "" if condition is None else " within the map"
         space = None if condition is None else condition.space
         save_picture(output, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
         return
     write_text(output, csv_text(cloud) if kind == ".csv" else json_text(cloud))
-    click.echo(f"wrote {output}", err=True)
+    voice.note(f"wrote {output}")
 
 
 def _round(value: float) -> float:

@@ -3,31 +3,37 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._progress import say
+from odomcorrupt.commands._bag import container_options
+from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
+
+if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
 
 @click.command("assemble", short_help="Join an overlay of a batch with its original.")
 @click.argument("run", metavar="RUN", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.argument("output", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.argument("output", metavar="OUTPUT", type=click.Path(), required=False)
+@output_option()
 @click.option(
     "--input", "original", type=click.Path(exists=True, path_type=Path), help="The original. [default: the batch's]"
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
-@click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
-@click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
-@click.option("--recover", is_flag=True, help="Read what is whole of a damaged original, as the batch did.")
-def command(run: Path, output: Path, original: Path | None, **given: Any) -> None:
+@container_options
+@standard_options
+def command(
+    run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
+) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
     from odomcorrupt.batching.assemble import assemble
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.corruption.run import Container
 
+    target = Path(chosen_output(output, output_option))
     if original is None:
         told = read_beginning(run.parent)["input"]
         original = Path(told["path"])
@@ -38,5 +44,7 @@ def command(run: Path, output: Path, original: Path | None, **given: Any) -> Non
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
     container = Container(given["overwrite"], given["compression"], given["level"], given["recover"])
-    count = assemble(run, original, output, container)
-    say(f"{output}: {count} messages of {run} in the place of those of {original}.")
+    count = assemble(run, original, target, container)
+    sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
+    values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}
+    voice.say(sentence, sentence, values, err=True)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
-from contextlib import ExitStack
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._progress import say
+from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, moving_options, threads_option
+from odomcorrupt.commands._map import choose_condition_of_run, map_options
+from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.estimate import Need
     from odomcorrupt.batching.job import Job
-    from odomcorrupt.batching.runner import Failure
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["command"]
@@ -27,11 +29,8 @@ _MODEL_WORDS = {
     "alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step", "preset": "--preset",
     "effects": "--effect", "track": "--track",
 }  # fmt: skip
-_OPTION_WORDS = {
-    "odom_topic": "--odom-topic", "odom_frame": "--odom-frame", "base_frame": "--base-frame", "twist": "--twist",
-    "covariance": "--covariance", "keep_truth": "--keep-truth", "keep_localisation": "--keep-localisation",
-    "tf": "--tf", "new_odom_frame": "--new-odom-frame", "compression": "--compression", "level": "--level",
-    "recover": "--recover",
+_MAP_WORDS = {
+    "map_": "--map", "radius": "--robot-radius", "check": "--map-check", "unknown": "--unknown", "tries": "--max-tries",
 }  # fmt: skip
 
 
@@ -47,8 +46,8 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 
 
 @click.command("batch", cls=AlphaCommand, short_help="Make many corrupted bags of one: Monte-Carlo runs.")
-@click.argument("inputs", metavar="INPUT...", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.argument("target", metavar="DIRECTORY", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("paths", metavar="INPUT... DIRECTORY", nargs=-1, required=True, type=click.Path(path_type=Path))
+@output_option("DIRECTORY")
 @click.option("--runs", type=click.IntRange(1), required=True, metavar="N", help="Make runs 0 to N - 1.")
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: the batch's, or drawn]")
@@ -88,70 +87,65 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
 @click.option("--dask", metavar="ADDRESS", help="Use the workers of a Dask scheduler, as tcp://host:8786.")
+@threads_option
 @click.option("--verify", is_flag=True, help="Make runs again whose bytes are not those noted: bit rot, edits.")
 @click.option("--dry-run", is_flag=True, help="Say what it would take, and make nothing.")
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that drives the model.")
-@click.option("--odom-frame", metavar="FRAME", help="Frame that drifts. [default: that of the odometry]")
-@click.option("--base-frame", metavar="FRAME", help="The robot's frame. [default: the odometry's child frame]")
-@click.option("--twist", type=click.Choice(["model", "keep"]), help="Twists: follow the noise, or as they are.")
-@click.option("--covariance", type=click.Choice(["model", "keep"]), help="Likewise covariances.")
-@click.option("--keep-truth", metavar="TOPIC", help="Keep the clean odometry on this topic, too.")
-@click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
-@click.option(
-    "--tf",
-    type=click.Choice(["odometry", "correction"]),
-    help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
-)
-@click.option("--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction.")
-@click.option("--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]")
-@click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]")
-@click.option(
-    "--recover", is_flag=True, help="Read what is whole of a damaged bag; the exit code is 3 if some is lost."
-)
-def command(inputs: tuple[Path, ...], target: Path, **given: Any) -> int:
+@moving_options
+@map_options
+@container_options
+@standard_options
+def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Make runs 0 to N - 1 of a seed: the same bytes as `odomcorrupt INPUT OUTPUT --seed S --run K` one by one.
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.batching.engine import Shard, missing_runs
-    from odomcorrupt.batching.manifest import begin, fingerprint_of, locked, write_manifest
+    from odomcorrupt.api.corruption import Batch
+    from odomcorrupt.batching.engine import Shard
+    from odomcorrupt.batching.plan import require_odometry, run_batch
+    from odomcorrupt.commands._eta import Rate
 
+    inputs, target = _paths(paths, output_option)
     jobs = _jobs(inputs, target, given)
     shard = Shard(*(given["shard"] or (1, 1)))
+    runs = range(given["runs"])
     if given["dry_run"]:
-        say(_dry(jobs, range(given["runs"]), shard, given["jobs"]))
+        need = _need(jobs, runs, shard)
+        voice.say(_dry(need, jobs, given["jobs"]), _dry(need, jobs, given["jobs"]), {"schema": 2, **asdict(need)})
         return 0
-    _require_driver(jobs)
-    fingerprints = {source: fingerprint_of(source) for source in {job.source for job in jobs}}
-    fresh = [job for job in jobs if not (job.directory / "batch.json").exists()]
-    _require_space(jobs, fresh, range(given["runs"]), shard)
-    for job in jobs:
-        begin(job, fingerprints[job.source])
-    with ExitStack() as locks:
-        for job in jobs:
-            locks.enter_context(locked(job, shared=shard.count > 1))
-        todo = [(job, missing_runs(job, range(given["runs"]), shard, verify=given["verify"])) for job in jobs]
-        failures = _make(todo, given)
-        made = sum(write_manifest(job.directory) for job in jobs)
-        for job in jobs:
-            _collect(job, given["runs"])
-    asked = sum(len(runs) for _, runs in todo)
-    lost = _losses(jobs)
-    said = f"{asked - len(failures)} runs made now, {made} in {target}, seed {jobs[0].seed}."
-    say(said + _told(failures) + "".join(f" Lost: {loss}." for loss in lost))
-    return 1 if failures else 3 if lost else 0
+    require_odometry(jobs)
+    _require_space(jobs, runs, shard)
+    with Rate(sum(len(runs) for _ in jobs), quiet=voice.quiet) as rate:
+        made = run_batch(
+            jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
+        )
+    done = Batch(target, tuple(jobs), made.runs, made.failures)
+    voice.tell(done, err=True)
+    return 1 if made.failures else 3 if done.losses else 0
+
+
+def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...], Path]:
+    """Return the inputs and the directory, which is the last argument unless -o names it."""
+    inputs, last = (paths, None) if option is not None else (paths[:-1], str(paths[-1]))
+    target = Path(chosen_output(last, option, "DIRECTORY"))
+    if not inputs:
+        raise click.UsageError("Missing argument 'DIRECTORY'.")
+    for path in inputs:
+        if not path.exists():
+            raise click.UsageError(f"Invalid value for 'INPUT...': Path '{path}' does not exist.")
+    if target.is_file():
+        raise click.UsageError(f"Invalid value for 'DIRECTORY': Directory '{target}' is a file.")
+    return inputs, target
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
-    from odomcorrupt.batching.plan import plan
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.transform import Options
+    from odomcorrupt.api.corruption import split_options
+    from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)
     if given["layout"] == "split" and given["output"] != "full":
         raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
-    if (given["tf"] == "correction") != (given["new_odom_frame"] is not None):
-        raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
+    options, container = split_options(bag_words(given, BAG_OPTIONS))
+    container = replace(container, overwrite=False, threads=_threads(given))
     for flag, asked in (("--keep-truth", given["keep_truth"]), ("--tf correction", given["new_odom_frame"])):
         if asked and given["output"] != "full":
             raise click.UsageError(
@@ -159,23 +153,32 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
             )
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
-    return plan(
-        inputs, target, model, model_file=given["model"], sweeps=given["sweeps"], points=given["points"],
-        posterior=given["robots"] == "posterior" or bool(given["fleet"]), seed=_seed(target, given),
-        options=Options(
-            given["odom_topic"], given["odom_frame"], given["base_frame"], given["twist"] == "keep",
-            given["covariance"] == "keep", given["keep_truth"], given["keep_localisation"], given["new_odom_frame"],
-        ),
-        container=Container(compression=given["compression"], level=given["level"], recover=given["recover"]),
+    if given["shard"] and given["seed"] is None:
+        raise click.UsageError("--shard: all shards need the same --seed; give one")
+    if given["map_"] is not None and len(inputs) > 1:
+        raise click.UsageError("--map: is that of one drive; make a batch of each input")
+    spec = BatchSpec(
+        model=model,
+        seed=seed_of(target) if given["seed"] is None else given["seed"],
+        model_file=given["model"],
+        sweeps=given["sweeps"],
+        points=given["points"],
+        posterior=given["robots"] == "posterior" or bool(given["fleet"]),
+        options=options,
+        container=container,
         output=given["output"],
-        split=given["layout"] == "split", typed=_words(_MODEL_WORDS, given), option_words=_words(_OPTION_WORDS, given),
-    )  # fmt: skip
+        split=given["layout"] == "split",
+        condition=choose_condition_of_run(given, inputs[0], options),
+        model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
+        map_words=tuple(_map_words(given)),
+    )
+    return plan(inputs, target, spec)
 
 
 def _model(given: dict[str, Any]) -> MotionModel:
     """Return the model that was asked for, or that of a fleet."""
     if not given["fleet"]:
-        return choose_model(**{name: given[name] for name in (*_MODEL_WORDS, "model")}).model
+        return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
     from odomcorrupt.batching.fleet import fleet_model
     from odomcorrupt.model.model_file import read_model
 
@@ -189,6 +192,21 @@ def _model(given: dict[str, Any]) -> MotionModel:
     return fleet_model({str(path): read_model(path) for path in given["fleet"]})
 
 
+def _threads(given: dict[str, Any]) -> int:
+    """Return how many threads each process has."""
+    from odomcorrupt.bags.pipeline import default_threads
+
+    threads: int = (given["threads"] or default_threads()) // given["jobs"]
+    return max(1, threads)
+
+
+def _map_words(given: dict[str, Any]) -> list[str]:
+    if given["map_"] is None:
+        return []
+    pose = [] if given["map_pose"] is None else ["--map-pose", ",".join(repr(float(v)) for v in given["map_pose"])]
+    return [*_words(_MAP_WORDS, given), *pose]
+
+
 def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
     """Return options as they are typed, of those that were given."""
     words = []
@@ -198,36 +216,11 @@ def _words(names: dict[str, str], given: dict[str, Any]) -> list[str]:
             words += [word for one in value for word in (flag, one)]
         elif name == "alpha" and value:
             words += [flag, *value.split()]
-        elif isinstance(value, bool):
-            words += [flag] * value
         elif isinstance(value, tuple):
             words += [flag, *map(str, value)]
         elif value is not None:
             words += [flag, str(value)]
     return words
-
-
-def _seed(target: Path, given: dict[str, Any]) -> int:
-    """Return the seed asked for, that of the batch which is there, or a fresh one."""
-    from odomcorrupt.batching.manifest import read_beginning
-    from odomcorrupt.rng import draw_seed
-
-    if given["seed"] is not None:
-        return int(given["seed"])
-    if given["shard"]:
-        raise click.UsageError("--shard: all shards need the same --seed; give one")
-    there = next(iter(sorted(target.rglob("batch.json"))), None)
-    return draw_seed() if there is None else int(read_beginning(there.parent)["seed"])
-
-
-def _require_driver(jobs: Sequence[Job]) -> None:
-    """Fail at once where all runs would: no odometry, or a model that is none."""
-    from odomcorrupt.bags.open import open_reader
-    from odomcorrupt.corruption.transform import Transform
-
-    for job in jobs:
-        with open_reader(job.source, recover=job.container.recover) as reader:
-            Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
 
 
 def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
@@ -246,8 +239,8 @@ def _need(jobs: Sequence[Job], runs: range, shard: Shard) -> Need:
     return Need(count, size, seconds, overlay, free_bytes(jobs[0].directory))
 
 
-def _dry(jobs: Sequence[Job], runs: range, shard: Shard, processes: int) -> str:
-    need = _need(jobs, runs, shard)
+def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
+    """Return what a batch would take, in sentences."""
     saved = 1.0 - need.overlay_bytes / need.bytes if need.bytes else 0.0
     text = (
         f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
@@ -263,50 +256,9 @@ def _dry(jobs: Sequence[Job], runs: range, shard: Shard, processes: int) -> str:
     return text
 
 
-def _require_space(jobs: Sequence[Job], _fresh: Sequence[Job], runs: range, shard: Shard) -> None:
+def _require_space(jobs: Sequence[Job], runs: range, shard: Shard) -> None:
     """Refuse what the disk cannot hold; what is far from that is not measured."""
     from odomcorrupt.batching.estimate import bytes_of, free_bytes, require_space
 
     if 5 * len(runs) * sum(bytes_of(job.source) for job in jobs) > free_bytes(jobs[0].directory):
         require_space(_need(jobs, runs, shard), jobs[0].shown_directory)
-
-
-def _make(todo: Sequence[tuple[Job, Sequence[int]]], given: dict[str, Any]) -> list[Failure]:
-    from odomcorrupt.batching.engine import run_local, run_on_dask, tasks_of
-    from odomcorrupt.commands._eta import Rate
-
-    with Rate(sum(len(runs) for _, runs in todo)) as rate:
-        if given["dask"]:
-            run_on_dask(todo, given["dask"], rate)
-        else:
-            tasks = [task for job, runs in todo for task in tasks_of(job, runs, given["jobs"])]
-            run_local(tasks, given["jobs"], rate)
-    return rate.failures
-
-
-def _collect(job: Job, runs: int) -> None:
-    """Put all paths into one file, when the last of them is there."""
-    from odomcorrupt.batching.manifest import read_records
-    from odomcorrupt.batching.tum import read_tum, write_npz
-
-    if job.output == "trajectories":
-        made = read_records(job.directory)
-        if set(range(runs)) <= made.keys():
-            files = [job.directory / record["file"] for record in made.values()]
-            write_npz(job.directory / "trajectories.npz", read_tum(job.directory / "clean.tum"), list(made), files)
-
-
-def _losses(jobs: Sequence[Job]) -> list[str]:
-    """Return what could not be read of damaged inputs, each once."""
-    from odomcorrupt.batching.manifest import read_records
-
-    records = [record for job in jobs if job.container.recover for record in read_records(job.directory).values()]
-    return list(dict.fromkeys(loss for record in records for loss in record.get("losses", ())))
-
-
-def _told(failures: Sequence[Failure]) -> str:
-    if not failures:
-        return ""
-    first, reason = failures[0]
-    names = ", ".join(str(run) for run, _ in failures[:8]) + (", ..." if len(failures) > 8 else "")
-    return f" Not made, tried twice: {len(failures)} runs ({names}); run {first}: {reason}"

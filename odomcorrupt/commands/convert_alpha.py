@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._standard import standard_options
+
 if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import Noise, Step
 
 __all__ = ["command"]
-
-ANGLE = "0.2rad"
-"""Completes a step that is a distance alone: nav2's update_min_a, beside its update_min_d of 0.25 m."""
 
 
 @click.command("convert-alpha", short_help="What the alphas of one law are in another.")
@@ -24,9 +23,9 @@ ANGLE = "0.2rad"
 @click.option("--to", "target", required=True, metavar="LAW", help="Law to convert them to.")
 @click.option("--step", metavar="STEP", help="Step a book law is applied to, as in 0.25m or 0.25m,0.2rad.")
 @click.option("--to-step", metavar="STEP", help="Step of the other law. [default: the same]")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@standard_options
 def command(
-    alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, as_json: bool
+    alphas: tuple[str, ...], *, source: str, target: str, step: str | None, to_step: str | None, voice: Voice
 ) -> None:
     """Convert the alphas of one law to another that drifts the same on straight drives and on turns.
 
@@ -50,14 +49,13 @@ def command(
         after = convert(before, other, _step(to_step or step) if other.per_step else None)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    click.echo(_json(before, after) if as_json else _text(before, after))
+    text = _text(before, after)
+    voice.say(text, text, _values(before, after))
 
 
 def _step(text: str | None) -> Step | None:
     from odomcorrupt.model.motion_model import Step
 
-    if text is not None and re.fullmatch(r"\s*[\d.eE+-]+\s*m\s*", text):
-        text = f"{text},{ANGLE}"
     return None if text is None else Step.parse(text)
 
 
@@ -93,9 +91,8 @@ def _needed(noise: Noise) -> int:
     return max(4, *(i + 1 for i, value in enumerate(values) if value)) if any(values) else 4
 
 
-def _json(before: Noise, after: Noise) -> str:
+def _values(before: Noise, after: Noise) -> dict[str, Any]:
     import dataclasses
-    import json
 
     from odomcorrupt.sampling.convert import drift_of
 
@@ -107,4 +104,4 @@ def _json(before: Noise, after: Noise) -> str:
         }
         for name, noise in (("from", before), ("to", after))
     }
-    return json.dumps({**sides, "variance_growth": dataclasses.asdict(drift_of(after))}, indent=1)
+    return {"schema": 2, **sides, "variance_growth": dataclasses.asdict(drift_of(after))}

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
-from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -36,9 +35,16 @@ __all__ = ["command"]
 @click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
 @map_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@overwrite_option()
+@standard_options
 def command(
-    output: Path | None, *, reading: str, poses: tuple[tuple[float, ...], ...], overwrite: bool, **given: Any
+    output: Path | None,
+    *,
+    reading: Literal["pose", "product", "hypothetical"],
+    poses: tuple[tuple[float, ...], ...],
+    overwrite: bool,
+    voice: Voice,
+    **given: Any,
 ) -> None:
     """Say how likely end poses of one motion are, in closed form, beside samples of it.
 
@@ -46,13 +52,9 @@ def command(
     odomcorrupt density -o density.png
     odomcorrupt density --example balanced --at 1,0.35,40deg --at 1.1,0.3,40deg
     """  # noqa: D301 - click wants a real backspace
-    import numpy as np
-
+    from odomcorrupt.api.motion import density
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
-    from odomcorrupt.sampling.samples import move_sampled
-    from odomcorrupt.sampling.text import law_words
+    from odomcorrupt.rng import draw_seed
 
     refuse_existing(output, overwrite=overwrite)
     if output is not None:
@@ -60,44 +62,19 @@ def command(
             raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
         need_pictures()
     chosen = choose_move(given)
-    move, variances = chosen.move, chosen.variances
-    unit = "1/(m^2 rad)" if reading == "pose" else "1/(m rad^2)"
-    click.echo(f"noise: {law_words(chosen.noise.model.noise, article_code=chosen.noise.article_code)}")
-    readings: dict[str, Callable[[Array], Array]] = {
-        "pose": lambda at: pose_density(at, move, variances),
-        "product": lambda at: product(at, move, variances),
-        "hypothetical": lambda at: hypothetical(at, move, chosen.noise.model.noise),
-    }
-    density_of = readings[reading]
-    condition = choose_condition(given, None, "")
     try:
-        grid = density_on_grid(move, variances, density_of=density_of)
-        part, free = 1.0, None
-        if condition is not None:
-            start = move.start_xyt[:2]
-            grid, part = within_map(grid, condition.space, start, condition.check)
-            ends = np.array(poses).reshape(-1, 3)[:, :2]
-            free = condition.space.allows(np.broadcast_to(start, ends.shape), ends, condition.check)
-            click.echo(f"map: {100.0 * part:.4g} % of it is free, by which it is divided")
-        if poses:
-            values = density_of(np.array(poses)) / part * (1.0 if free is None else free)
-            for pose, value in zip(poses, values, strict=True):
-                x, y, theta = pose
-                click.echo(f"at ({x:g} m, {y:g} m, {np.degrees(theta):g} deg): {value:.6g} {unit}")
+        found = density(
+            chosen.start_xyt,
+            chosen.end_xyt,
+            poses,
+            model=chosen.noise.model,
+            reading=reading,
+            article_code=chosen.noise.article_code,
+            within=choose_condition(given, None, ""),
+        )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    meaning = "one is a density" if reading == "pose" else "the product is not a density over poses"
-    click.echo(f"integral over the grid of end poses: {grid.integral:.6f} ({meaning})")
-    if output is None:
-        return
-    from odomcorrupt.report.plots.density import draw_density
-
-    seed = draw_seed() if given["seed"] is None else given["seed"]
-    xyt = move_sampled(move, variances, chosen.count, stream(seed, 0, "sample"))
-    if condition is not None:
-        start = np.broadcast_to(move.start_xyt[:2], (len(xyt), 2))
-        xyt = xyt[condition.space.allows(start, xyt[:, :2], condition.check)]
-    name = "Density of end poses" if reading == "pose" else f"p1 p2 p3 ({reading}) at end poses"
-    law = "article-code" if chosen.noise.article_code else chosen.noise.model.noise.law_name
-    per_area = "density (1/m^2)" if reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
-    save_picture(output, draw_density(move, grid, xyt, f"{name}: law {law}, samples of seed {seed}", per_area))
+    voice.tell(found)
+    if output is not None:
+        seed = draw_seed() if given["seed"] is None else given["seed"]
+        save_picture(output, found.draw_beside(chosen.count, seed), quiet=voice.quiet)

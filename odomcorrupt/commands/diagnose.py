@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import shlex
-from pathlib import Path
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import check_drive, write_drive, write_report
-from odomcorrupt.commands._output import refuse_existing
-from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
-from odomcorrupt.extras import require
+from odomcorrupt.commands._advice import advice_options, check_advice, write_advice
+from odomcorrupt.commands._recordings import recording_options, split_arguments
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from odomcorrupt.api.study import Diagnosis
+    from odomcorrupt.commands._recordings import Reading
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -19,18 +25,9 @@ __all__ = ["command"]
 @click.command("diagnose", short_help="Name the physical effect that a model misses.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... [MODEL.toml]")
 @recording_options
-@click.option(
-    "--drive",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
-)
-@click.option(
-    "--report",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write all of it as one page of HTML, pictures too.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@advice_options
+@overwrite_option("existing outputs")
+@standard_options
 def command(
     arguments: tuple[str, ...],
     *,
@@ -38,56 +35,34 @@ def command(
     drive: Path | None,
     report: Path | None,
     overwrite: bool,
-    as_json: bool,
+    voice: Voice,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
-    require("scipy", "the study needs it", "study")
-    from odomcorrupt.model.model_file import read_model
-    from odomcorrupt.report.json.diagnosis import learned_json
-    from odomcorrupt.report.text.diagnosis import found_text, shares_text
-    from odomcorrupt.report.text.tables import candidates_table
-    from odomcorrupt.study.design.advise import advise
-    from odomcorrupt.study.select.stepwise import learn
-    from odomcorrupt.study.validate.model_sequence import ladder_comparison
+    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.study import diagnose
 
     paths, names = split_arguments(arguments)
-    models = {name: read_model(Path(name)) for name in names}
-    if len(models) > 1:
-        raise click.UsageError(f"{len(models)} models given; diagnose one at a time")
-    refuse_existing(report, overwrite=overwrite)
-    check_drive(drive, overwrite=overwrite)
-    name, model = next(iter(models.items()), (None, None))
-    # the set-up belongs to the recordings: what a model knows of it is no reason not to look for it here
-    effects = model.effects if model is not None else ()
-    known = {effect.name for effect in model.setup.effects} if model is not None else set()
-    law = model.noise.law_name if model is not None else "diffusion"
-    runs = reading.read(paths, track=model.track_m if model else None)
-    learned = learn(runs, effects, law_name=law)
-    advice = advise(learned)
-    if drive is not None:
-        write_drive(drive, advice)
-    words = [*(str(p) for p in paths), *reading.words()]
-    words += ["--start", name] if name else []
-    added = [effect for effect in learned.added if effect not in known]
-    words += [w for effect in added for w in ("--add", effect)]
-    following = f"odomcorrupt fit {shlex.join(words)} -o robot.toml" if added else ""
-    if learned.laws:
-        # what is added holds beside a law only, and `learn` alone writes laws
-        words = [*(str(p) for p in paths), *reading.words()]
-        following = f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
-    begin = Path(name).name if name else "without effects"
-    ladder = ladder_comparison(learned, runs, begin)
-    # a ladder knows nothing of noise: what it rejects may be what was named
-    judged = ladder.judgements[-1] if not learned.noise else None
-    if as_json:
-        told = learned_json(learned, ladder.judgements, advice, judged=judged)
-        click.echo(json.dumps(told, indent=2, allow_nan=False))
-    else:
-        said = found_text(learned, advice, judged=judged)
-        click.echo(f"{candidates_table(learned.rounds[0])}\n\n{said}")
-        if learned.added:
-            click.echo(f"\n{shares_text(ladder.judgements)}")
-        if following:
-            click.echo(f"\nnext: {following}")
-    if report is not None:
-        write_report(report, learned, ladder, advice, following)
+    if len(names) > 1:
+        raise click.UsageError(f"{len(names)} models given; diagnose one at a time")
+    check_advice(drive, report, overwrite=overwrite)
+    # a model that cannot be read is said before minutes of work
+    model = Model.load(names[0]) if names else None
+    with reading.stages(voice) as stages:
+        runs = reading.read(paths, voice, track=model.motion_model.track_m if model else None)
+        result = diagnose(runs, names[0] if names else None, watch=stages)
+    words = [*map(str, paths), *reading.words()]
+    result = replace(result, following=_following(result, words, names))
+    voice.tell(result)
+    write_advice(result, drive, report, voice)
+
+
+def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:
+    """Return the command that adds what is missing; "" where nothing is."""
+    if result.result.search.laws:
+        # a dependence is written by `learn` alone, and what is added holds beside it only
+        return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
+    if not result.missing:
+        return ""
+    start = ["--start", models[0]] if models else []
+    added = [word for effect in result.missing for word in ("--add", effect)]
+    return f"odomcorrupt fit {shlex.join([*words, *start, *added])} -o robot.toml"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._standard import standard_options
+
 if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
 
 __all__ = ["command"]
@@ -15,11 +17,11 @@ __all__ = ["command"]
 
 @click.command("effects", short_help="List the physical effects, or explain one.")
 @click.argument("name", required=False)
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click passes flags so
+@standard_options
+def command(name: str | None, *, voice: Voice) -> None:
     """List the physical effects by which odometry departs from the truth, or explain one of them.
 
-    Each is put into a bag by --effect NAME:parameter=value, looked for by diagnose, and taken out by correct.
+    Each is put into a bag by --effect NAME:parameter=value, tested by diagnose, and taken out by correct.
 
     \b
     An effect of your own is an expression in a model file, a rate added to truth minus odometry:
@@ -36,20 +38,19 @@ def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click pa
 
     if name is not None:
         kind = effect_named(name)
-        click.echo(json.dumps(_facts(kind), indent=2, allow_nan=False) if as_json else _page(kind))
+        voice.say(_page(kind), _page(kind), _facts(kind))
         return
     kinds = registry()
-    if as_json:
-        effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
-        click.echo(json.dumps({"schema": 1, "effects": effects}, indent=2))
-        return
+    effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
     width = max(map(len, kinds))
-    for n, k in kinds.items():
-        click.echo(f"{n:<{width}}  {k.kind:<6}  {k.summary}")
-    click.echo(
-        "\neffect: systematic; setup: of the measurement, not of the robot; noise: random"
-        "\nodomcorrupt effects NAME explains one"
+    text = "\n".join(
+        [
+            *(f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in kinds.items()),
+            "\neffect: systematic; setup: of the measurement, not of the robot; noise: random",
+            "odomcorrupt effects NAME explains one",
+        ]
     )
+    voice.say(text, text, {"schema": 2, "effects": effects})
 
 
 def _facts(kind: type[Effect]) -> dict[str, Any]:
@@ -57,7 +58,7 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
 
     about = kind.about
     return {
-        "schema": 1,
+        "schema": 2,
         "name": kind.name,
         "kind": kind.kind,
         "summary": kind.summary,

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._param_types import TRACK, Number
+from odomcorrupt.commands._standard import standard_options
 
 if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.export.nav2 import Turn
 
 __all__ = ["command"]
@@ -70,8 +72,10 @@ _EVERY = "nothing would let amcl update at every scan"
     help="Of odometry messages.",
 )
 @click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
+@standard_options
 def command(
     model: Path,
+    *,
     target: str,
     track: float | None,
     update_min_d: float,
@@ -81,6 +85,7 @@ def command(
     turn_rate: float,
     rate: float,
     controller: str,
+    voice: Voice,
 ) -> None:
     """Print a model as YAML to paste, with what it cannot express in comments.
 
@@ -95,14 +100,16 @@ def command(
 
     robot = read_model(model)
     if target == "ros2_control":
-        click.echo(wheels_text(robot, wheel_multipliers(robot, track), controller))
+        text = wheels_text(robot, wheel_multipliers(robot, track), controller)
+        voice.say(text, text, {"schema": 2, "to": target, "yaml": text})
         return
     try:
         drive = Steady(speed, turn_rate, rate)
         if target == "nav2":
             alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
-            click.echo(amcl_text(robot, alphas, update_min_d, update_min_a, turn))
+            text = amcl_text(robot, alphas, update_min_d, update_min_a, turn)
         else:
-            click.echo(twists_text(robot, twist_variances(robot.noise, drive), drive, controller))
+            text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
+    voice.say(text, text, {"schema": 2, "to": target, "yaml": text})

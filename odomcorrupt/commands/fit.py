@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing, write_text
-from odomcorrupt.commands._recordings import Reading, recording_options, split_arguments
-from odomcorrupt.extras import require
+from odomcorrupt.commands._recordings import recording_options, split_arguments
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
+
+if TYPE_CHECKING:
+    from odomcorrupt.commands._recordings import Reading
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -20,7 +27,8 @@ __all__ = ["command"]
 @click.option("--start", type=click.Path(dir_okay=False, path_type=Path), help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
 @click.option("--law", help="Noise law, or all: the likeliest. [default: that of the start model, or diffusion]")
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
+@overwrite_option()
+@standard_options
 def command(
     recordings: tuple[str, ...],
     *,
@@ -30,34 +38,29 @@ def command(
     add: tuple[str, ...],
     law: str | None,
     overwrite: bool,
+    voice: Voice,
 ) -> None:
     """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the effects asked for.
 
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted where the data show them. Several recordings
     are runs of one robot, each with a clock of its own.
     """
-    require("scipy", "the study needs it", "study")
-    from odomcorrupt.model.model_file import format_model, read_model
-    from odomcorrupt.report.text.fit import fit_text, laws_table
-    from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
-    from odomcorrupt.study.validate.round_trip import proved
+    from odomcorrupt.api.model import Model
+    from odomcorrupt.api.study import fit, require_effects
 
     paths, models = split_arguments(recordings)
     if models:
         raise click.UsageError(f"{models[0]} is a model; pass it with --start")
     refuse_existing(output, overwrite=overwrite)
-    begin = read_model(start) if start is not None else None
-    effects = effects_to_fit(begin, add)
-    law_name = law or (begin.noise.law_name if begin is not None else "diffusion")
-    runs = reading.read(paths, track=begin.track_m if begin else None)
-    if law_name == "all":
-        results = fit_every_law(runs, effects, start=begin)
-        click.echo(laws_table(results) + "\n")
-        result = next(iter(results.values()))
-    else:
-        result = fit_robot(runs, effects, law_name=law_name, start=begin)
-    proof = proved(result.model, runs)
-    click.echo("\n".join([fit_text(result), *proof.changes]))
+    begin = None if start is None else Model.load(start)
+    require_effects(begin, add)
+    with reading.stages(voice) as stages:
+        runs = reading.read(paths, voice, track=begin.motion_model.track_m if begin else None)
+        stages("fit", 0.0)
+        result = fit(runs, add, start=begin, law=law)
+    words = [*map(str, paths), *reading.words()]
+    following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
+    voice.tell(replace(result, following=following if output is not None else ""))
     if output is not None:
-        write_text(output, format_model(proof.model))
-        click.echo(f"wrote {output}", err=True)
+        result.model.save(output, overwrite=True)
+        voice.note(f"wrote {output}")

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
@@ -23,6 +25,7 @@ _FILE = click.Path(path_type=Path)
 @click.command("integrate", short_help="Odometry from the velocities of a bag alone, with or without noise on them.")
 @click.argument("input_", metavar="INPUT", type=_FILE)
 @click.argument("output", metavar="[OUTPUT]", type=_FILE, required=False)
+@output_option()
 @click.option(
     "--integrate",
     "rule",
@@ -44,8 +47,9 @@ _FILE = click.Path(path_type=Path)
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry whose twists are taken.")
 @click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: the topic that is called so]")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-def command(input_: Path, output: Path | None, **given: Any) -> None:
+@overwrite_option("existing outputs")
+@standard_options
+def command(input_: Path, output: Path | None, output_option: str | None, *, voice: Voice, **given: Any) -> None:
     """Integrate the velocities of a bag's odometry, and write them as its poses.
 
     OUTPUT gets run 0, in the Odometry messages and the TF edges that go with them; everything else stays.
@@ -60,6 +64,8 @@ def command(input_: Path, output: Path | None, **given: Any) -> None:
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
     from odomcorrupt.trajectories.rewrite import rewrite_path
 
+    if output is not None or output_option is not None:
+        output = Path(chosen_output(None if output is None else str(output), output_option))
     plot, noise, rule = given["plot"], given["twist_noise"], given["rule"]
     if "-" in (str(input_), str(output)):
         raise OdomCorruptError("-: integration reads the whole drive first, which a pipe cannot do; name files")
@@ -74,9 +80,9 @@ def command(input_: Path, output: Path | None, **given: Any) -> None:
     drive = read_drive(input_, given["odom_topic"])
     truth_topic = given["truth"] or find_truth(input_)
     truth = None if truth_topic is None else read_poses(input_, truth_topic)
-    click.echo("\n".join([_about(drive, rule, given["hold"]), *drive.notes]))
+    said = [_about(drive, rule, given["hold"]), *drive.notes]
     clean = integrate(drive.xyt[0], drive.twist, drive.t_s, rule, hold=given["hold"])
-    _compare(drive, clean, truth, truth_topic)
+    said += _compared(drive, clean, truth, truth_topic)
     written, provenance = clean, {"command": "integrate", "rule": rule, "hold": given["hold"]}
     runs = None
     if noise is not None:
@@ -87,10 +93,11 @@ def command(input_: Path, output: Path | None, **given: Any) -> None:
             raise click.UsageError(str(error)) from error
         runs = integrate(drive.xyt[0], twists, drive.t_s, rule, hold=given["hold"])
         written, provenance = runs[0], provenance | {"seed": str(seed), "twist_noise": f"{noise[0]} {noise[1]}"}
-        _spread(runs, clean, noise, seed)
+        said += _spread(runs, clean, noise, seed)
+    voice.say("\n".join(said), "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
     if output is not None:
         done = rewrite_path(input_, output, drive, written, provenance, overwrite=given["overwrite"])
-        click.echo(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms", err=True)
+        voice.note(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms")
     if plot is not None:
         _draw(plot, drive, clean, runs, truth, rule, noise)
 
@@ -104,29 +111,31 @@ def _about(drive: Drive, rule: str, hold: str) -> str:
     )
 
 
-def _compare(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | None) -> None:
+def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | None) -> list[str]:
+    """Return how far integrated odometry is from the truth, and from the bag's own poses."""
     import numpy as np
 
     from odomcorrupt.trajectories.trajectory_error import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
-    for error_of, against in ((error, name), (path_error(drive.stamps_ns, xyt, drive.trajectory), drive.topic)):
-        if error_of is not None:
-            click.echo(
-                f"against {against}: at most {error_of.position_m.max():.4f} m and "
-                f"{np.abs(error_of.heading_rad).max():.4f} rad"
-            )
+    own = path_error(drive.stamps_ns, xyt, drive.trajectory)
+    return [
+        f"against {against}: at most {one.position_m.max():.4f} m and {np.abs(one.heading_rad).max():.4f} rad"
+        for one, against in ((error, name), (own, drive.topic))
+        if one is not None
+    ]
 
 
-def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) -> None:
+def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) -> list[str]:
+    """Return how far noisy runs end from the clean path."""
     import numpy as np
 
     ends = runs[:, -1] - clean[-1]
     position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
-    click.echo(
-        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}"
-    )
-    click.echo(f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate")
+    return [
+        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
+        f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
+    ]
 
 
 def _draw(

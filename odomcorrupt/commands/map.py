@@ -9,14 +9,16 @@ import click
 
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
-from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
 
 __all__ = ["command"]
@@ -49,9 +51,9 @@ __all__ = ["command"]
     default=0.05,
     help="Of the maps, metres. [default: 0.05]",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> None:
+@overwrite_option("existing outputs")
+@standard_options
+def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
     """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.
 
     Says how thick the walls are in both, as the robot goes on.
@@ -77,13 +79,11 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
     options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
     chosen = choose_model(**options)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    notes, surveys = _surveys(bag, chosen.model, seed, given)
-    if as_json:
-        click.echo(_json(surveys, notes, seed))
-    else:
-        origin = f" ({chosen.origin})" if chosen.origin else ""
-        click.echo(f"noise: {law_words(chosen.model.noise)}{origin}, seed {seed}, run {given['run']}")
-        click.echo("\n".join([*notes, _table(surveys)]))
+    notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
+    origin = f" ({chosen.origin})" if chosen.origin else ""
+    noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
+    text = "\n".join([noise, *notes, _table(surveys)])
+    voice.say(text, text, _values(surveys, notes, seed))
     if output is None:
         return
     from odomcorrupt.mapping.mapfile import format_map
@@ -93,7 +93,7 @@ def command(bag: Path, output: Path | None, *, as_json: bool, **given: Any) -> N
         image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
         write_bytes(path.with_suffix(".pgm"), image)
         write_text(path.with_suffix(".yaml"), text)
-        click.echo(f"wrote {path.with_suffix('.yaml')}", err=True)
+        voice.note(f"wrote {path.with_suffix('.yaml')}")
     save_picture(output, draw_surveys(surveys, WINDOW_M))
 
 
@@ -157,12 +157,11 @@ def _hits_line(off_surface_m: Any) -> str:
     )
 
 
-def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
-    import json
-
+def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
-    content = {
+    content: dict[str, Any] = {
+        "schema": 2,
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
         "travelled_m": surveys[0].marks_m.tolist(),
@@ -171,4 +170,4 @@ def _json(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> str:
         "off_surface_m": {s.name: s.off_surface_m.tolist() for s in surveys[1:]},
         "notes": list(notes),
     }
-    return json.dumps(finite(content), indent=1, allow_nan=False)
+    return dict(finite(content))

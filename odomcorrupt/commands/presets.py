@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._standard import standard_options
+
 if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.presets import Preset
 
 __all__ = ["command"]
@@ -15,8 +17,8 @@ __all__ = ["command"]
 
 @click.command("presets", short_help="List the ready-made noise models, or print one as a model file.")
 @click.argument("name", required=False)
-@click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres and radians.")
-def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click passes flags so
+@standard_options
+def command(name: str | None, *, voice: Voice) -> None:
     """List the presets with law, numbers and source, or print one of them as a model file, to edit and to add effects.
 
     The numbers are alpha1, alpha2, ...; what they mean depends on the law.
@@ -28,12 +30,11 @@ def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click pa
 
     if name is None:
         chosen = list(PRESETS.values())
-        click.echo(
-            json.dumps({"schema": 1, "presets": [_values(p) for p in chosen]}, indent=2)
-            if as_json
-            else "\n".join(_lines(p) for p in chosen)
+        text = (
+            "\n".join(_lines(p) for p in chosen)
             + "\nodomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
         )
+        voice.say(text, text, {"schema": 2, "presets": [_values(p) for p in chosen]})
         return
     try:
         preset = preset_named(name)
@@ -41,7 +42,7 @@ def command(name: str | None, as_json: bool) -> None:  # noqa: FBT001 - click pa
         raise click.UsageError(str(error)) from error
     source = {"preset": preset.name, "from": preset.source}
     text = format_model(MotionModel(preset.noise, source=source))
-    click.echo(json.dumps({"schema": 1} | _values(preset), indent=2) if as_json else text, nl=as_json)
+    voice.say(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))
 
 
 def _values(preset: Preset) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -12,10 +12,14 @@ from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import Progress
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
 from odomcorrupt.report.json.numbers import finite
+
+if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -33,24 +37,23 @@ __all__ = ["command"]
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
-@click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds.")
-def command(input_: str, output: Path | None, **given: Any) -> int:
+@overwrite_option("an existing picture")
+@standard_options
+def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
     Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command which
     shape its output alone are taken, too, and change nothing here.
     """
-    import json
-
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.corruption.summary import per_message
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.preview.forecast import forecast, read_clean_drive
-    from odomcorrupt.preview.text import forecast_json, forecast_text
+    from odomcorrupt.preview.text import brief, forecast_json, forecast_text
 
     chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
+    model = chosen.motion_model
     if output is not None:
         if picture_kind(output) is None:
             raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")
@@ -59,24 +62,21 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
     condition = choose_condition_of_run(given, source, options)
-    with open_reader(source, recover=given["recover"]) as reader, Progress() as progress:
-        drive = read_clean_drive(reader, chosen.model, options, progress)
+    with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=voice.quiet) as progress:
+        drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)
     paths = (
-        (None if condition is None else condition.path(chosen.model, seed, run, drive))
-        or NoisyPath(chosen.model, seed, run)
+        (None if condition is None else condition.path(model, seed, run, drive)) or NoisyPath(model, seed, run)
         for run in range(given["run"], given["run"] + given["runs"])
     )
-    outlook = forecast(drive, chosen.model, paths, first_run=given["run"])
-    if given["as_json"]:
-        click.echo(json.dumps(finite(forecast_json(outlook, chosen.model, seed)), indent=2, allow_nan=False))
-    else:
-        click.echo(forecast_text(outlook, chosen.model, chosen.origin, seed))
+    outlook = forecast(drive, model, paths, first_run=given["run"])
+    text = forecast_text(outlook, model, chosen.origin, seed)
+    voice.say(brief(outlook, model, chosen.origin, seed, input_), text, finite(forecast_json(outlook, model, seed)))
     if output is not None:
         from odomcorrupt.report.plots.runs import draw_fan
 
         title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
-        if per_message(chosen.model.noise) and outlook.rate_hz is not None:
+        if per_message(model.noise) and outlook.rate_hz is not None:
             title += f" at {outlook.rate_hz:.3g} Hz; at another message rate it does something else"
         save_picture(output, draw_fan(outlook, title))
     return report_losses(losses)
@@ -84,8 +84,8 @@ def command(input_: str, output: Path | None, **given: Any) -> int:
 
 def _options_of_the_output() -> list[click.Parameter]:
     """Return what corruption takes and a forecast has no use for: a command line serves both."""
-    own = {option.name for option in command.params}
-    found = [copy.copy(o) for o in corrupt.command.params if isinstance(o, click.Option) and o.name not in own]
+    own = {word for option in command.params for word in option.opts}
+    found = [copy.copy(o) for o in corrupt.command.params if isinstance(o, click.Option) and own.isdisjoint(o.opts)]
     for option in found:
         option.hidden, option.expose_value = True, False
     return list(found)

@@ -10,14 +10,14 @@ import click
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
-from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind
 from odomcorrupt.commands._sample_path import sample_along
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
-    from odomcorrupt.commands._map import Condition
-    from odomcorrupt.sampling.text import Drawn
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -32,9 +32,9 @@ __all__ = ["command"]
 @click.option("--every", type=Number("metres", 0.0, 1e6, above=True), metavar="M", help="Along a bag: a cloud per M m.")
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing output.")
-def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: bool, **given: Any) -> None:
+@overwrite_option()
+@standard_options
+def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Voice, **given: Any) -> None:
     """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.
 
     \b
@@ -45,10 +45,9 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
     odomcorrupt sample drive.mcap -n 500 -o cloud.png            # the cloud spreading along a drive
     odomcorrupt sample drive.mcap --map map.yaml -o cloud.png    # the same within free space
     """  # noqa: D301 - click wants a real backspace
-    from odomcorrupt.mapping.conditioned import move_sampled_in_map
-    from odomcorrupt.rng import draw_seed, stream
-    from odomcorrupt.sampling.samples import move_sampled
-    from odomcorrupt.sampling.text import Drawn, csv_text, json_text, report_text
+    from odomcorrupt.api.motion import sample
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.sampling.text import csv_text, json_text
 
     refuse_existing(output, overwrite=overwrite)
     kind = None if output is None else picture_kind(output) or output.suffix.lower()
@@ -57,38 +56,27 @@ def command(bag: Path | None, output: Path | None, *, as_json: bool, overwrite: 
     if kind in PICTURES:
         need_pictures()
     if bag is not None:
-        sample_along(bag, output, kind, as_json=as_json, given=given)
+        sample_along(bag, output, kind, voice=voice, given=given)
         return
     chosen = choose_move(given)
-    seed = draw_seed() if given["seed"] is None else given["seed"]
-    rng = stream(seed, 0, "sample")
     condition = choose_condition(given, None, "odom")
-    notes: tuple[str, ...] = ()
-    if condition is None:
-        xyt = move_sampled(chosen.move, chosen.variances, chosen.count, rng)
-    else:
-        free = move_sampled_in_map(
-            chosen.move, chosen.variances, chosen.count, rng, condition.space, check=condition.check,
-            tries=condition.tries,
-        )  # fmt: skip
-        xyt, notes = free.xyt, (free.account(),)
-    drawn = Drawn(
-        chosen.move, chosen.noise.model.noise, chosen.variances, xyt, seed, chosen.noise.origin,
-        chosen.noise.article_code, notes,
-    )  # fmt: skip
-    click.echo(json_text(drawn) if as_json else report_text(drawn), nl=not as_json)
+    try:
+        drawn = sample(
+            chosen.start_xyt,
+            chosen.end_xyt,
+            model=chosen.noise.model,
+            count=chosen.count,
+            seed=given["seed"],
+            within=condition,
+            article_code=chosen.noise.article_code,
+        )
+    except ModelError as error:
+        raise click.UsageError(str(error)) from error
+    voice.tell(drawn)
     if output is None:
         return
     if kind in PICTURES:
-        _draw(output, drawn, condition)
-        return
-    write_text(output, csv_text(xyt) if kind == ".csv" else json_text(drawn))
-    click.echo(f"wrote {output}", err=True)
-
-
-def _draw(output: Path, drawn: Drawn, condition: Condition | None) -> None:
-    from odomcorrupt.report.plots.samples import draw_banana
-    from odomcorrupt.sampling.text import title
-
-    space = None if condition is None else condition.space
-    save_picture(output, draw_banana(drawn.move, drawn.variances, drawn.xyt, title(drawn), space))
+        drawn.plot(output)
+    else:
+        write_text(output, csv_text(drawn.xyt) if kind == ".csv" else json_text(drawn.drawn))
+    voice.note(f"wrote {output}")

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing, write_text
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.gate import Verdict
-    from odomcorrupt.score.run import ScoreReport
+    from odomcorrupt.commands._standard import Voice
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
 
 __all__ = ["command"]
 
@@ -52,19 +54,19 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
     help='Exit with 1 where it holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
 @click.option("--each", is_flag=True, help="A line for every run, not only for those that failed.")
-@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @click.option("--save", type=_FILE, help="Write the result as JSON: a baseline for later.")
 @click.option("--report", type=_FILE, help="Write all of it as one page of HTML.")
 @click.option("-o", "--output", type=_FILE, help="Picture to write: png, svg or pdf.")
-@click.option("--overwrite", is_flag=True, help="Replace existing outputs.")
-def command(runs: tuple[Path, ...], **given: Any) -> int:
+@overwrite_option("existing outputs")
+@standard_options
+def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """
-    from odomcorrupt.score.errors import Limits
-    from odomcorrupt.score.gate import check, parse_rule
-    from odomcorrupt.score.run import score
+    from odomcorrupt.scoring.errors import Limits
+    from odomcorrupt.scoring.gate import check, parse_rule
+    from odomcorrupt.scoring.run import score
 
     _refuse(given)
     for rule in given["rules"]:
@@ -80,7 +82,7 @@ def command(runs: tuple[Path, ...], **given: Any) -> int:
         from odomcorrupt.report.json.score import score_json
 
         verdicts = check(score_json(report), given["rules"], baseline)
-    _tell(report, verdicts, given)
+    _tell(report, verdicts, given, voice)
     return 1 if any(verdict.failed for verdict in verdicts) else 0
 
 
@@ -100,7 +102,7 @@ def _refuse(given: dict[str, Any]) -> None:
 def _baseline(path: Path) -> dict[str, Any]:
     import json
 
-    from odomcorrupt.score.errors import ScoreError
+    from odomcorrupt.scoring.errors import ScoreError
 
     try:
         table = json.loads(path.read_text(encoding="utf8"))
@@ -111,25 +113,26 @@ def _baseline(path: Path) -> dict[str, Any]:
     return table
 
 
-def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any]) -> None:
+def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], voice: Voice) -> None:
     import json
 
     from odomcorrupt import __version__
     from odomcorrupt.report.json.score import score_json
     from odomcorrupt.report.text.score import score_text
 
-    text = json.dumps(score_json(report, verdicts), indent=1, allow_nan=False)
-    click.echo(text if given["as_json"] else score_text(report, every=given["each"]))
+    values = score_json(report, verdicts)
+    text = json.dumps(values, indent=1, allow_nan=False)
+    voice.say(score_text(report, every=given["each"]), score_text(report, every=True), values)
     for verdict in verdicts:
-        click.echo(verdict.sentence + ".", err=given["as_json"])
+        click.echo(verdict.sentence + ".", err=voice.as_json)
     if given["save"] is not None:
         write_text(given["save"], text + "\n")
-        click.echo(f"wrote {given['save']}", err=True)
+        voice.note(f"wrote {given['save']}")
     if given["report"] is not None:
         from odomcorrupt.report.html.score import score_html
 
         write_text(given["report"], score_html(report, verdicts, version=__version__))
-        click.echo(f"wrote {given['report']}", err=True)
+        voice.note(f"wrote {given['report']}")
     if given["output"] is not None:
         from odomcorrupt.report.plots.score import draw_score
 

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._fault_options import HEADINGS, size_of, what_is_wrong
-from odomcorrupt.commands._output import refuse_existing, write_bytes, write_text
+from odomcorrupt.commands._fault_options import faults_of, size_of
 from odomcorrupt.commands._param_types import Number
-from odomcorrupt.extras import require
+from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_text
+
+if TYPE_CHECKING:
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
 
 @click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen flaw.")
-@click.argument("output", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("output", type=click.Path(dir_okay=False), required=False)
+@output_option()
 @click.option(
     "--effect",
     "effects",
@@ -45,75 +49,33 @@ __all__ = ["command"]
     "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the flaw needs]"
 )
 @click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
-@click.option("--duration", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]")
+@click.option(
+    "--duration", "duration_s", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]"
+)
 @click.option("--answer", type=click.Path(dir_okay=False, path_type=Path), help="Answer. [default: OUTPUT.answer.toml]")
-@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@overwrite_option("existing files")
+@standard_options
 def command(
-    output: Path,
-    effects: tuple[str, ...],
-    size: str,
-    seed: int,
-    robot: int | None,
-    route: str,
-    drive: Path | None,
-    truth: str,
-    heading: str | None,
-    drive_type: str,
-    duration: float | None,
-    answer: Path | None,
-    overwrite: bool,  # noqa: FBT001 - click passes flags so
+    output: str | None, output_option: str | None, *, effects: tuple[str, ...], size: str, voice: Voice, **given: Any
 ) -> None:
     """Drive a robot whose wheels, tyres, gear, sensors or clocks have a flaw, and record odometry and truth.
 
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
-    require("scipy", "the study needs it", "study")
-    from odomcorrupt.simulation.bag import write_mcap
-    from odomcorrupt.simulation.commands import read_commands
-    from odomcorrupt.simulation.record import fingerprint, format_answer
-    from odomcorrupt.simulation.run import simulate
+    from odomcorrupt.api.simulation import simulate
 
-    piped = str(output) == "-"
-    if piped and answer is None:
+    target = chosen_output(output, output_option)
+    piped = target == "-"
+    if piped and given["answer"] is None:
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
-    secret = output.with_suffix(".answer.toml") if answer is None else answer
-    for path in (secret,) if piped else (output, secret):
-        refuse_existing(path, overwrite=overwrite)
-    hidden, given = what_is_wrong(effects, seed if robot is None else robot, heading)
-    commands = None if drive is None else read_commands(drive)
-    duration_s = duration or (600.0 if commands is None else commands.duration_s)
-    run = simulate(
-        seed,
-        hidden.causes,
-        duration_s=duration_s,
-        size=size_of(size),
-        truth=truth,
-        parameters=given,
-        route=commands or route,
-        yaw_from=hidden.yaw_from,
-        robot_seed=robot,
-        drive_type=drive_type,
-        home=route,
-    )
-    made: dict[str, str | float] = {
-        "robot": seed if robot is None else robot,
-        "route": route if drive is None else drive.name,
-        "duration_s": duration_s,
-        "truth": truth,
-        "heading": next(name for name, source in HEADINGS.items() if source == hidden.yaw_from),
-        "drive_type": drive_type,
-        "size": size_of(size),
-    }
-    text = format_answer(run, seed, made)
-    bag = io.BytesIO()
-    write_mcap(run, bag, metadata={"answer_sha256": fingerprint(text)})
-    write_text(secret, text)
+    names, parameters = faults_of(effects, given["heading"])
     if piped:
-        sys.stdout.buffer.write(bag.getvalue())
-    else:
-        write_bytes(output, bag.getvalue())
-    click.echo(
-        f"wrote {'stdout' if piped else output}: {duration_s:g} s of /odom and /ground_truth, heading from "
-        f"{made['heading']}, nominal track {run.track_m} m; what is wrong is in {secret}",
-        err=True,
-    )
+        answer, overwrite = given.pop("answer"), given.pop("overwrite")
+        refuse_existing(answer, overwrite=overwrite)
+        done = simulate(None, effects=names, parameters=parameters, size=size_of(size), **given)
+        write_text(answer, done.answer_text)
+        sys.stdout.buffer.write(done.bag)
+        voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {answer}")
+        return
+    done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
+    voice.tell(done, err=True)

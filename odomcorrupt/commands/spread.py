@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._output import refuse_existing
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing
 from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from odomcorrupt.batching.dispersion import SpreadReport
+    from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
 
@@ -23,11 +25,10 @@ __all__ = ["command"]
 @click.option(
     "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
 )
-@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
-@click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians.")
-def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: bool) -> None:
+@overwrite_option("an existing picture")
+@standard_options
+def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voice) -> None:
     """Show how position and heading of a batch's runs spread with the distance, and what the linear model predicts."""
-    import json
     from dataclasses import asdict
 
     from odomcorrupt.batching.dispersion import measure
@@ -38,12 +39,9 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, as_json: b
         need_pictures()
         refuse_existing(output, overwrite=overwrite)
     report = measure(directory)
-    if as_json:
-        rows = [asdict(row) for row in report.rows]
-        words = {"directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
-        click.echo(json.dumps(finite({**words, "rows": rows}), indent=2, allow_nan=False))
-    else:
-        click.echo(_text(report))
+    rows = [asdict(row) for row in report.rows]
+    words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
+    voice.say(_text(report), _text(report), finite({**words, "rows": rows}))
     if output is not None:
         from odomcorrupt.report.plots.dispersion import draw_spread
 

@@ -51,7 +51,7 @@ def split_effects(model: MotionModel) -> Effects:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Corrected:
     """What a correction did.
 
@@ -105,9 +105,19 @@ def correct_bag(
             source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch
         )  # fmt: skip
         return Corrected(
-            model, effects, (), copied.driver, copied.frames, copied.changes, copied.drift,
-            copied.restarts, copied.late, copied.leaps, copied.unusable, copied.losses,
-        )  # fmt: skip
+            model=model,
+            effects=effects,
+            strayed=(),
+            driver=copied.driver,
+            frames=copied.frames,
+            changes=copied.changes,
+            drift=copied.drift,
+            restarts=copied.restarts,
+            late=copied.late,
+            leaps=copied.leaps,
+            unusable=copied.unusable,
+            losses=copied.losses,
+        )
     path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
@@ -122,6 +132,7 @@ def correct_bag(
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
                 watch(block)
+            transform.require_frame()
             writer.provenance("odomcorrupt_correct", _provenance(model))
         losses = tuple(reader.losses)
     strayed = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
@@ -129,9 +140,19 @@ def correct_bag(
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     assert frames is not None  # noqa: S101 - as above
     return Corrected(
-        model, effects, strayed, transform.driver.name, frames, transform.changes, drift,
-        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable, losses,
-    )  # fmt: skip
+        model=model,
+        effects=effects,
+        strayed=strayed,
+        driver=transform.driver.name,
+        frames=frames,
+        changes=transform.changes,
+        drift=drift,
+        restarts=transform.order.restarts,
+        late=transform.order.late,
+        leaps=transform.order.leaps,
+        unusable=transform.unusable,
+        losses=losses,
+    )
 
 
 def _measured(source: Path, options: Options, container: Container) -> MeasuredPath:

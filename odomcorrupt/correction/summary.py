@@ -1,4 +1,4 @@
-"""What a correction did, in one paragraph."""
+"""What a correction did: in a few lines, and in one paragraph."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from odomcorrupt.correction.run import Corrected
     from odomcorrupt.effects.effect import Effect
 
-__all__ = ["correction_summary"]
+__all__ = ["brief", "correction_summary"]
 
 _WHY_NOT = {
     "quantization": "what fell between two ticks was never reported",
@@ -21,6 +22,33 @@ _WHY_NOT = {
 _NEAR_M = 0.2
 """An error of place that hardly matters to a patch of the floor."""
 _RANDOM = "it wandered at random, and nobody recorded how"
+
+
+def brief(corrected: Corrected, target: str) -> Summary:
+    """Return what was taken out, by how much that moves the end pose, what remains, and what is odd.
+
+    Parameters
+    ----------
+    corrected : what the correction did
+    target : the output; "-" is a pipe
+    """
+    undone, drift = corrected.effects.undone, corrected.drift
+    if undone:
+        lines = [
+            Line("CORRECTED", f"the end pose moves by {_size(drift.end_drawn_m, drift.end_drawn_rad)}", "good"),
+            Line("taken out", ", ".join(_effect(effect) for effect in undone)),
+        ]
+    else:
+        lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
+    lines += [Line("odometry", f"{_moved(corrected)} ({_drive(corrected)})")]
+    lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
+    lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
+    lines += [Line("odd", sentence, "warning") for sentence in _oddities(corrected)]
+    if corrected.strayed:
+        names = ", ".join(effect.name for effect in corrected.strayed)
+        lines.append(Line("places", f"{names}: taken in the frame {corrected.frames.odom}; see --start", "warning"))
+    following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
+    return Summary((*lines, *following))
 
 
 def correction_summary(corrected: Corrected) -> str:

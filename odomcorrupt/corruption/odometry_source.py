@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns
+from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.reorder import Arrivals
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, inverted
 from odomcorrupt.corruption.targets import (
@@ -40,6 +41,7 @@ class Driver:
     frames : known from its first message on, or from the options
     by_edge : whether a TF edge drives
     zero_stamps : how many of its stamps are zero, for which log times stand in
+    faults : poses of it that mean nothing
     """
 
     def __init__(self, topic: str | None, odom_frame: str | None, base_frame: str | None) -> None:
@@ -50,6 +52,7 @@ class Driver:
         self._base_frame = base_frame
         self.by_edge = False
         self.zero_stamps = 0
+        self.faults = PoseFaults()
         self._edges: set[str] = set()
 
     @property
@@ -153,6 +156,7 @@ class Driver:
         if self.frames is not None and side_of(item.frame_id, item.child_frame_id, self.frames) == "right":
             poses = inverted(poses)
         xyt = np.column_stack((poses.position[:, :2], yaw_from_quaternion(poses.quat_xyzw)))
+        self.faults.take(poses.position, poses.quat_xyzw)
         stamps_ns = gather_stamps_ns(block, layout, item)
         self.zero_stamps += len(stamps_ns) - int(np.count_nonzero(stamps_ns))
         return Arrivals(_or_log_ns(stamps_ns, block, layout), time_ns[layout.rows], xyt)

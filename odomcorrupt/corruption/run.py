@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
@@ -10,6 +10,7 @@ from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
+from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
 
@@ -42,7 +43,7 @@ class Container:
     compression: str | None = None
     level: int | None = None
     recover: bool = False
-    threads: int | None = None
+    threads: int | None = field(default=None, compare=False, repr=False)  # no difference to what is written
 
     @property
     def as_it_was(self) -> bool:
@@ -50,7 +51,7 @@ class Container:
         return self.compression is None and self.level is None and not self.recover
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """What one run did.
 
@@ -65,6 +66,7 @@ class Outcome:
     zero_stamps : odometry stamps that are zero, for which log times stood in
     placed : frames, by channel, of what is drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved, "parent -> child"
+    faults : poses of the odometry that mean nothing
     """
 
     model: MotionModel
@@ -85,6 +87,7 @@ class Outcome:
     zero_stamps: int
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
+    faults: PoseFaults = field(default_factory=PoseFaults)
 
 
 def corrupt_bag(
@@ -144,6 +147,7 @@ def corrupt_bag(
                 for block in transform.blocks(reader, reader.name, writer):
                     writer.write(block)
                     watch(block)
+                transform.require_frame()
                 if not silent:
                     writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
         drift = transform.drift.result()
@@ -153,11 +157,26 @@ def corrupt_bag(
         losses = tuple(reader.losses)
         channels = tuple(reader.channels[number] for number in sorted(transform.seen))
     return Outcome(
-        model, seed, run, transform.driver.name, frames, transform.changes, drift, channels,
-        transform.order.restarts, transform.order.late, transform.order.leaps, transform.unusable,
-        _added(transform), losses, transform.order.swapped, transform.driver.zero_stamps, transform.placed,
-        frozenset(transform.stayed),
-    )  # fmt: skip
+        model=model,
+        seed=seed,
+        run=run,
+        driver=transform.driver.name,
+        frames=frames,
+        changes=transform.changes,
+        drift=drift,
+        channels=channels,
+        restarts=transform.order.restarts,
+        late=transform.order.late,
+        leaps=transform.order.leaps,
+        unusable=transform.unusable,
+        added=_added(transform),
+        losses=losses,
+        swapped=transform.order.swapped,
+        zero_stamps=transform.driver.zero_stamps,
+        placed=transform.placed,
+        stayed=frozenset(transform.stayed),
+        faults=transform.driver.faults,
+    )
 
 
 def _added(transform: Transform) -> Mapping[str, int]:

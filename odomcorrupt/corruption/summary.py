@@ -1,4 +1,4 @@
-"""What a run did, in one paragraph."""
+"""What a run did: in a few lines, and in one paragraph."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
 from odomcorrupt.effects.effect import choices, parameters
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.run import Outcome
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
-__all__ = ["SIDEWAYS", "holonomic_words", "model_words", "per_message", "summary"]
+__all__ = ["SIDEWAYS", "brief", "holonomic_words", "model_brief", "model_words", "oddities", "per_message", "summary"]
 
 SIDEWAYS = 0.1
 """A robot that goes this part of its way to the left or right is holonomic."""
@@ -32,6 +36,48 @@ LOST_RAD = 1.0
 """Beyond this deviation of the heading a forecast to first order says nothing about positions."""
 
 
+def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = ()) -> Summary:
+    """Return the drift at the end, the model and the seed, what was moved, and what is odd.
+
+    Parameters
+    ----------
+    outcome : what the run did
+    origin : where the model's numbers come from, in words
+    target : the output; "-" is a pipe
+    remarks : sentences of what is unusual: what a map did, that the input was corrupted before
+    """
+    drift, silent = outcome.drift, _is_silent(outcome.model)
+    if silent:
+        lines = [Line("UNCHANGED", "the model has nothing in it that moves odometry", "warning")]
+    else:
+        said = f"{_size(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
+        if not outcome.model.noise.coefficients.silent:
+            said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
+        lines = [Line("MOVED", said, "good")]
+        lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
+    lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
+    lines.append(Line("odometry", _counted(outcome), "plain" if outcome.changes.edges or outcome.added else "warning"))
+    odd = oddities(outcome)
+    true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    if true and not silent:
+        lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
+    lines += [Line("note", remark, "warning") for remark in remarks if remark]
+    lines += [Line("odd", sentence, "warning") for sentence in odd]
+    if not silent and per_message(outcome.model.noise):
+        lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
+    following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
+    return Summary((*lines, *following))
+
+
+def _counted(outcome: Outcome) -> str:
+    """Return topics and edges with the number of messages that were moved."""
+    changes = outcome.changes
+    topics = [f"{topic} {count}" for topic, count in sorted(changes.odometry.items())]
+    edges = [f"TF {edge} {count}" for edge, count in sorted(changes.edges.items())]
+    none = [] if edges or outcome.added else [f"no transform from {outcome.frames.odom}"]
+    return ", ".join([*topics, *edges, *none, *(f"{count} {what} added" for what, count in outcome.added.items())])
+
+
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: what was changed, by which model, how far it drifted, and what it left true."""
     silent = _is_silent(outcome.model)
@@ -42,7 +88,7 @@ def summary(outcome: Outcome, origin: str) -> str:
     ]
     if not silent:
         parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
-    parts += _oddities(outcome)
+    parts += oddities(outcome)
     true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
         parts.append(f"Still telling the truth, and hiding the drift from a filter that reads them: {', '.join(true)}.")
@@ -80,6 +126,20 @@ def model_words(model: MotionModel, origin: str) -> str:
         words += f" ({origin})"
     effects = [_effect(effect) for effect in model.effects if acts(effect)]
     return words + (f"; effects {', '.join(effects)}" if effects else "")
+
+
+def model_brief(model: MotionModel, origin: str) -> str:
+    """Return law and alphas as they are typed, where they come from, and effects."""
+    noise = model.noise
+    alphas = [getattr(noise.coefficients, name) for name in noise.law.alphas]
+    while len(alphas) > 4 and not alphas[-1]:
+        alphas.pop()
+    words = f"{noise.law_name}, alpha {' '.join(f'{value:.3g}' for value in alphas)}" if any(alphas) else "no alphas"
+    if noise.coefficients.white_v or noise.coefficients.white_omega:
+        words += f", twist noise {noise.coefficients.white_v:.3g} {noise.coefficients.white_omega:.3g}"
+    words += f", once per {noise.step}" if noise.step is not None else ""
+    words += f" ({origin})" if origin else ""
+    return ", ".join([words, *(_effect(effect) for effect in model.effects if acts(effect))])
 
 
 def _effect(effect: Effect) -> str:
@@ -143,7 +203,8 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
     return [f"The robot moves sideways ({way}), which the law {law.name} does not know; --law omni does."]
 
 
-def _oddities(outcome: Outcome) -> list[str]:
+def oddities(outcome: Outcome) -> list[str]:
+    """Return what was unusual in the bag, and what was lost of it, in sentences."""
     said = [
         f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
         for edge in sorted(outcome.changes.static)
@@ -152,19 +213,24 @@ def _oddities(outcome: Outcome) -> list[str]:
     drift = outcome.drift
     said += holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
     if outcome.zero_stamps:
-        said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times stood in for them.")
+        said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times were used instead.")
     if outcome.swapped:
         said.append(f"{outcome.swapped} odometry messages came behind later ones: they were put in order.")
     if outcome.changes.held:
         said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
     if outcome.restarts:
-        said.append(f"Time jumped back {outcome.restarts} times: each time the drift began anew.")
+        said.append(f"Time jumped back {outcome.restarts} times: each time the drift began again at zero.")
     if outcome.drift.jumps:
         said.append(f"The pose jumped {outcome.drift.jumps} times: the correction was held across.")
     if outcome.late:
         said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
     if outcome.leaps:
         said.append(f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': no noise of their own.")
-    if outcome.unusable:
-        said.append(f"{outcome.unusable} odometry poses are not numbers: left alone.")
+    numberless = outcome.unusable - outcome.faults.far
+    if numberless > 0:
+        said.append(f"{numberless} odometry poses are not numbers: left alone.")
+    said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in outcome.faults.sentences()]
+    edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
+    tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
+    said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
     return said

@@ -20,6 +20,7 @@ from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.odometry_source import Driver, stamps_or_log_ns
 from odomcorrupt.corruption.patch import Patcher, Target
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.pose_faults import FAR_M
 from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.targets import (
     ENCODINGS,
@@ -52,8 +53,8 @@ __all__ = ["WAIT_NS", "Options", "Transform"]
 WAIT_NS = PATIENCE_NS + WINDOW_NS
 """The longest that a block waits, log time."""
 
-FAR_M = 1e9
-"""Where no robot is: a pose so far away is no number of use."""
+_NAMED = 6
+"""Edges named in an error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +100,7 @@ class Transform:
 
     seen : channels that carried messages; placed : frames of those that are drawn in one, see `unmodified_topics`
     stayed : edges of TF that are not moved
+    frame_met : whether some odometry or transform has the frame that drifts
     """
 
     def __init__(
@@ -120,6 +122,7 @@ class Transform:
         self.seen: set[int] = set()
         self.placed: dict[int, str] = {}
         self.stayed: set[str] = set()
+        self.frame_met = False
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
@@ -127,6 +130,16 @@ class Transform:
         self._now_ns = -(2**62)
         self._first_ns: int | None = None
         self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)
+
+    def require_frame(self) -> None:
+        """Raise TopicError where the frame that was asked for is in no odometry message and no transform."""
+        asked = self.options.odom_frame
+        if asked is not None and not self.frame_met:
+            found = ", ".join(sorted(self.stayed)[:_NAMED]) or "no edge"
+            raise TopicError(
+                f"--odom-frame {asked}: no odometry message and no transform has this frame (TF has {found}); name "
+                "one that is there"
+            )
 
     @property
     def changes(self) -> Changes:
@@ -231,6 +244,7 @@ class Transform:
         found = []
         for channel, layout in held.parts:
             for number, item in enumerate(layout.items):
+                self.frame_met |= frames.odom in (plain(item.frame_id), plain(item.child_frame_id))
                 side = self._side(channel, item, frames)
                 if side is None and channel.msgtype in TRANSFORMS:
                     self.stayed.add(f"{plain(item.frame_id)} -> {plain(item.child_frame_id)}")

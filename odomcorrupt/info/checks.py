@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.corruption.patch import PLANAR_BLOCK
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.corruption.pose_faults import FAR_M
 from odomcorrupt.corruption.reorder import WINDOW_NS
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import interpolate, inverse, wrap
@@ -105,8 +106,9 @@ class Findings:
 def findings(record: OdometryRecord) -> Findings:
     """Return what one odometry topic is like."""
     finite = np.isfinite(record.xyt).all(axis=1)
+    near = (np.abs(np.nan_to_num(record.xyt[:, :2])) < FAR_M).all(axis=1)
     leaps = _leaps(record.stamps_ns)
-    sound = finite & ~leaps
+    sound = finite & near & ~leaps
     stamps, xyt = record.stamps_ns[sound], record.xyt[sound]
     back = _steps_back(stamps)
     dt = np.diff(stamps) * 1e-9
@@ -122,6 +124,7 @@ def findings(record: OdometryRecord) -> Findings:
         odd.append(f"{record.zero_stamps} of {len(record.stamps_ns)} stamps are zero: log times stand in for them")
     if not finite.all():
         odd.append(f"{np.count_nonzero(~finite)} poses are not numbers")
+    odd += record.faults.sentences()
     if leaps.any():
         odd.append(f"{np.count_nonzero(leaps)} stamps lie far ahead of their neighbours'")
     if record.twist is not None:

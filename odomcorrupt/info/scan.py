@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.corruption.odometry_source import stamps_or_log_ns
 from odomcorrupt.corruption.patch import PLANAR
+from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
@@ -53,6 +54,7 @@ class OdometryRecord:
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
     pose_covariance, twist_covariance : what was seen of them
     zero_stamps : how many stamps are zero
+    faults : poses that mean nothing
     """
 
     topic: str
@@ -64,6 +66,7 @@ class OdometryRecord:
     pose_covariance: CovarianceWatch
     twist_covariance: CovarianceWatch
     zero_stamps: int
+    faults: PoseFaults = field(default_factory=PoseFaults)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,7 @@ class _Odometry:
     child: str = ""
     pose_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
     twist_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
+    faults: PoseFaults = field(default_factory=PoseFaults)
     columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 
 
@@ -172,6 +176,7 @@ def _take_odometry(taken: _Odometry, block: Block, layout: Layout) -> None:
     columns["stamps"].append(stamps_or_log_ns(block, layout, 0))
     columns["zero"].append(gather_stamps_ns(block, layout, item) == 0)
     columns["xyt"].append(_xyt(block, layout, 0))
+    taken.faults.take(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
     columns["twist"].append(gather(block, layout, item, "twist")[:, PLANAR])
     taken.pose_covariance.take(gather(block, layout, item, "pose_covariance"))
     taken.twist_covariance.take(gather(block, layout, item, "twist_covariance"))
@@ -181,5 +186,5 @@ def _odometry(topic: str, taken: _Odometry) -> OdometryRecord:
     whole = {name: np.concatenate(parts) for name, parts in taken.columns.items()}
     return OdometryRecord(
         topic, taken.frame, taken.child, whole["stamps"], whole["xyt"], whole["twist"],
-        taken.pose_covariance, taken.twist_covariance, int(np.count_nonzero(whole["zero"])),
+        taken.pose_covariance, taken.twist_covariance, int(np.count_nonzero(whole["zero"])), taken.faults,
     )  # fmt: skip

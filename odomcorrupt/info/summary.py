@@ -6,6 +6,7 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.unmodified_topics import truth_tellers
@@ -13,14 +14,17 @@ from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.standard_streams import visible
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from odomcorrupt.info.scan import EdgeRecord, Survey
 
-__all__ = ["SCHEMA", "portrait", "portrait_text"]
+__all__ = ["SCHEMA", "brief", "portrait", "portrait_text"]
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the values that `portrait` returns."""
 
 AGREE_M = 0.01
@@ -47,7 +51,7 @@ def portrait(
     moved = {o.topic for o in drives if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
     return {
         "schema": SCHEMA,
-        "driver": None if driver is None else driver.topic,
+        "odometry_source": None if driver is None else driver.topic,
         "odom_frame": None if frames is None else frames.odom,
         "base_frame": None if frames is None else frames.base,
         "topics": [
@@ -59,6 +63,48 @@ def portrait(
         "still_true": [] if frames is None else truth_tellers(survey.channels, moved, survey.placed, frames.odom),
         "remarks": _remarks(survey, driver, frames, asked_frame=odom_frame),
     }
+
+
+def brief(values: dict[str, Any], name: str) -> Summary:
+    """Return which odometry would move and how it drove, what would move with it, and what is odd.
+
+    Parameters
+    ----------
+    values : as `portrait` returns them, with the bag's provenance
+    name : of the bag
+    """
+    lines = []
+    for o in values["odometry"]:
+        if o["topic"] == values["odometry_source"]:
+            rate = "" if o["rate_hz"] is None else f", {o['rate_hz']:.3g} Hz"
+            drive = f"{o['distance_m']:.4g} m in {o['duration_s']:.4g} s{rate}"
+            lines.append(Line("ODOMETRY", f"{o['topic']} ({o['frame']} -> {o['child']}): {drive}", "good"))
+    if not lines:
+        lines.append(Line("NO CHOICE", "which odometry moves must be said, see below", "bad"))
+    lines += [Line("corrupted", provenance_words(one), "warning") for one in values.get("provenance", ())]
+    edges = [f"{e['parent']} -> {e['child']}" for e in values["edges"] if e["moved"]]
+    topics = [o["topic"] for o in values["odometry"] if o["moved"]]
+    lines.append(Line("moves", ", ".join([*topics, *(f"TF {edge}" for edge in edges)]) or "nothing"))
+    if values["still_true"]:
+        lines.append(Line("true", f"{', '.join(values['still_true'])}: these still hold the true motion", "warning"))
+    lines += [Line("odd", sentence, "warning") for o in values["odometry"] for sentence in o["oddities"]]
+    lines += [Line("note", remark, "warning") for remark in values["remarks"]]
+    words = ["odomcorrupt", "preview", name]
+    return Summary((*lines, *((command_line(words),) if values["odometry_source"] is not None else ())))
+
+
+def provenance_words(provenance: Mapping[str, str]) -> str:
+    """Return how a bag was corrupted before, in words."""
+    from odomcorrupt.corruption.summary import model_brief  # noqa: PLC0415 - only of bags that were
+    from odomcorrupt.errors import ModelError  # noqa: PLC0415 - as above
+    from odomcorrupt.model.model_file import parse_model  # noqa: PLC0415 - as above
+
+    parts = [f"{key} {provenance[key]}" for key in ("seed", "run", "version") if key in provenance]
+    try:
+        model = [model_brief(parse_model(provenance["model"]), "")] if "model" in provenance else []
+    except ModelError:
+        model = ["a model that this version cannot read"]
+    return ", ".join(["before", *parts, *model])
 
 
 def _driver(survey: Survey, asked: str | None) -> OdometryRecord | None:
@@ -139,6 +185,8 @@ def _remarks(
         said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
     elif frames is None and asked_frame is None:
         said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
+    odom, base = (None, None) if frames is None else (frames.odom, frames.base)
+    said += frame_faults([(e.parent, e.child) for e in survey.edges], odom, base)
     if frames is not None:
         said += [
             f"/tf_static holds {e.parent} -> {e.child}: published once for all time, it cannot follow a drift"
@@ -179,8 +227,10 @@ def portrait_text(values: dict[str, Any]) -> str:
         lines += ["", *_table(rows)]
     if len(shown) < len(values["edges"]):
         lines.append(f"and {len(values['edges']) - len(shown)} static edges that stay")
+    for one in values.get("provenance", ()):
+        lines += ["", f"Note: it was corrupted {provenance_words(one)}."]
     for o in values["odometry"]:
-        lines += ["", *_about(o, driver=o["topic"] == values["driver"])]
+        lines += ["", *_about(o, driver=o["topic"] == values["odometry_source"])]
     lines += ["", *(f"Note: {remark}." for remark in values["remarks"])] if values["remarks"] else []
     return "\n".join(lines)
 

@@ -22,6 +22,11 @@ __all__ = ["MotionModel", "Noise", "Setup", "Step", "TruthNoise", "parse_alpha"]
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?\s*(/\s*(?:m|rad))?\s*\Z")
 
 
+_NUMBER = r"[\d.eE+-]+"
+UPDATE_MIN_D_M, UPDATE_MIN_A_RAD = 0.25, 0.2
+"""Of nav2's amcl, where a step names a distance or an angle alone."""
+
+
 def parse_alpha(text: str) -> float:
     """Return a coefficient from text such as "0.05", "5deg" (after one radian) or "10deg/m" (after one metre)."""
     match = _QUANTITY.match(text)
@@ -47,14 +52,17 @@ class Step:
 
     @classmethod
     def parse(cls, text: str) -> Step | None:
-        """Return the step written as "0.25m,0.2rad" (deg is accepted), or None for "message"."""
+        """Return the step written as "0.25m,0.2rad" (deg is accepted), or None for "message".
+
+        Of "0.25m" or "0.2rad" alone, the other one is nav2's default: update_min_d 0.25 m, update_min_a 0.2 rad.
+        """
         if text == "message":
             return None
-        match = re.fullmatch(r"\s*([\d.eE+-]+)\s*m\s*,\s*([\d.eE+-]+)\s*(rad|deg)\s*", text)
-        if match is None:
+        match = re.fullmatch(rf"\s*(?:({_NUMBER})\s*m)?\s*(,)?\s*(?:({_NUMBER})\s*(rad|deg))?\s*", text)
+        if match is None or bool(match[1] and match[3]) != bool(match[2]) or not (match[1] or match[3]):
             raise ModelError(f"step: {text!r}; write message, or a distance and an angle as in 0.25m,0.2rad")
-        angle = parse_alpha(match[2] + match[3])
-        return cls(parse_alpha(match[1]), angle)
+        distance_m = parse_alpha(match[1]) if match[1] else UPDATE_MIN_D_M
+        return cls(distance_m, parse_alpha(match[3] + match[4]) if match[3] else UPDATE_MIN_A_RAD)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,15 +7,16 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.summary import holonomic_words, model_words, per_message
+from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message
+from odomcorrupt.report.text.summary import Line, Summary
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.preview.forecast import Forecast
 
-__all__ = ["SCHEMA", "forecast_json", "forecast_text"]
+__all__ = ["SCHEMA", "brief", "forecast_json", "forecast_text"]
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the values that `forecast_json` returns."""
 
 SAME = 0.03
@@ -24,6 +25,39 @@ SAME = 0.03
 
 def _changes_at_half_rate(outlook: Forecast) -> bool:
     return abs(outlook.half_rate_position - 1.0) > SAME or abs(outlook.half_rate_heading - 1.0) > SAME
+
+
+def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: str) -> Summary:
+    """Return the drift at the end and on the way, the model, and whether the message rate matters.
+
+    Parameters
+    ----------
+    outlook, model : the forecast and what it is of
+    origin : where the model's numbers come from, in words
+    seed : of the runs
+    name : of the bag
+    """
+    end = outlook.rows[-1]
+    said = (
+        f"{end.position_rms_m:.3g} m, {math.degrees(end.heading_rms_rad):.3g} deg RMS after {outlook.distance_m:.4g} m"
+    )
+    lines = [Line("DRIFT", f"{said}; 9 of 10 below {end.position_90_m:.3g} m")]
+    middle = [row for row in outlook.rows[:-1] if row.after_m >= 1.0][-2:]
+    lines += [
+        Line(
+            f"at {row.after_m:g} m",
+            f"{row.position_rms_m:.3g} m, {math.degrees(row.heading_rms_rad):.3g} deg RMS",
+        )
+        for row in middle
+    ]
+    lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
+    lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name} of {name}"))
+    if per_message(model.noise):
+        lines += [Line("rate", sentence, "warning") for sentence in _rate(outlook, model)]
+    elif not model.noise.coefficients.silent:
+        lines.append(Line("rate", "the noise does not depend on the message rate"))
+    lines += [Line("odd", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
+    return Summary(tuple(lines))
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:
@@ -70,7 +104,7 @@ def forecast_json(outlook: Forecast, model: MotionModel, seed: int) -> dict[str,
     """Return a forecast as values that JSON can hold: metres, radians, seconds."""
     return {
         "schema": SCHEMA,
-        "driver": outlook.name,
+        "odometry_source": outlook.name,
         "distance_m": outlook.distance_m,
         "duration_s": outlook.duration_s,
         "sideways_m": outlook.sideways_m,

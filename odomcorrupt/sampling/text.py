@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["Drawn", "csv_text", "json_text", "law_words", "report_text", "title"]
+__all__ = ["Drawn", "brief", "csv_text", "json_text", "law_words", "report_text", "title"]
 
 ARTICLE_CODE = (
     "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
@@ -41,6 +42,23 @@ class Drawn:
     origin: str
     article_code: bool = False
     notes: tuple[str, ...] = ()
+
+
+def brief(drawn: Drawn) -> Summary:
+    """Return where the samples lie and how they spread, beside what the linearised model says."""
+    linear = linearised_moments(drawn.move, drawn.variances)
+    drawn_moments = sample_moments(drawn.xyt)
+    lines = [Line("SAMPLES", f"{len(drawn.xyt)} of seed {drawn.seed}, mean {_pose(drawn_moments.mean_xyt)}", "good")]
+    for name, moments in (("spread", drawn_moments), ("linearised", linear)):
+        about = ellipse(moments, 1.0)
+        heading = math.degrees(math.sqrt(moments.covariance[2, 2]))
+        axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
+        lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
+    lines.append(Line("motion", f"{_pose(drawn.move.start_xyt)} to {_pose(drawn.move.end_xyt)}"))
+    lines.append(Line("noise", law_words(drawn.noise, article_code=drawn.article_code)))
+    lines += [Line("note", ARTICLE_CODE, "warning")] if drawn.article_code else []
+    lines += [Line("note", note, "warning") for note in drawn.notes]
+    return Summary(tuple(lines))
 
 
 def csv_text(xyt: Array) -> str:

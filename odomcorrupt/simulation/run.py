@@ -1,6 +1,7 @@
 """One recording from a seed: all layers in a row."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,21 +23,52 @@ DAY_S = 600.0
 """How long a round is considered when a flaw gets its place on it."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scenario:
+    """What a simulated robot does, who watches it, and how large its flaw is.
+
+    Attributes
+    ----------
+    duration_s : float
+        Length, s.
+    size : float
+        Multiplies the drawn magnitude of the flaw.
+    truth : {"mocap", "rtk"} or Tracker
+        Who watches.
+    parameters : mapping, optional
+        Parameters of the flaw instead of drawn ones; where there are several causes, by their names.
+    route : str, sequence of Segment, or Commands, optional
+        A key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive.
+    rig : Rig, optional
+        Electronics and floor.
+    yaw_from : {"encoders", "gyro"}, optional
+        The odometry's source of turns; by default what the cause needs. See `simulate_without`.
+    robot_seed : int, optional
+        Seed of the robot and its flaw, to meet the same robot in several drives; by default that of the drive.
+    drive_type : {"differential", "skid"}
+        Kind of machine.
+    at_dock : bool, optional
+        Begin where the robot's own seed does, not the drive's; by default where a flaw has its place on the floor.
+    home : str, optional
+        A key of `ROUTES`: the robot's daily round, on which a flaw that has a place was drawn. By default `route`,
+        or the office where that is speed commands.
+    """
+
+    duration_s: float = 600.0
+    size: float = 1.0
+    truth: str | Tracker = "mocap"
+    parameters: Mapping[str, Any] | None = None
+    route: str | Sequence[Segment] | Commands | None = None
+    rig: Rig = field(default_factory=Rig)
+    yaw_from: str | None = None
+    robot_seed: int | None = None
+    drive_type: str = "differential"
+    at_dock: bool | None = None
+    home: str | None = None
+
+
 def simulate(
-    seed: int,
-    cause: str | Sequence[str] | None,
-    *,
-    duration_s: float = 600.0,
-    size: float = 1.0,
-    truth: str | Tracker = "mocap",
-    parameters: Mapping[str, Any] | None = None,
-    route: str | Sequence[Segment] | Commands | None = None,
-    rig: Rig | None = None,
-    yaw_from: str | None = None,
-    robot_seed: int | None = None,
-    drive_type: str = "differential",
-    at_dock: bool | None = None,
-    home: str | None = None,
+    seed: int, cause: str | Sequence[str] | None, scenario: Scenario | None = None, **changes: Any
 ) -> SimulatedRun:
     """Drive a robot with one flaw, several or none, and record it.
 
@@ -48,51 +80,34 @@ def simulate(
         Seed of the drive and all noise.
     cause : str, sequence of str, or None
         Keys of `CAUSES` or `OUTSIDE`; None for a flawless robot.
-    duration_s : float
-        Length, s.
-    size : float
-        Multiplies the drawn magnitude of the flaw.
-    truth : {"mocap", "rtk"} or Tracker
-        Who watches.
-    parameters : mapping, optional
-        Parameters of the flaw instead of drawn ones; where `cause` is a sequence, by its names.
-    route : str, sequence of Segment, or Commands, optional
-        A key of `ROUTES`, manoeuvres, or speed commands, instead of a random office drive.
-    rig : Rig, optional
-        Electronics and floor.
-    yaw_from : {"encoders", "gyro"}, optional
-        The driver's source of turns; by default what the cause needs. See `simulate_without`.
-    robot_seed : int, optional
-        Seed of the robot and its flaw, to meet the same robot in several drives; by default `seed`.
-    drive_type : {"differential", "skid"}
-        Kind of machine.
-    at_dock : bool, optional
-        Begin where the robot's own seed does, not the drive's; by default where a flaw has its place on the floor.
-    home : str, optional
-        A key of `ROUTES`: the robot's daily round, on which a flaw that has a place was drawn. By default `route`,
-        or the office where that is speed commands.
+    scenario : Scenario, optional
+        Drive, tracker and size of the flaw.
+    **changes
+        Fields of the scenario that differ.
     """
-    rig = Rig() if rig is None else rig
-    tracker = TRACKERS[truth] if isinstance(truth, str) else truth
-    robot_seed = seed if robot_seed is None else robot_seed
+    if changes.get("rig", True) is None:
+        del changes["rig"]
+    what = replace(scenario or Scenario(), **changes)
+    tracker = TRACKERS[what.truth] if isinstance(what.truth, str) else what.truth
+    robot_seed = seed if what.robot_seed is None else what.robot_seed
     causes = names_of(cause)
-    yaw_from = yaw_from or source_of_turns(causes)
+    yaw_from = what.yaw_from or source_of_turns(causes)
     placed = is_placed(causes)
-    docked = placed if at_dock is None else at_dock
+    docked = placed if what.at_dock is None else what.at_dock
     start_xyt = dock(stream(robot_seed if docked else seed, "world"))
-    grid_s = np.arange(round(duration_s / STEP_S) + 1) * STEP_S
+    grid_s = np.arange(round(what.duration_s / STEP_S) + 1) * STEP_S
 
-    given: Mapping[str, Any] = {cause: parameters} if isinstance(cause, str) else (parameters or {})
-    daily = home or ("office" if isinstance(route, Commands) else route)
+    given: Mapping[str, Any] = {cause: what.parameters} if isinstance(cause, str) else (what.parameters or {})
+    daily = what.home or ("office" if isinstance(what.route, Commands) else what.route)
     path = _plan(daily, robot_seed, start_xyt) if placed else None
-    flaws = {name: draw_flaw(name, size, robot_seed, path, given.get(name)) for name in causes}
-    robot = spoil(build_robot(stream(robot_seed, "robot"), drive_type), flaws)
+    flaws = {name: draw_flaw(name, what.size, robot_seed, path, given.get(name)) for name in causes}
+    robot = spoil(build_robot(stream(robot_seed, "robot"), what.drive_type), flaws)
 
     streams = Streams(seed)
-    speeds = _speeds(route, duration_s, seed, grid_s)
-    angle_rad = wheel_angles(speeds, STEP_S, robot, rig.motor_ripple, streams.open("motor"))
-    driven = drive(grid_s, angle_rad, robot, rig.creep, streams, start_xyt)
-    odom = reckon(driven, robot, rig, yaw_from, streams)
+    speeds = _speeds(what.route, what.duration_s, seed, grid_s)
+    angle_rad = wheel_angles(speeds, STEP_S, robot, what.rig.motor_ripple, streams.open("motor"))
+    driven = drive(grid_s, angle_rad, robot, what.rig.creep, streams, start_xyt)
+    odom = reckon(driven, robot, what.rig, yaw_from, streams)
     track = watch(driven, robot, tracker, streams)
     return record(odom, track, flaws, robot.nominal_track_m)
 

@@ -133,7 +133,7 @@ def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_told(output,
     words = ["batch", "cut.mcap", "runs", "--runs", "2", *NOISE, "--output", output]
     assert run(words) == 1
     capsys.readouterr()
-    assert run([*words, "--recover"]) == 3
+    assert run([*words, "--recover", "-v"]) == 3
     assert "Lost: " in capsys.readouterr().err
     assert run(["cut.mcap", "alone.mcap", *NOISE, "--run", "1", "--recover"]) == 3
     made = here / "runs" / "run_000001.mcap"

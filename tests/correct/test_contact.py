@@ -26,7 +26,7 @@ def test_what_single_wheels_do_is_put_in_and_taken_out(tmp_path, effect, capsys)
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     given = ["--effect", effect, "--track", "0.4"]
     assert run([str(OFFICE), str(wrong), *given]) == 0
-    assert run(["correct", str(wrong), str(right), *given]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *given]) == 0
     assert ("--start" in capsys.readouterr().err) == effect.startswith("region_slip")
     was, off, back = (rows_of(path, "/odom").xyt[:, :2] for path in (OFFICE, wrong, right))
     assert np.abs(off - was).max() > 1e-3

@@ -41,7 +41,7 @@ def trio(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("trio")
     source, wrong, right = FIXTURES / request.param, folder / f"w_{request.param}", folder / f"r_{request.param}"
     assert run([str(source), str(wrong), *flags(EFFECTS)]) == 0
-    assert run(["correct", str(wrong), str(right), *flags(EFFECTS)]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *flags(EFFECTS)]) == 0
     return source, wrong, right
 
 
@@ -77,7 +77,7 @@ def test_covariances_stay_where_the_model_has_no_noise(trio):
 def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, capsys):
     (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')
     args = ["correct", str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), "--covariance", choice]
-    assert run([*args, "--model", str(tmp_path / "robot.toml")]) == 0
+    assert run([*args, "-v", "--model", str(tmp_path / "robot.toml")]) == 0
     was, now = (rows_of(path, "/odom") for path in (FIXTURES / "office.mcap", tmp_path / "out.mcap"))
     same = np.array_equal(was.pose_covariance, now.pose_covariance)
     assert same == (choice == "keep")
@@ -92,7 +92,7 @@ def test_clocks_given_as_effects_are_put_right(tmp_path):
     effects = ["time_offset:offset=0.25", "clock_skew:rate=0.0001", "wheel_scale:e=0.02"]
     source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     assert run([str(source), str(wrong), *flags(effects)]) == 0
-    assert run(["correct", str(wrong), str(right), *flags(effects)]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *flags(effects)]) == 0
     was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
     assert (off.stamps_ns - was.stamps_ns).min() >= 250_000_000
     assert np.abs(back.stamps_ns - was.stamps_ns).max() <= 1
@@ -109,16 +109,16 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     )
     out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
     source = str(FIXTURES / "office.mcap")
-    assert run(["correct", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
+    assert run(["correct", "-v", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
     said = capsys.readouterr().err
     assert "Taken out: wheel_scale (e 0.02)." in said
     assert "gauss_markov cannot be undone: it wandered at random" in said
     assert "quantization cannot be undone: what fell between two ticks" in said
     assert "[setup]" in said
     assert "lever_arm" in said
-    assert run(["correct", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
+    assert run(["correct", "-v", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
     assert np.array_equal(rows_of(out[0], "/odom").xyt, rows_of(out[1], "/odom").xyt)
-    assert run(["correct", source, str(tmp_path / "arm.mcap"), "--effect", "lever_arm:x=0.5,y=0"]) == 0
+    assert run(["correct", "-v", source, str(tmp_path / "arm.mcap"), "--effect", "lever_arm:x=0.5,y=0"]) == 0
     assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
 
 
@@ -128,7 +128,7 @@ def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist
     source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     losses = ["--effect", "lost_increments:fraction=0.05"]
     assert run([str(source), str(wrong), *losses, "--seed", "3", "--twist", twist]) == 0
-    assert run(["correct", str(wrong), str(right), *losses]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *losses]) == 0
     assert "Taken out: lost_increments" in capsys.readouterr().err
     was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
     assert differ(back.xyt, was.xyt) < 0.1 * differ(off.xyt, was.xyt)
@@ -139,7 +139,7 @@ def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
     source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     effect = ["--effect", "wheelbase:e=0.05"]
     assert run([str(source), str(wrong), *effect, "--keep-truth", "/truth"]) == 0
-    assert run(["correct", str(wrong), str(right), *effect, "--odom", "/odom"]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *effect, "--odom", "/odom"]) == 0
     was = rows_of(source, "/odom")
     assert np.array_equal(rows_of(right, "/truth").xyt, was.xyt)
     assert differ(rows_of(right, "/odom").xyt, was.xyt) < 1e-6
@@ -149,9 +149,9 @@ def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path,
     wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
     play = ["--effect", "backlash:travel=0.02"]
     assert run([str(FIXTURES / "office.mcap"), str(wrong), *play, "--track", "0.4"]) == 0
-    assert run(["correct", str(wrong), str(right), *play]) == 1
+    assert run(["correct", "-v", str(wrong), str(right), *play]) == 1
     assert "give it in metres with --track" in capsys.readouterr().err
-    assert run(["correct", str(wrong), str(right), *play, "--track", "0.4"]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *play, "--track", "0.4"]) == 0
     was, off, back = (rows_of(path, "/odom").xyt for path in (FIXTURES / "office.mcap", wrong, right))
     assert differ(back, was) < 0.2 * differ(off, was)
 
@@ -159,11 +159,11 @@ def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path,
 def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
     start = rows_of(source, "/odom").xyt[0]
-    assert run(["correct", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
+    assert run(["correct", "-v", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
     assert "slope: acts by place or heading" in capsys.readouterr().err
     same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
     for name, option in (("same", same), ("turned", turned)):
-        assert run(["correct", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0
+        assert run(["correct", "-v", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0
         assert "--start" not in capsys.readouterr().err
     silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
     assert differ(same_path, silent) < 1e-9
@@ -176,14 +176,14 @@ def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_pa
     model.write_text(NOISE)
     for name, noise, said in (("noisy", ["--model", str(model)], True), ("silent", [], False)):
         out = tmp_path / f"{name}.mcap"
-        assert run(["correct", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
+        assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
         assert ("in a long drive that is another place" in capsys.readouterr().err) is said
 
 
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
 def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
     target = tmp_path / "out.mcap"
-    assert run(["correct", str(FIXTURES / "office.mcap"), str(target), *options]) == 0
+    assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(target), *options]) == 0
     assert target.read_bytes() == (FIXTURES / "office.mcap").read_bytes()
     said = capsys.readouterr().err
     assert said.startswith("Nothing to correct: ")
@@ -191,7 +191,7 @@ def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, optio
 
 
 def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
-    assert run(["correct", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
+    assert run(["correct", "-v", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1
     assert "INPUT is a pipe" in said
@@ -201,10 +201,10 @@ def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
 def test_a_pipe_can_be_written(tmp_path, capfdbinary):
     effect = ["--effect", "wheel_scale:e=0.01"]
     source = str(FIXTURES / "office.mcap")
-    assert run(["correct", source, "-", *effect]) == 0
+    assert run(["correct", "-v", source, "-", *effect]) == 0
     piped = tmp_path / "piped.mcap"
     piped.write_bytes(capfdbinary.readouterr().out)
-    assert run(["correct", source, str(tmp_path / "file.mcap"), *effect]) == 0
+    assert run(["correct", "-v", source, str(tmp_path / "file.mcap"), *effect]) == 0
     assert np.array_equal(rows_of(piped, "/odom").xyt, rows_of(tmp_path / "file.mcap", "/odom").xyt)
 
 

@@ -63,7 +63,7 @@ def test_the_error_falls_on_a_drive_that_was_not_fitted(tmp_path, cause):
     model, corrected = tmp_path / "robot.toml", tmp_path / "corrected.mcap"
     assert run(["learn", str(fitted), "-o", str(model)]) == 0
     began = ",".join(map(str, rows_of(other, "/ground_truth").xyt[0]))
-    assert run(["correct", str(other), str(corrected), "--model", str(model), "--start", began]) == 0
+    assert run(["correct", "-v", str(other), str(corrected), "--model", str(model), "--start", began]) == 0
     before, after = evo_errors(other), evo_errors(corrected)
     bends = cause != "slope"  # a slope shifts the robot and leaves its heading alone
     assert (after[:2] < 0.6 * before[:2]).all()

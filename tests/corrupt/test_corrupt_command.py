@@ -14,7 +14,7 @@ OFFICE = str(FIXTURES / "office.mcap")
 def corrupt(tmp_path, capsys):
     def call(*args):
         target = tmp_path / "out.mcap"
-        code = run([OFFICE, str(target), "--seed", "1", "--overwrite", *args])
+        code = run([OFFICE, str(target), "-v", "--seed", "1", "--overwrite", *args])
         return code, capsys.readouterr().err, target
 
     return call

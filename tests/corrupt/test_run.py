@@ -157,7 +157,7 @@ def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
     outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
     assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
     text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
-    assert "7 odometry stamps are zero: log times stood in for them." in text
+    assert "7 odometry stamps are zero: log times were used instead." in text
     assert "3 odometry messages came behind later ones: they were put in order." in text
 
 

@@ -58,10 +58,10 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_class_of_this_folder_acts_as_the_same_words_in_a_model_file_do(folder, capsys):
-    assert run([OFFICE, "own.mcap", "--seed", "1", "--effect", "sway_in_folder.Wobble:k=0.05"]) == 0
+    assert run([OFFICE, "own.mcap", "-v", "--seed", "1", "--effect", "sway_in_folder.Wobble:k=0.05"]) == 0
     assert "effects wobble (k 0.05)" in capsys.readouterr().err
     Path("robot.toml").write_text(f'schema = 1\n[noise]\n{NONE}\n[[effect]]\nname = "words"\n{WORDS}')
-    assert run([OFFICE, "words.mcap", "--seed", "1", "--model", "robot.toml"]) == 0
+    assert run([OFFICE, "words.mcap", "-v", "--seed", "1", "--model", "robot.toml"]) == 0
     own, words, clean = (drive_of(Path(name)) for name in ("own.mcap", "words.mcap", OFFICE))
     assert np.abs(own - words).max() < 1e-9
     assert np.abs(own - clean).max() > 0.01

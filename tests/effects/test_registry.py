@@ -85,18 +85,18 @@ def test_a_page_tells_everything(name):
 
 
 def test_the_example_of_a_page_can_be_typed():
-    from odomcorrupt.commands._model import _effect
+    from odomcorrupt.model.effect_notation import parse_effect
 
     for name in registry():
         example = page(name).splitlines()[-1].split()[-1]
-        assert _effect(example).name == name
-        assert _effect(example).acts
+        assert parse_effect(example).effect.name == name
+        assert parse_effect(example).effect.acts
 
 
 def test_a_word_can_be_typed():
-    from odomcorrupt.commands._model import _effect
+    from odomcorrupt.model.effect_notation import parse_effect
 
-    assert _effect("gauss_markov:sigma=0.1,channel=yaw").channel == "yaw"
+    assert parse_effect("gauss_markov:sigma=0.1,channel=yaw").effect.channel == "yaw"
 
 
 def test_json_lists_all():

@@ -33,7 +33,7 @@ def alone(t, poses, **options):
 
 def test_a_sound_bag_has_its_topics_edges_and_drive_told_and_no_oddities():
     values = look(robot(*DRIVE))
-    assert (values["driver"], values["odom_frame"], values["base_frame"]) == ("/odom", "odom", "base_link")
+    assert (values["odometry_source"], values["odom_frame"], values["base_frame"]) == ("/odom", "odom", "base_link")
     assert {t["topic"]: t["messages"] for t in values["topics"]} == {"/imu": 401, "/odom": 401, "/tf": 401}
     assert {f"{e['parent']} -> {e['child']}": e["moved"] for e in values["edges"]} == {
         "odom -> base_link": True, "map -> odom": False, "base_link -> laser": False,
@@ -115,7 +115,7 @@ def test_sideways_motion_points_to_the_omni_law():
 def test_what_needs_a_choice_is_remarked():
     several = [*robot(*DRIVE), *((TRUTH, int(s), odometry(s, p)) for s, p in zip(*DRIVE, strict=True))]
     assert "several nav_msgs/Odometry topics" in look(several)["remarks"][0]
-    assert look(several, odom_topic="truth")["driver"] == "/truth"
+    assert look(several, odom_topic="truth")["odometry_source"] == "/truth"
     with pytest.raises(TopicError, match="/odom, /truth is"):
         look(several, odom_topic="/imu")
     in_map = look(alone(*DRIVE, frame="map"))
@@ -134,7 +134,7 @@ def test_transforms_alone_are_described_where_their_frames_are_named(turned):
     messages = [(TF, int(s), transforms((0, *edge(p)))) for s, p in zip(t, poses, strict=True)]
     values = look(messages, odom_frame="/odom", base_frame="base_link", odom_topic="/tf")
     (drive,) = values["odometry"]
-    assert values["driver"] == drive["topic"] == "TF odom -> base_link"
+    assert values["odometry_source"] == drive["topic"] == "TF odom -> base_link"
     assert drive["distance_m"] == pytest.approx(8 * 0.6 + 4 * 0.5 + 3 * 0.3, rel=0.02)
     assert drive["reverse_m"] == pytest.approx(0.9, rel=0.05)
     assert drive["oddities"] == ["401 of 401 stamps are zero: log times stand in for them"]
@@ -172,7 +172,7 @@ def test_the_command_prints_text_or_values(capsys, tmp_path):
     from test_run import FIXTURES
 
     office_bag = str(FIXTURES / "office.mcap")
-    assert run(["info", office_bag]) == 0
+    assert run(["info", "-v", office_bag]) == 0
     text = capsys.readouterr().out
     assert "/odom (odom -> base_link, 50 Hz): drives the model" in text
     assert "static edges that stay" in text

@@ -114,7 +114,7 @@ def test_effects_are_told_as_the_constant_part():
 
 def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     office_bag, picture = str(FIXTURES / "office.mcap"), tmp_path / "fan.svg"
-    assert run(["preview", office_bag, "--runs", "3", "--alpha", "0.1", "0", "0", "0", "-o", str(picture)]) == 0
+    assert run(["preview", "-v", office_bag, "--runs", "3", "--alpha", "0.1", "0", "0", "0", "-o", str(picture)]) == 0
     captured = capsys.readouterr()
     assert captured.out.startswith("/odom: 25.05 m in 59.98 s at 50 Hz\nLaw diffusion, rot_rot 0.1 ")
     assert picture.read_bytes().startswith(b"<?xml")
@@ -122,7 +122,7 @@ def test_the_command_prints_a_table_or_values_and_draws(capsys, tmp_path):
     assert json.loads(capsys.readouterr().out)["runs"] == 3
     assert b"message rate" not in picture.read_bytes()
     rated = tmp_path / "rated.svg"
-    assert run(["preview", office_bag, "--runs", "3", "--preset", "article", "-o", str(rated)]) == 0
+    assert run(["preview", "-v", office_bag, "--runs", "3", "--preset", "article", "-o", str(rated)]) == 0
     assert b"at 50 Hz; at another message rate" in rated.read_bytes()
     assert run(["preview", office_bag, "-o", str(tmp_path / "fan.gif")]) == 2
     assert run(["preview", office_bag, "-o", str(picture)]) == 1
@@ -138,10 +138,10 @@ def read_preset():
 
 def test_the_command_takes_the_options_of_corruption_and_shows_the_run_asked_for(capsys, tmp_path):
     words = [str(FIXTURES / "office.mcap"), "--seed", "4", "--run", "3", "--keep-truth", "/x", "--twist", "keep"]
-    assert run(["preview", *words, "--runs", "2", "--compression", "lz4", "--keep-localisation"]) == 0
+    assert run(["preview", "-v", *words, "--runs", "2", "--compression", "lz4", "--keep-localisation"]) == 0
     text = capsys.readouterr().out
     assert "runs 3 to 4 of seed 4" in text
-    assert run([words[0], str(tmp_path / "out.mcap"), *words[1:]]) == 0
+    assert run([words[0], str(tmp_path / "out.mcap"), "-v", *words[1:]]) == 0
     drift = capsys.readouterr().err.split("Drift: at the end ")[1].split(" m, ")[0]
     assert run(["preview", *words, "--runs", "2", "--json"]) == 0
     values = json.loads(capsys.readouterr().out)

@@ -333,13 +333,21 @@ def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
 @pytest.fixture
 def found(monkeypatch, rich):
     """Let the commands find everything at once, without a search."""
-    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: rich)
-    monkeypatch.setattr("odomcorrupt.study.design.advise.advise", lambda _learned: ADVICE)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: rich)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: ADVICE)
 
 
 def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: replace(rich, laws=()))
-    words = ["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--drive", str(tmp_path / "next.mcap")]
+    monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: replace(rich, laws=()))
+    words = [
+        "diagnose",
+        "-v",
+        str(case.bag),
+        "--track",
+        str(case.recording.track_m),
+        "--drive",
+        str(tmp_path / "next.mcap"),
+    ]
     assert run(words) == 0
     out, err = capsys.readouterr()
     assert "held-out position error (RMS):" in out
@@ -351,7 +359,7 @@ def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_
 
 
 def test_where_a_law_is_believed_learn_comes_next_because_it_alone_writes_laws(found, case, capsys):
-    assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m)]) == 0
+    assert run(["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith(f"next: odomcorrupt learn {case.bag} ")
     assert last.endswith(f"--track {case.recording.track_m:g} -o robot.toml")
@@ -376,14 +384,12 @@ def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, caps
 
 def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, fitted, tmp_path, capsys, monkeypatch):
     asked = []
-    monkeypatch.setattr("odomcorrupt.study.estimate.calibrate.fit_robot", lambda *_args, **_named: fitted)
-    monkeypatch.setattr(
-        "odomcorrupt.study.validate.compare.compare", lambda _runs, models: asked.append(models) or ladder
-    )
+    monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.compare", lambda _runs, models: asked.append(models) or ladder)
     monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: ladder)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
-    words = ["learn", str(case.bag), "--track", str(case.recording.track_m)]
+    words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
     files = {"-o": "robot.toml", "--report": "all.html", "--plot": "fall.svg", "--drive": "next.mcap"}
     assert run([*words, *(word for pair in files.items() for word in pair)]) == 0
     out, err = capsys.readouterr()
@@ -392,14 +398,14 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, 
     assert "missing, in the order of evidence" in out
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
     assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
-    assert run([*words, "--json"]) == 0
+    assert run([*words, "--json", "--force"]) == 0
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
     assert told["comparison"]["models"][0]["name"] == ladder.judgements[0].name
 
 
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):
-    monkeypatch.setattr("odomcorrupt.study.select.stepwise.learn", lambda *_args, **_named: searched)
-    monkeypatch.setattr("odomcorrupt.study.design.advise.advise", lambda _learned: NONE)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: searched)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.advise", lambda _learned: NONE)
     drive = tmp_path / "next.mcap"
     assert run(["diagnose", str(case.bag), "--json", "--drive", str(drive)]) == 0
     assert f"{drive} is not written: nothing is open that a drive would settle" in capsys.readouterr().err

@@ -11,7 +11,7 @@ def test_article_banana_needs_no_more_words(tmp_path, capsys):
     picture = tmp_path / "banana.png"
     assert run(["sample", "-o", str(picture)]) == 0
     said = capsys.readouterr().out
-    assert "1000 samples" in said
+    assert "1000 of seed" in said
     assert "rot_trans 0.2618" in said
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -34,7 +34,7 @@ def test_csv_and_json_hold_the_same_samples(tmp_path):
 
 
 def test_article_code_says_what_it_means(capsys):
-    assert run(["sample", "--law", "article-code", "--seed", "1"]) == 0
+    assert run(["sample", "-v", "--law", "article-code", "--seed", "1"]) == 0
     assert "sd*sd" in capsys.readouterr().out
 
 

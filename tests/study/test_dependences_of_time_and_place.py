@@ -44,7 +44,7 @@ def test_a_law_of_time_or_standstill_is_written_down_and_the_error_falls(seed, t
     clean = as_recording(simulate(seed, None, duration_s=400.0))
     learned = learn([_planted(clean, text)])
     assert learned.laws
-    assert learned.laws[0].driver == driver
+    assert learned.laws[0].regressor == driver
     assert written in learned.laws[0].expression
     assert ten_second_error([_planted(clean, text)], learned.fit.effects) < 1.05 * ten_second_error([clean])
 
@@ -69,7 +69,7 @@ def test_a_ramp_a_carpet_or_iron_near_a_compass_is_told_by_its_place(seed, text)
     clean = as_recording(simulate(seed, None, duration_s=500.0))
     planted = _planted(clean, text)
     learned = learn([planted])
-    assert [one.driver for one in learned.laws] == ["position"]
+    assert [one.regressor for one in learned.laws] == ["position"]
     assert ten_second_error([planted], learned.fit.effects) < 1.1 * ten_second_error([clean])
     assert ten_second_error([planted]) > 1.5 * ten_second_error([clean])
 

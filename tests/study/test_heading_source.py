@@ -20,7 +20,7 @@ OF_WHEELS = ["accel_slip", "backlash", "region_slip", "scale_drift", "speed_scal
 
 def test_effects_of_the_wheels_know_where_a_heading_comes_from():
     assert [name for name, kind in registry().items() if "heading" in choices(kind)] == sorted(
-        [*OF_WHEELS, "slip_burst"]
+        [*OF_WHEELS, "slip_burst", "slip_event"]
     )
 
 

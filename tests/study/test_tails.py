@@ -16,7 +16,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.outliers import events, slip_bursts
+from odomcorrupt.study.estimate.outliers import events, odd_steps, slip_bursts
 from odomcorrupt.study.estimate.tails import heavy_tails, log_density_of_sums
 from odomcorrupt.study.io.encoders import encoder_effects
 from odomcorrupt.study.io.recording import Trajectory
@@ -70,6 +70,19 @@ def test_a_truth_that_jumps_for_a_moment_is_no_noise_of_the_odometry():
     assert not any(event.lasting for event in events(nodes_hit))
     assert heavy_tails(nodes_hit) is None
     assert slip_bursts(nodes_hit) is None
+
+
+def test_a_truth_that_is_elsewhere_for_seconds_and_comes_back_is_no_noise_of_the_odometry():
+    # as a localisation that loses its way, or fixes that float: out and back are stretches of their own
+    run = as_recording(simulate(302, None, duration_s=300.0))
+    truth = run.truth.xyt.copy()
+    for begin in range(700, len(truth) - 400, 1500):
+        truth[begin : begin + 300, :2] += [0.2, -0.1]
+    hit = fitted(replace(run, truth=Trajectory(run.truth.stamps_ns, truth)))
+    assert len(odd_steps(hit)) > 6
+    assert not any(event.lasting for event in odd_steps(hit))
+    assert heavy_tails(hit) is None
+    assert slip_bursts(hit) is None
 
 
 @pytest.mark.slow

@@ -42,9 +42,8 @@ def basis_terms(fitted, every=101):
 def test_a_basis_function_has_the_columns_of_the_effect_that_it_becomes(fitted):
     for term in basis_terms(fitted):
         tested, fits = term.columns(fitted.problem), fitted.problem.columns(term.start)
-        differs = np.abs(tested - fits).max(axis=(1, 2)) > 1e-3 * np.abs(fits).max() + 1e-12
-        # thresholds are written with four digits: a sample may fall between
-        assert differs.mean() < 0.01, term
+        # numbers are written with four digits, so single samples may lie on the other side of an edge
+        assert np.abs(tested - fits).max(axis=(1, 2)).mean() < 1e-3 * np.abs(fits).max() + 1e-12, term
 
 
 def test_screening_knows_about_what_exact_columns_explain(fitted):

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import redirect_stderr
 from dataclasses import asdict
-from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -15,10 +13,10 @@ from hidden import as_recording
 from laboratory.advice.blind import first_drive, on_the_way, place_of
 from laboratory.advice.verdicts import settled
 from laboratory.answer import told
-from odomcorrupt.commands._advice import write_drive
 from odomcorrupt.simulation import read_commands, simulate
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.design.advise import advise
+from odomcorrupt.study.design.plan import drive_bag
 from odomcorrupt.study.select.stepwise import learn
 
 if TYPE_CHECKING:
@@ -73,9 +71,9 @@ def _through_a_bag(advice: Advice) -> Commands | None:
     """Return the advised drive as a robot would be sent it: written by the program, and read back."""
     if advice.best is None:
         return None
-    with TemporaryDirectory() as folder, redirect_stderr(StringIO()):
+    with TemporaryDirectory() as folder:
         path = Path(folder) / "next.mcap"
-        write_drive(path, advice)
+        path.write_bytes(drive_bag(advice.best))
         return read_commands(path)
 
 

@@ -11,6 +11,7 @@ from odomcorrupt.bags.block import TABLE, Message
 from odomcorrupt.bags.gaps import windows
 from odomcorrupt.bags.mcap.chunk_messages import MESSAGE_HEADER
 from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES, RECORD_HEADER_BYTES
+from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -65,6 +66,10 @@ def frame(
 
     chunks : where chunks end in data; what is framed ends there, too
     """
+    if table["log_ns"].min(initial=0) < 0:
+        raise BagError(
+            f"log time {table['log_ns'].min()} ns: is before 1970, which no MCAP says; write the input's format"
+        )
     lengths = table["length"]
     ends = np.cumsum(lengths + MESSAGE_HEADER_BYTES)
     framed = table.copy()

@@ -141,7 +141,7 @@ class McapReader:
         """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
         parts: Iterator[Chunk | Loose | Block] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), lambda part: len(part.data))
+            parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
         with closing(parts):  # type: ignore[type-var] # both are generators
             for part in parts:
                 if isinstance(part, Block):
@@ -279,6 +279,10 @@ class McapReader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _is_packed(part: Chunk | Loose | Block) -> bool:
+    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:

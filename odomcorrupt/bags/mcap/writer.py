@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, PartContents, PartFraming, require_all
-from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.checksum import CAN_COMBINE, crc32
 from odomcorrupt.bags.codecs import compress, require_level
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.mcap.chunk import CODECS, McapFraming
@@ -62,7 +62,11 @@ def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
     """Compress a chunk's records, and sum them."""
     crc = crc32(data.data)
     require_level(codec, level)
-    return Packed(data.data, crc, crc) if codec == "none" else Packed(compress(codec, data, level), crc)
+    if codec == "none":
+        return Packed(data.data, crc, crc)
+    compressed = compress(codec, data, level)
+    # by the thread that has it in its cache
+    return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
 
 
 class McapWriter:
@@ -131,10 +135,14 @@ class McapWriter:
                 framed = framed.followed_by(self._added(block))
         if isinstance(framing, McapFraming) and framing.kind != "chunk" and self._codec is None:
             self._index.count(framed.table)
-            self._results.put_behind(partial(self._output.write, framed.data.data))
+            self._results.put_behind(partial(self._output.write, framed.data.data), framed.data.size)
         else:
             codec = getattr(framing, "codec", "zstd")
             self._write_chunks(framed, self._codec or (codec if codec in CODECS else "zstd"))
+
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        self._results.finish()
 
     def _own(self, block: Block, framing: object) -> Framed:
         """Return a block's own messages as records: as they stand, where they come from the file that is written."""
@@ -171,7 +179,10 @@ class McapWriter:
             data = framed.data if len(chunks) == 1 else framed.data[chunk.begin : chunk.end]
             span = ChunkSpan(*span_ns(framed.table[chunk.start : chunk.stop]), codec, data.size)
             self._results.put(
-                partial(self.pack, codec, data, self._level), partial(self._write_chunk, span, indexes), data.size
+                partial(self.pack, codec, data, self._level),
+                partial(self._write_chunk, span, indexes),
+                data.size,
+                worth=codec != "none",
             )
 
     def _write_chunk(self, span: ChunkSpan, indexes: list[tuple[int, bytes]], chunk: Packed) -> None:
@@ -189,7 +200,7 @@ class McapWriter:
 
     def _write_record(self, opcode: int, data: memoryview | bytes) -> None:
         """Write a record as it stands, or a later piece of one (opcode 0), behind what waits."""
-        self._results.put_behind(partial(self._write_record_now, opcode, data))
+        self._results.put_behind(partial(self._write_record_now, opcode, data), len(data))
 
     def _write_record_now(self, opcode: int, data: memoryview | bytes) -> None:
         if opcode:

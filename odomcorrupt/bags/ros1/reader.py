@@ -155,7 +155,7 @@ class Ros1Reader:
         """Yield the blocks of what is read, whatever reads it: what is learnt of channels depends on what comes."""
         parts: Iterator[Chunk | _Connected] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), _size_of)
+            parts = read_ahead(self._parts(source), _size_of, _is_packed)
         with closing(parts):  # type: ignore[type-var] # both are generators
             for part in parts:
                 if isinstance(part, Chunk):
@@ -306,6 +306,10 @@ class Ros1Reader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
+
+
+def _is_packed(part: Chunk | _Connected) -> bool:
+    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _size_of(part: Chunk | _Connected) -> int:

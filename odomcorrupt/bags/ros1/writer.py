@@ -89,6 +89,10 @@ class Ros1Writer:
             for chunk in framed.chunks():
                 self._write_chunk(chunk, self._codec or codec)
 
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        self._results.finish()
+
     def _frame(self, messages: list[Message]) -> Framed:
         return frame(self._connections.take_records(one.channel for one in messages), messages)
 
@@ -111,6 +115,7 @@ class Ros1Writer:
             partial(self.pack, codec, framed.data, self._level),
             partial(self._write_packed, framed, codec, indexes(framed)),
             framed.data.size,
+            worth=codec != "none",
         )
 
     def _write_packed(

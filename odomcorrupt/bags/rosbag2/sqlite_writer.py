@@ -140,6 +140,9 @@ class SqliteWriter:
         for _, (channel, _, _, length) in rows:
             self._expect(channel, length)
 
+    def settle(self) -> None:
+        """Wait for nothing: rows are written at once."""
+
     def contents(self) -> PartContents:
         """Count what the file holds by now."""
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added

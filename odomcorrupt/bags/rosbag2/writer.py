@@ -86,6 +86,11 @@ class Rosbag2Writer:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
         self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
 
+    def settle(self) -> None:
+        """Wait until what was passed to `write` is written: its blocks may then change."""
+        for writer in self._writers:
+            writer.settle()
+
     def _described(self, channel: int) -> TopicInfo:
         if channel in self._fresh:
             known, definition = self._fresh[channel]

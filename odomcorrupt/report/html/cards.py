@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression
+from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression, twins_of
 from odomcorrupt.report.text.diagnosis import dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
@@ -27,11 +27,12 @@ __all__ = ["cards"]
 def cards(learned: Learned, ladder: Comparison) -> list[str]:
     """Return a card for everything that was found; nothing where nothing was.
 
-    ladder : judgements by the names of the steps, as `study.judge.ladder` has them
+    ladder : the models before and after each addition, judged on held-out data
     """
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
-    found = [_clock(line) for line in clock_lines(ladder.recordings, learned.clocks)]
+    names = [recording.name for recording in learned.fit.problem.recordings]
+    found = [_clock(line) for line in clock_lines(names, learned.clocks)]
     found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
     found += [_noise(gain, learned) for gain in learned.noise]
     found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
@@ -53,8 +54,10 @@ def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float
     sure = step_sure(look, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
-    if look.alternatives:
-        lines.append(f"<p>or {escape(', '.join(look.alternatives))}: these data cannot tell</p>")
+    if twins := twins_of(effect.name):
+        lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
+    if rivals := [name for name in look.alternatives if name not in twins]:
+        lines.append(f"<p>or {escape(', '.join(rivals))}: these data cannot tell</p>")
     lines += _meter(sure, look.candidates[0].gain)
     names = [judgement.name for judgement in ladder.judgements]
     place = names.index(f"+ {look.added}") if f"+ {look.added}" in names else 0

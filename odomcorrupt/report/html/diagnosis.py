@@ -14,12 +14,14 @@ from odomcorrupt.report.plots.dependence import draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.plan import draw_plan
 from odomcorrupt.report.plots.residuals import draw_residuals
+from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
 from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection
+from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.select.stepwise import Learned
@@ -44,7 +46,7 @@ class Story(NamedTuple):
 def found_html(story: Story, *, version: str) -> str:
     """Return the page."""
     learned, ladder, advice, _ = story
-    names = ", ".join(ladder.recordings)
+    names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
     title = f"What is missing: {names}"
     body = [
         f"<h1>{escape(title)}</h1>",
@@ -92,7 +94,7 @@ def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
         named = [look for look in learned.steps if look.added is not None]
-        names = [" or ".join((str(look.added), *look.alternatives)) for look in named]
+        names = [_named(str(look.added), look.alternatives) for look in named]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -102,6 +104,13 @@ def _verdict(story: Story) -> str:
     why = rejection(story.ladder.judgements[-1]) if not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return text[0].upper() + text[1:]
+
+
+def _named(name: str, alternatives: Sequence[str]) -> str:
+    """Return a name with its twins as readings of it, and its rivals after "or"."""
+    twins = twins_of(name)
+    rivals = [other for other in alternatives if other not in twins]
+    return " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
 
 
 def _next(story: Story) -> str:
@@ -125,7 +134,7 @@ def _left(ladder: Comparison) -> list[str]:
 
 
 def _falls(ladder: Comparison) -> bool:
-    return ladder.judgements[-1].ten_second_error_m < ladder.judgements[0].ten_second_error_m
+    return agreement_of(ladder).verdict == "better"
 
 
 def _items(sentences: Iterable[str]) -> str:

@@ -13,9 +13,9 @@ from odomcorrupt.report.text.score import METRIC_WORDS, metric_text, run_cells, 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.score.gate import Verdict
-    from odomcorrupt.score.run import ScoreReport
-    from odomcorrupt.score.statistics import Quantile
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import ScoreReport
+    from odomcorrupt.scoring.statistics import Quantile
 
 __all__ = ["score_html"]
 

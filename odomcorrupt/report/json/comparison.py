@@ -1,4 +1,4 @@
-"""A comparison as JSON: schema 1, described in docs/json.md. Lengths in metres, angles in radians; unknown is null."""
+"""A comparison as JSON: schema 2, described in docs/json.md. Lengths in metres, angles in radians; unknown is null."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison_json"]
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:

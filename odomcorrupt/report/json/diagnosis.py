@@ -1,4 +1,4 @@
-"""Results of the study as JSON: schema 1, described in docs/json.md. No NaN ever: what is not known is null."""
+"""Results of the study as JSON: schema 2, described in docs/json.md. No NaN ever: what is not known is null."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from odomcorrupt.report.text.confidence import clocks_found, law_numbers, noise_
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
 from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.clock_gain import clock_gain
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["learned_json"]
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def learned_json(
@@ -67,6 +68,19 @@ def learned_json(
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
+            ],
+            "events": [
+                {
+                    "recording": one.recording,
+                    "start_s": one.start_s,
+                    "end_s": one.end_s,
+                    "x_m": one.place_xy[0],
+                    "y_m": one.place_xy[1],
+                    "along_m": one.along_m,
+                    "across_m": one.across_m,
+                    "yaw_rad": one.yaw_rad,
+                }
+                for one in single_events(learned.fit)
             ],
             "disagreements": [
                 {

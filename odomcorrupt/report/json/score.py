@@ -6,13 +6,13 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.score.run import METRICS
+from odomcorrupt.scoring.run import METRICS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.score.gate import Verdict
-    from odomcorrupt.score.run import RunScore, ScoreReport
+    from odomcorrupt.scoring.gate import Verdict
+    from odomcorrupt.scoring.run import RunScore, ScoreReport
 
 __all__ = ["score_json"]
 

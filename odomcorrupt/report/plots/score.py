@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from odomcorrupt.score.run import ScoreReport
+    from odomcorrupt.scoring.run import ScoreReport
 
 __all__ = ["draw_along", "draw_drift", "draw_places", "draw_score"]
 
@@ -59,11 +59,15 @@ def draw_places(report: ScoreReport) -> Figure:
 
 def _drift(axes: Axes, report: ScoreReport) -> None:
     runs = [run for run in report.runs if run.scored and isfinite(run.drift)]
+    above = [run.drift for run in runs if run.drift > 0.0]
+    # perfect odometry has no place on a logarithmic axis: it stands at its left end
+    least = 0.5 * min(above, default=1.0)
     for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
         own = [run for run in runs if run.lost is lost]
         if own:
+            drift = [100.0 * max(run.drift, least) for run in own]
             axes.plot(
-                [100.0 * run.drift for run in own], [run.metrics["ate_m"] for run in own], marker, color=colour,
+                drift, [run.metrics["ate_m"] for run in own], marker, color=colour,
                 markersize=4.5, alpha=0.7, markeredgewidth=0.0, label=f"{len(own)} {label}",
             )  # fmt: skip
     found = report.breakdown
@@ -71,8 +75,8 @@ def _drift(axes: Axes, report: ScoreReport) -> None:
         axes.axvline(100.0 * found.drift, color=ORANGE, linewidth=1.5, label="5 % of runs lost")
         if found.low > 0.0 and isfinite(found.high):
             axes.axvspan(100.0 * found.low, 100.0 * found.high, color=ORANGE, alpha=0.15, linewidth=0.0)
-    drifts = [run.drift for run in runs] + ([found.drift] if found.drift is not None else [])
-    if drifts and min(drifts) > 0.0:
+    drifts = [max(run.drift, least) for run in runs] + ([found.drift] if found.drift is not None else [])
+    if above and all(run.metrics["ate_m"] > 0.0 for run in runs):
         axes.set(xscale="log", yscale="log", xlim=(80.0 * min(drifts), 125.0 * max(drifts)))
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -106,7 +110,7 @@ def _places(axes: Axes, report: ScoreReport) -> None:
     axes.plot(*report.clean_xy.T, color=BLACK, linewidth=1.4, label="truth")
     lost = np.array([run.failure.xy_m for run in runs if run.failure is not None]).reshape(-1, 2)
     if len(lost):
-        axes.plot(*lost.T, "X", color=RED, markersize=7, markeredgecolor="white", label=f"{len(lost)} lost here")
+        axes.plot(*lost.T, "X", color=RED, markersize=6, label=f"{len(lost)} lost here")
     low, high = report.clean_xy.min(axis=0), report.clean_xy.max(axis=0)
     margin = 0.15 * float((high - low).max()) + 0.5
     axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, sentence
+from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, sentence, size
+from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, Judgement
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
-__all__ = ["comparison_text", "falls_sentence", "ladder_steps", "share_of_worst"]
+__all__ = ["comparison_text", "falls_sentence", "ladder_steps", "measures_words", "share_of_worst"]
 
 _BAR = 30
 _NAME = 24
@@ -128,12 +129,38 @@ def _held(comparison: Comparison) -> str:
 
 
 def falls_sentence(comparison: Comparison) -> str:
-    """Return by how much the error falls; "" where nothing falls, or where the data were fitted."""
+    """Return by how much the error falls where no other measure contradicts, or that the measures disagree.
+
+    "" where the error does not change, and where the data were fitted.
+    """
     first, last = comparison.judgements[0], comparison.judgements[-1]
-    if any(j.refitted for j in comparison.judgements) or not last.ten_second_error_m < first.ten_second_error_m:
+    if len(comparison.judgements) < 2 or any(j.refitted for j in comparison.judgements):
+        return ""
+    verdict = agreement_of(comparison).verdict
+    if verdict == "mixed":
+        return f"from {first.name} to {last.name} {measures_words(comparison)}"
+    if verdict != "better" or not last.ten_second_error_m < first.ten_second_error_m:
         return ""
     ratio = last.ten_second_error_m / first.ten_second_error_m
     return f"the error falls to {100.0 * ratio:.0f} % from {first.name} to {last.name}"
+
+
+def _signed(value: float) -> str:
+    """Return a number with its sign and three figures, never as a power of ten."""
+    return f"{value:+.0f}" if abs(value) >= 100.0 else f"{value:+.3g}"
+
+
+def measures_words(comparison: Comparison) -> str:
+    """Return every measure of the first and the last model, and whether they agree."""
+    agreement = agreement_of(comparison)
+    words = []
+    for one in agreement.measures:
+        if one.name == "log likelihood":
+            words.append(f"{one.name} {_signed(one.after - one.before)} nats/m")
+        else:
+            words.append(f"{one.name} {size('along', one.before)} -> {size('along', one.after)}")
+    ending = {"mixed": ": they disagree", "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
+    return ", ".join(words) + ending
 
 
 def _trajectory_lines(comparison: Comparison) -> list[str]:

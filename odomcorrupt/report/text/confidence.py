@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
@@ -26,9 +27,12 @@ __all__ = [
     "step_sure",
     "sure_words",
     "told_expression",
+    "twins_of",
 ]
 
 _CLOCKS = ("time_offset", "clock_skew")
+_LIKE_PLAY_S = 0.015
+"""An offset as small as this may be the time in which a wheel's play is crossed: 5 mm at 0.3 to 0.5 m/s."""
 _REAL = 3.9
 """Standard errors from which on a clock is off, and has not only been left free."""
 
@@ -51,13 +55,24 @@ class LawNumber(NamedTuple):
     unit: str
 
 
+def twins_of(name: str) -> list[str]:
+    """Return the effects with the very same error as a named one: other readings of it, and no rivals."""
+    kinds = registry()
+    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
+    own = kinds[name].twin_of if name in kinds else None
+    return [*twins, *([own] if own is not None else [])]
+
+
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
     """Yield what is really there: a skew makes an offset free, too, which need not be."""
     for position, name in enumerate(_CLOCKS):
         for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
             if free[position] and abs(value) > _REAL * error:
-                sure = confidence(Evidence(0.5 * (value / error) ** 2))
+                own = 0.5 * (value / error) ** 2
+                # what could not be tried, play in gears of which no track is known, may do as much
+                alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
+                sure = confidence(Evidence(own, alike))
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 

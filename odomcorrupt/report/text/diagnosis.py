@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from math import isfinite
+from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.text.confidence import law_numbers, noise_sure, sure_words, told_expression
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.lack_of_fit import rejection, size
 from odomcorrupt.report.text.tables import clock_lines, ladder_text, noise_text, value_text
+from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
+from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.confidence import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import Disagreement
     from odomcorrupt.study.select.stepwise import Learned
@@ -46,6 +49,14 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
         lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
+    lines += [_event_line(one) for one in single_events(learned.fit)]
+    like_a_clock = [name for name in learned.added if name in RIVALS]
+    if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
+        lines.append(
+            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, for the clock is "
+            "plain only without them; give the offset if it is known (--truth-shift), or speed up and brake hard at "
+            "two speeds, with turns on the spot between"
+        )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
     if why:
@@ -53,6 +64,41 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
+
+
+def _event_line(one: Event) -> str:
+    """Return when and where something happened once, how large it was, and how to put it into a simulation."""
+    moved = ", ".join(
+        text
+        for text, value, least in (
+            (f"{abs(one.along_m) * 1e3:.0f} mm {'back' if one.along_m > 0.0 else 'forwards'}", one.along_m, 1e-3),
+            (
+                f"{abs(one.across_m) * 1e3:.0f} mm to the {'right' if one.across_m > 0.0 else 'left'}",
+                one.across_m,
+                1e-3,
+            ),
+            (
+                f"{degrees(abs(one.yaw_rad)):.1f} deg to the {'right' if one.yaw_rad > 0.0 else 'left'}",
+                one.yaw_rad,
+                2e-3,
+            ),
+        )
+        if abs(value) > least
+    )
+    lasts_s = max(one.end_s - one.start_s, 1e-3)
+    push = ",".join(
+        f"{name}={value:.4g}"
+        for name, value in (
+            ("along", -one.along_m), ("across", -one.across_m), ("yaw", -one.yaw_rad), ("time", one.start_s),
+            ("duration", lasts_s),
+        )
+    )  # fmt: skip
+    x, y = one.place_xy
+    return (
+        f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
+        f"moved {moved or 'hardly'}, and odometry does not know of it (a push, a lift, a bump); left out of the fit. "
+        f"To corrupt with it: --effect push:{push}"
+    )
 
 
 def _disagreement_line(one: Disagreement, learned: Learned) -> str:

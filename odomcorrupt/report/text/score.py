@@ -6,11 +6,11 @@ from collections import Counter
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.score.errors import RPE_M, WINDOW_S
+from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.run import RunScore, ScoreReport, Status
-    from odomcorrupt.score.statistics import Quantile
+    from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
+    from odomcorrupt.scoring.statistics import Quantile
 
 __all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_text", "sentences"]
 
@@ -36,7 +36,7 @@ def metric_text(metric: str, value: float) -> str:
         return f"{degrees(value):.3g} deg"
     if metric.endswith("_m"):
         return f"{value * 1e3:.3g} mm" if value < 0.1 else f"{value:.3g} m"
-    return f"{value:.0%}" if metric == "inside_95" else f"{value:.3g}"
+    return _percent(value) if metric == "inside_95" else f"{value:.3g}"
 
 
 def score_text(report: ScoreReport, *, every: bool = False) -> str:
@@ -76,7 +76,7 @@ def sentences(report: ScoreReport) -> list[str]:
     ]
     left = len(report.runs) - len(report.counted)
     if left:
-        lines.append(f"{left} runs without a whole output are not counted; --count-missing makes them failures.")
+        lines.append(f"Not counted, without a whole output: {left}; --count-missing makes them failures.")
     lines.append(_breakdown_sentence(report))
     grown = report.growth
     if grown is not None:
@@ -87,7 +87,8 @@ def sentences(report: ScoreReport) -> list[str]:
     jumps = sum(len(run.jumps_s) for run in report.runs)
     if jumps:
         lines.append(
-            f"{jumps} jumps of at least {report.limits.jump_m:g} m in {sum(bool(r.jumps_s) for r in report.runs)} runs."
+            f"Jumps of at least {report.limits.jump_m:g} m: {jumps}, in {sum(bool(r.jumps_s) for r in report.runs)} of "
+            f"{len(report.runs)} runs."
         )
     lines += _place_sentences(report)
     nees = report.summary("nees")
@@ -96,9 +97,13 @@ def sentences(report: ScoreReport) -> list[str]:
         kind = "too small" if nees.median.value > 1.5 else "too large" if nees.median.value < 0.67 else "about right"
         lines.append(
             f"Its covariances are {kind}: NEES per degree of freedom {nees.median.value:.3g} (1 is calibrated), "
-            f"{inside:.0%} of the errors inside the 95 % ellipsoids."
+            f"{_percent(inside)} of the errors inside the 95 % ellipsoids."
         )
     return lines
+
+
+def _percent(part: float) -> str:
+    return f"{100.0 * part:.3g} %"
 
 
 def _breakdown_sentence(report: ScoreReport) -> str:
@@ -106,20 +111,20 @@ def _breakdown_sentence(report: ScoreReport) -> str:
     drifts = [run.drift for run in report.counted if isfinite(run.drift)]
     if not drifts:
         return "The drift of these runs is not known, and so no break-down point."
-    span = f"runs drift by {min(drifts):.1%} to {max(drifts):.1%} of the way, rms over 10 m"
+    span = f"runs drift by {_percent(min(drifts))} to {_percent(max(drifts))} of the way, rms over 10 m"
     failed = sum(report.failed(run) for run in report.counted)
     if found.drift is None and not failed:
-        low = f"; it lies above {found.low:.1%} (95 %)" if found.low > 0.0 else ""
+        low = f"; it lies above {_percent(found.low)} (95 %)" if found.low > 0.0 else ""
         return f"No break-down point: no run failed ({span}){low}."
     if found.drift is None and failed < len(report.counted):
         return f"Too few runs for a break-down point ({span})."
     if found.drift is None:
-        high = f"; it lies below {found.high:.1%} (95 %)" if isfinite(found.high) else ""
+        high = f"; it lies below {_percent(found.high)} (95 %)" if isfinite(found.high) else ""
         return f"No break-down point: all runs failed ({span}){high}."
-    high = f"{found.high:.1%}" if isfinite(found.high) else "more than was tried"
+    high = _percent(found.high) if isfinite(found.high) else "more than was tried"
     return (
-        f"Break-down point: at a drift of {found.drift:.2%} of the way 5 % of runs fail (95 % interval "
-        f"{found.low:.2%} to {high}; {span})."
+        f"Break-down point: at a drift of {_percent(found.drift)} of the way 5 % of runs fail (95 % interval "
+        f"{_percent(found.low)} to {high}; {span})."
     )
 
 
@@ -150,7 +155,7 @@ def run_cells(run: RunScore) -> list[str]:
     """Return a row of the table of runs."""
     get = run.metrics.get
     numbers = [metric_text("_m", get(name, float("nan"))) for name in ("ate_m", "rpe_m", "error_10s_m", "end_m")]
-    drift = f"{run.drift:.2%}" if isfinite(run.drift) else "-"
+    drift = _percent(run.drift) if isfinite(run.drift) else "-"
     return [run.name, drift, *numbers, str(len(run.jumps_s)), run.status + (f": {run.reason}" if run.reason else "")]
 
 

@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.report.text.confidence import clocks_found, step_sure, sure_words
+from odomcorrupt.report.text.confidence import clocks_found, step_sure, sure_words, twins_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +101,10 @@ def ladder_text(learned: Learned) -> str:
     for look in learned.steps:
         if look.added is not None:
             before, after = look.candidates[0].rmse
-            rivals = f" (or {', '.join(look.alternatives)}: these data cannot tell)" if look.alternatives else ""
+            twins = twins_of(look.added)
+            others = [name for name in look.alternatives if name not in twins]
+            rivals = f" (= {', '.join(twins)}: one error, two readings)" if twins else ""
+            rivals += f" (or {', '.join(others)}: these data cannot tell)" if others else ""
             name = look.added + words_text(own[look.added])
             sure = sure_words(step_sure(look, learned))
             lines.append(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.write_twist import write_twists
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import wrap
 from odomcorrupt.study.design.manoeuvres import Hold, Limits, straight, turn
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.design.manoeuvres import Manoeuvre
 
-__all__ = ["STEP_S", "Plan", "ideal_recording", "plan_of", "safe_limits"]
+__all__ = ["STEP_S", "Plan", "drive_bag", "ideal_recording", "plan_of", "safe_limits"]
 
 STEP_S = 0.05
 """Time between two commands."""
@@ -129,3 +131,11 @@ def ideal_recording(plan: Plan, like: Recording) -> Recording:
     steps = Increments(plan.v_mps * STEP_S, np.zeros_like(plan.v_mps), plan.omega_radps * STEP_S)
     truth = Trajectory(stamps_ns, accumulate(start, steps))
     return Recording(plan.manoeuvre.name, odometry, truth, like.origin_ns, like.track_m)
+
+
+def drive_bag(plan: Plan) -> bytes:
+    """Return an MCAP whose /cmd_vel makes a robot drive a plan."""
+    twist = np.stack((plan.v_mps, np.zeros_like(plan.v_mps), plan.omega_radps), axis=1)
+    bag = io.BytesIO()
+    write_twists(bag, np.arange(len(twist), dtype=np.float64) * STEP_S, twist)
+    return bag.getvalue()

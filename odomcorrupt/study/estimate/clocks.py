@@ -29,7 +29,7 @@ _CLOCK_HARM = 1.15
 """A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
 """Free beside the clocks while these are estimated, and then forgotten."""
-RIVALS = ("accel_slip", "backlash")
+RIVALS = ("accel_slip", "backlash", "channel_lag")
 """What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
 
 
@@ -38,6 +38,9 @@ class Clocks:
     """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
 
     noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
+    ambiguous_nats : what the offset of a clock gains that was left at zero because it is significant only without its
+        rivals: what they are given then may as well be the clock's
+    untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
     """
 
     clocks: tuple[Clock, ...]
@@ -45,6 +48,8 @@ class Clocks:
     errors: tuple[tuple[float, float], ...]
     noise: Array | None = None
     beside: tuple[Effect, ...] = ()
+    ambiguous_nats: float = 0.0
+    untested: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,7 @@ class _Found:
     free: tuple[bool, bool]
     errors: tuple[float, float]
     fit: Fit
+    ambiguous_nats: float = 0.0
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
@@ -73,6 +79,8 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         tuple(f.errors for f in each),
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
+        max(f.ambiguous_nats for f in each),
+        tuple(n for n in RIVALS if registry()[n].needs_track and any(r.track_m is None for r in recordings)),
     )
 
 
@@ -94,7 +102,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     rivals = _rivals(wheels=runs[0].track_m is not None)
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
-    noise = None
+    noise, alone_nats = None, 0.0
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
@@ -113,9 +121,11 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             last, error = (clock.rate, errors[1]) if free[1] else (clock.offset_s, errors[0])
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
+            if not beside and not free[1]:
+                alone_nats = 0.5 * (last / error) ** 2
             nuisance = best.onward.effects[: len(nuisance)]
         else:
             before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
             if after < _CLOCK_HARM * before:
                 return _Found(clock, free, errors, best)
-    return _Found(Clock(), (False, False), (0.0, 0.0), best)
+    return _Found(Clock(), (False, False), (0.0, 0.0), best, alone_nats)

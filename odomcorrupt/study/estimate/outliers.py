@@ -11,6 +11,7 @@ from scipy.stats import binomtest, chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
+from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["Event", "events", "set_apart", "slip_bursts"]
+__all__ = ["Event", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
 
 _FEWEST = 6
 _LEVEL = 0.02
@@ -30,7 +31,13 @@ _ODD = 2e-4
 """Chance of an ordinary step that stands out."""
 _HARDLY = 100.0
 """How much wider the noise of what is set apart may be."""
+_PLAINLY_ODD, _MOST_SINGLE = 12.0, 5
+"""How far a single event stands out at least, see `Event.plain`, and how many there may be in a study."""
+_SAME_EVENT = 4
+"""Intervals that stand out belong to one event where they are no farther apart than so many."""
 _LASTS = 0.5
+_EXCURSION_S, _CANCELS = 45.0, 0.4
+"""How long an excursion of the truth may last; and what may be left of it once it is back, in parts of its size."""
 _TURNS, _SEVERAL = 0.7, 0.25
 """Turn times track over what was lost along, 2 for one wheel and 0 for both; part of the slips that say so."""
 _PLAIN = 2.0
@@ -47,6 +54,9 @@ class Event:
         where the track is known; 0 where it is not known
     turn_rad : how far the odometry turned meanwhile, to the left
     lasting : whether odometry and truth stay apart; where the truth alone jumped, they come together again
+    across_m : by how much odometry goes more to the left than the truth
+    place_xy : where the truth is when it begins, m
+    plain : how far odometry and truth part, in usual residuals of one interval
     """
 
     recording: str
@@ -57,11 +67,28 @@ class Event:
     slip: float
     turn_rad: float
     lasting: bool
+    across_m: float
+    place_xy: tuple[float, float]
+    plain: float
 
 
 def events(fit: Fit) -> list[Event]:
     """Return the stretches that a robust fit flagged in order of time, neighbours taken together."""
     return _events_of(fit, np.flatnonzero(fit.noise.weights > 1.0))
+
+
+def single_events(fit: Fit) -> list[Event]:
+    """Return what happened once and is no noise: a push, a lift, a bump; nothing where there are many of the kind.
+
+    They are left out of the fit, which weighs them less the farther they stand out.
+    """
+    flagged, run = _standing_out(fit), fit.problem.run
+    parted = (np.diff(flagged) > _SAME_EVENT) | (np.diff(run[flagged]) != 0)
+    groups = np.split(flagged, np.flatnonzero(parted) + 1) if len(flagged) else []
+    # between two moments of a push are others that stand out less
+    whole = [np.arange(group[0], group[-1] + 1) for group in groups]
+    found = [event for event in _described(fit, whole) if event.lasting and event.plain > _PLAINLY_ODD]
+    return found if len(found) <= _MOST_SINGLE else []
 
 
 def odd_steps(fit: Fit) -> list[Event]:
@@ -88,8 +115,12 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
 
 
 def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
+    return _described(fit, np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else [])
+
+
+def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
-    groups = np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else []
+    flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
     usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
     found = []
     for group in groups:
@@ -107,10 +138,36 @@ def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
                     residual.sum(axis=0), step.sum(axis=0), problem.recordings[int(problem.run[group[0]])].track_m
                 ),
                 turn_rad=float(step[:, 2].sum()),
-                lasting=bool(apart > _LASTS * most),
+                across_m=float(residual[:, 1].sum()),
+                place_xy=(float(nodes.truth_xyt[group[0], 0]), float(nodes.truth_xyt[group[0], 1])),
+                plain=float(apart),
+                lasting=bool(apart > _LASTS * most) and not _comes_back(fit, group, flagged, usual),
             )
         )
     return found
+
+
+def _comes_back(fit: Fit, group: NDArray[np.int64], flagged: NDArray[np.int64], usual: Array) -> bool:
+    """Tell whether a stretch that stands out is one side of an excursion of the truth: the way out, or the way back.
+
+    A localisation that loses its way, or fixes that are floating, come back to where they were some time later (or
+    have just done so). Odometry that was pushed away stays there.
+    """
+    nodes, run = fit.problem.nodes, fit.problem.run
+    heading = nodes.truth_xyt[:, 2] + nodes.truth_step[:, 2]
+    world = nodes.residual.copy()
+    world[:, :2] = rotate(nodes.residual[:, :2], heading)
+    middle, own = float(nodes.start_s[group].mean()), world[group].sum(axis=0)
+    reach = np.array([max(usual[:2]), max(usual[:2]), usual[2]])
+    size = float(np.linalg.norm(own / reach))
+    others = np.setdiff1d(flagged, group)
+    near = others[(run[others] == run[group[0]]) & (np.abs(nodes.start_s[others] - middle) < _EXCURSION_S)]
+    for some in np.split(near, np.flatnonzero(np.diff(near) > 1) + 1):
+        back = world[some].sum(axis=0)
+        largest = max(size, float(np.linalg.norm(back / reach)))
+        if len(some) and float(np.linalg.norm((own + back) / reach)) < _CANCELS * largest:
+            return True
+    return False
 
 
 def _slip(lost: Array, path: Array, track_m: float | None) -> float:

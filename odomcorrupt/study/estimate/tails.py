@@ -26,6 +26,7 @@ __all__ = ["heavy_tails", "log_density_of_sums"]
 
 _FEWEST = 3
 """Lasting events below which a few large steps may be anything."""
+_MOSTLY = 0.5
 _INVERSE_DOFS = np.linspace(0.05, 0.45, 17)
 _WIDTHS = np.geomspace(0.3, 1.1, 27)
 _NAMED_NATS = 10.0
@@ -37,7 +38,10 @@ _RANGE, _SIZE = 120.0, 1 << 14
 
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     """Return heavy tails and the nats by which they beat normal noise, where events lie on both sides; or None."""
-    if sum(event.lasting for event in odd_steps(fit)) < _FEWEST:
+    odd_ones = odd_steps(fit)
+    lasting = sum(event.lasting for event in odd_ones)
+    # where most of what stands out comes back, it is the truth that errs
+    if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
         return None
     # what a robust fit took as wider is shown as it was
     odd = fit.noise.innovations.reshape(-1, 3) * np.sqrt(fit.noise.weights)[:, None]

@@ -24,12 +24,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.topic_selection import Role
 
 __all__ = ["read_bag"]
 
 _ENCODINGS = ("cdr", "ros1")
+_FLOAT_TIMES = 5.0
+"""A fix whose deviation is so many times that of the best ones is not one of them."""
+_BEST, _ENOUGH = 0.1, 0.3
+"""Quantile of the best fixes; part of all fixes that has to be left."""
 _MOST_M2 = 1e12
 
 
@@ -111,6 +116,9 @@ class _PoseReader:
                 if "pose_covariance" in item.fields:
                     covariance = gather(block, layout, item, "pose_covariance")
                     values[:, 4] = covariance[:, [0, 7]].clip(-_MOST_M2, _MOST_M2).sum(axis=1)
+                if "covariance" in item.fields:  # of a fix; 0 where the receiver does not know
+                    covariance = gather(block, layout, item, "covariance")
+                    values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MOST_M2).sum(axis=1)
                 self.parts.append(
                     (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
                 )
@@ -133,6 +141,13 @@ class _PoseReader:
             if not fixed.all():
                 notes.append(f"{topic}: {np.sum(~fixed)} messages without a fix left out")
             stamps, logs, values = stamps[fixed], logs[fixed], values[fixed]
+            resolved = _resolved(values[:, 4])
+            if not resolved.all():
+                notes.append(
+                    f"{topic}: {np.sum(~resolved)} of {len(resolved)} fixes left out, which claim to be "
+                    f"{_FLOAT_TIMES:g} and more times as uncertain as its best ones (float or single, not fixed)"
+                )
+            stamps, logs, values = stamps[resolved], logs[resolved], values[resolved]
             if len(values):
                 values[:, :3] = east_north_up(values[:, :3])
                 notes.append(f"{topic}: metres east and north of its first fix")
@@ -152,3 +167,15 @@ class _PoseReader:
             claimed if np.isfinite(claimed).all() else claimed[:0],
             tuple(notes),
         )
+
+
+def _resolved(variance_m2: Array) -> NDArray[np.bool_]:
+    """Return which fixes (n,) are about as good as the best ones, by the variance that they claim; all if none is.
+
+    A receiver that loses its ambiguities goes on with fixes that are decimetres off and wander back as they settle.
+    """
+    claimed = variance_m2[np.isfinite(variance_m2) & (variance_m2 > 0.0)]
+    if not len(claimed):
+        return np.ones(len(variance_m2), dtype=bool)
+    good: NDArray[np.bool_] = ~(variance_m2 > _FLOAT_TIMES**2 * np.quantile(claimed, _BEST))
+    return good if good.mean() > _ENOUGH else np.ones(len(variance_m2), dtype=bool)

@@ -3,6 +3,10 @@
 The bag is read twice: once for the tree, once for the edges on the way, so that a hundred joints cost nothing. The
 moving edge with the most samples gives the times; the others are interpolated there, and edges of a static topic hold
 for all times.
+
+A localisation (AMCL, SLAM) corrects the odometry now and then and sends the same correction again until the next one:
+between two of them such a truth is the odometry itself, and agrees with it. Only the poses at its corrections are
+taken.
 """
 
 from __future__ import annotations
@@ -21,6 +25,8 @@ from odomcorrupt.study.io.tf_tree import Edge
 from odomcorrupt.study.io.time_order import order_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
@@ -30,12 +36,28 @@ if TYPE_CHECKING:
 __all__ = ["EdgeReader"]
 
 _FAR_M = 1e9
+_MOVES = np.array([1e-4, 1e-4])
+"""Metres, radians: the others have to move by so much for a repeated correction to mean that there was no new one."""
+_REPEATED, _CORRECTIONS = 0.3, 20
+"""A localisation's edge repeats itself in at least this part of its messages while the robot moves.
+
+It takes so many corrections to learn from.
+"""
+_AHEAD_S = (0.02, 5.0)
+"""By how much a localisation stamps its corrections ahead of the time at which they are sent."""
 
 
 class _Ordered(NamedTuple):
     stamps_ns: NDArray[np.int64]
+    logs_ns: NDArray[np.int64]
     poses: Transforms
     notes: tuple[str, ...]
+
+    def between(self, stamps_ns: NDArray[np.int64]) -> Transforms:
+        """Return it at other stamps (n,), held beyond its ends."""
+        origin = self.stamps_ns[0]
+        own_s, at_s = ((s - origin).astype(np.float64) * 1e-9 for s in (self.stamps_ns, stamps_ns))
+        return interpolated(own_s, self.poses, np.clip(at_s, own_s[0], own_s[-1]))
 
 
 @dataclass(slots=True)
@@ -88,17 +110,18 @@ class EdgeReader:
         stamps = stamps[(stamps >= first) & (stamps <= last)]
         if len(stamps) < 2:
             raise RecordingError(f"{self.place}: its edges ({names}) share no time; name frames with fewer between")
-        at_s = (stamps - stamps[0]).astype(np.float64) * 1e-9
+        notes = [f"{self.address}: {note}" for e in edges.values() for note in e.notes]
+        found = _localisation(moving)
+        if found is not None:
+            edge, corrections = found
+            edges[edge] = moving[edge] = corrections
+            stamps = corrections.stamps_ns[(corrections.stamps_ns >= first) & (corrections.stamps_ns <= last)]
+            notes.append(f"{self.address}: {edge.parent}.{edge.child}: {'; '.join(corrections.notes)}")
         total = Transforms(np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]))
         for edge, back in self.way:
             part = edges[edge].poses
-            if edge in moving:
-                own_s = (edges[edge].stamps_ns - stamps[0]).astype(np.float64) * 1e-9
-                part = interpolated(own_s, part, at_s)
-            else:
-                part = Transforms(part.xyz[:1], part.quat_xyzw[:1])
+            part = edges[edge].between(stamps) if edge in moving else Transforms(part.xyz[:1], part.quat_xyzw[:1])
             total = composed(total, inverted(part) if back else part)
-        notes = [f"{self.address}: {note}" for e in edges.values() for note in e.notes]
         if len(self.way) > 1:
             notes.append(f"{self.address}: composed of {names}")
         none = np.zeros(0)
@@ -127,4 +150,37 @@ class EdgeReader:
         order = order_of(stamps, logs if edge in self.tree.moving else logs[:0])
         kept = values[good][order.rows]
         notes = order.notes if edge in self.tree.moving else ()
-        return _Ordered(order.stamps_ns, Transforms(kept[:, :3], kept[:, 3:]), notes)
+        return _Ordered(order.stamps_ns, logs[order.rows], Transforms(kept[:, :3], kept[:, 3:]), notes)
+
+
+def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | None:
+    """Return the edge of a localisation and its corrections, each once and when it was sent; None where there is none.
+
+    It is the edge that repeats itself while the others move.
+    """
+    for edge, own in moving.items():
+        others = [other for e, other in moving.items() if e != edge]
+        new = np.any(np.diff(np.concatenate(own.poses, axis=1), axis=0) != 0.0, axis=1)
+        if not others or not _CORRECTIONS <= new.sum() < (1.0 - _REPEATED) * len(new):
+            continue
+        went = np.zeros((len(new), 2))
+        for other in others:
+            there = other.between(own.stamps_ns)
+            turned = np.abs(np.sum(there.quat_xyzw[:-1] * there.quat_xyzw[1:], axis=1))
+            went[:, 0] += np.linalg.norm(np.diff(there.xyz, axis=0), axis=1)
+            went[:, 1] += 2.0 * np.arccos(np.minimum(turned, 1.0))
+        moves = (went > _MOVES).any(axis=1)
+        if np.mean(~new[moves]) < _REPEATED if moves.any() else True:
+            continue
+        rows = np.flatnonzero(np.concatenate(([True], new)))
+        stamps, said = own.stamps_ns[rows], ""
+        ahead_s = float(np.median(own.stamps_ns - own.logs_ns)) * 1e-9
+        if _AHEAD_S[0] < ahead_s < _AHEAD_S[1]:
+            stamps = stamps - round(ahead_s * 1e9)
+            said = f", their stamps {ahead_s:.2g} s ahead of when they were sent put back"
+        note = (
+            f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone{said}: "
+            "between them it repeats the odometry"
+        )
+        return edge, _Ordered(stamps, stamps, Transforms(own.poses.xyz[rows], own.poses.quat_xyzw[rows]), (note,))
+    return None

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from math import exp, inf, isfinite
 from typing import TYPE_CHECKING
 
+from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.select.decisions import DECISIONS
 
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
 
 __all__ = ["Evidence", "confidence", "evidence_of", "odds_against", "odds_formula"]
+
+HELD_OUT_ERRORS = 2.0
+"""A gain on held-out data may be larger than it was seen by so many of its standard errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +82,14 @@ def _exp(nats: float) -> float:
 
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence for the effect that a step included, in the light of the final model."""
+    # what data say that were not fitted limits the gain on fitted ones
+    nats, error = learned.held_out.get(step.added or "", (inf, 0.0))
+    own = min(step.candidates[0].gain, max(nats + HELD_OUT_ERRORS * error, 0.0))
     rivals = tuple(c.gain for c in step.candidates[1:] if not c.refused)
+    if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
+        # the clock that was left out is a rival like any other; it explains no more than all of what this one does
+        rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(step.candidates[0].gain, rivals, left, wandering, margin)
+    return Evidence(own, rivals, left, wandering, margin)

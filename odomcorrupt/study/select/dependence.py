@@ -94,6 +94,11 @@ class Dependence:
         return self.best.term.name if self.best is not None else ""
 
     @property
+    def title(self) -> str:
+        """What depends on what, as in "yaw over speed"."""
+        return f"{self.channel} over {self.regressor}"
+
+    @property
     def wheels(self) -> str:
         """Which wheels have the error, where its term acts on these: "left", "right" or "wheels"; else ""."""
         return self.best.term.action.target if self.best is not None and self.best.term.action.by_wheel else ""

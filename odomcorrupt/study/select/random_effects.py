@@ -46,7 +46,7 @@ __all__ = [
 ]
 
 _LEAST_SCALE = 1e-6
-"""Smallest standard deviation of a gain that is tried; the largest is the parameter's bound."""
+"""Smallest standard deviation of a gain that is tried; the largest is the effect's bound."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,11 @@ from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import join
-from odomcorrupt.study.estimate.windows import rmse, time_windows
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.io.headings import headed_anew
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import cutting_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
@@ -35,7 +37,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.cross_validation import Pieces
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
-__all__ = ["Comparison", "Judgement", "compare"]
+__all__ = ["Comparison", "Judgement", "clocks_beside", "compare"]
+
+_CLOSER = 0.97
+"""A clock that was found with a model applied has to leave this part of the 10 s error, to be taken."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +93,7 @@ class Comparison:
 def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
     """Judge models (by name) on recordings."""
     approach = choose_approach(recordings)
-    found = find_clocks(recordings, approach)
+    found = clocks_beside(recordings, approach, list(models.values())[-1])
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
     cutting = cutting_of(on_time, fitted, approach.spacing_s)
@@ -108,6 +113,23 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
             _judgement(name, models[name], pieces, first, cutting.notes) for name, pieces in judged.items()
         ),
     )
+
+
+def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
+    """Return the clocks of recordings as they come, or with a model's effects taken out where that is plainly closer.
+
+    Errors as large as a strong effect's hide a clock: it is looked for again in what the model leaves.
+    """
+    plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
+    if not any(effect.kind != "noise" for effect in effects):
+        return plain
+    applied = find_clocks([undo(recording, effects) for recording in recordings], approach)
+
+    def error_m(clocks: Sequence[Clock]) -> float:
+        on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
+        return phased_rmse([headed_anew(undo(recording, effects)) for recording in on_time])
+
+    return applied if error_m(applied.clocks) < _CLOSER * error_m(plain.clocks) else plain
 
 
 def _fitted_on(model: MotionModel) -> list[str]:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.evaluation import Evaluation
 
-__all__ = ["LogScore", "log_score_of"]
+__all__ = ["LogScore", "block_differences", "log_score_of"]
 
 BLOCK_S = 15.0
 """Errors of a robot remember for seconds; blocks this long hardly know of each other."""
@@ -37,6 +37,12 @@ def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> L
     ratio, error = _ratio(own, metres)
     gain, gain_error = _ratio(own - base, metres)
     return LogScore(ratio, error, gain, gain_error, len(metres))
+
+
+def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]) -> Array:
+    """Return by how much (b,) nats pieces are likelier than others of the same recordings, in blocks of time."""
+    difference: Array = _blocks(pieces, pieces) - _blocks(others, pieces)
+    return difference
 
 
 def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], *, metres: bool = False) -> Array:

@@ -127,7 +127,7 @@ def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance):
         return new(SHORT[kind], header, point)
     if kind == "NavSatFix":
         status = new("sensor_msgs/msg/NavSatStatus", 0, 1)
-        return new(SHORT[kind], header, status, *map(float, xyz), np.zeros(9), 0)
+        return new(SHORT[kind], header, status, *map(float, xyz), 0.5 * variance * np.eye(3).ravel(), 0)
     shift = new("geometry_msgs/msg/Vector3", *map(float, xyz))
     transform = new("geometry_msgs/msg/Transform", shift, rotation)
     stamped = new("geometry_msgs/msg/TransformStamped", header, child, transform)

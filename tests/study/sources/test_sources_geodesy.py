@@ -2,7 +2,10 @@
 
 import numpy as np
 import pytest
+from sourcebags import topic, write
+from sourcedrive import Rows, odometry, truth
 
+from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.geodesy import east_north_up
 
 
@@ -36,3 +39,15 @@ def test_height_is_up_and_a_missing_one_does_no_harm():
     plane = east_north_up(np.array([[50.0, 8.0, 100.0], [50.0, 8.0, 130.0]]))
     np.testing.assert_allclose(plane[1], [0.0, 0.0, 30.0], atol=1e-6)
     assert np.isfinite(east_north_up(np.array([[50.0, 8.0, np.nan], [50.1, 8.0, np.nan]]))).all()
+
+
+def test_fixes_that_claim_to_float_are_left_out_and_counted(tmp_path):
+    moved, real = odometry(), truth()
+    # a degree of latitude, and of longitude at 48 degrees, by the published lengths
+    lla = np.column_stack((48.0 + real.xyz[:, 1] / 111_194.0, 8.0 + real.xyz[:, 0] / 74_625.0, 0.0 * real.yaw))
+    floating = (np.arange(len(lla)) > 300) & (np.arange(len(lla)) < 500)
+    lla[floating, 0] += 0.4 / 111_194.0
+    fixes = topic("/fix", "NavSatFix", Rows(real.stamps_ns, lla, real.yaw), variance=np.where(floating, 0.18, 4e-4))
+    (run,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), fixes), truth="/fix"))
+    assert any("199 of 990 fixes left out" in note for note in run.notes)
+    assert not np.isin(run.truth.stamps_ns, real.stamps_ns[floating]).any()

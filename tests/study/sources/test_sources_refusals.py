@@ -273,7 +273,8 @@ def test_the_next_command_reads_the_same_recordings_again():
 def test_a_model_is_fitted_to_two_text_files(tmp_path, capsys):
     moved = csv_file(tmp_path / "odom.csv", odometry())
     model = tmp_path / "robot.toml"
-    assert run(["fit", str(moved), "--truth-file", str(csv_file(tmp_path / "gt.csv", truth())), "-o", str(model)]) == 0
+    words = ["-v", "--truth-file", str(csv_file(tmp_path / "gt.csv", truth())), "-o", str(model)]
+    assert run(["fit", str(moved), *words]) == 0
     assert "odometry odom.csv, truth gt.csv" in capsys.readouterr().err
     assert "trans_trans" in model.read_text()
 

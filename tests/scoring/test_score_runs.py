@@ -11,8 +11,8 @@ import pytest
 
 from odomcorrupt.batching.tum import format_tum, read_tum
 from odomcorrupt.cli import run
-from odomcorrupt.score import Limits, score
-from odomcorrupt.score.errors import ScoreError
+from odomcorrupt.scoring import Limits, score
+from odomcorrupt.scoring.errors import ScoreError
 
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01")

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from odomcorrupt.score.errors import ScoreError
+from odomcorrupt.scoring.errors import ScoreError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -279,15 +279,21 @@ def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] 
         f"{100.0 * (found.high - 1.0):+.1f} %), {found.pairs} pairs, p {found.p:.2g}{beside}"
     )
     if not found.rise and found.detectable > rule.amount:
-        sentence += f"; with so few pairs that scatter so much only a rise of {found.detectable:.0%} is found reliably"
+        least = f"{100.0 * found.detectable:.0f} %"
+        sentence += f"; with so few pairs that scatter so much only a rise of {least} is found reliably"
     return Verdict(rule.text, found.rise, sentence, found)
 
 
 def _by_pair(report: Mapping[str, Any]) -> dict[tuple[str, int], Mapping[str, Any]]:
+    needed = {"name", "seed", "metrics", "scored", "counted", "failed"}
     try:
-        return {(run["name"], run["seed"]): run for run in report["runs"]}
-    except (KeyError, TypeError) as error:
-        raise ScoreError("the baseline is no result of score; make one with odomcorrupt score ... --json") from error
+        runs = {(run["name"], run["seed"]): run for run in report["runs"] if needed <= run.keys()}
+        whole = len(runs) == len(report["runs"])
+    except (KeyError, TypeError, AttributeError):
+        whole = False
+    if not whole:
+        raise ScoreError("the baseline is no result of score; make one with odomcorrupt score ... --save")
+    return runs
 
 
 def _above(rule: Rule, runs: Mapping[Any, Mapping[str, Any]]) -> Verdict:

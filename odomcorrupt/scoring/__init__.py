@@ -9,9 +9,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from odomcorrupt.score.errors import Limits, PathErrors, path_errors
-    from odomcorrupt.score.gate import Verdict, check, compare_paired
-    from odomcorrupt.score.run import RunScore, ScoreReport, score
+    from odomcorrupt.scoring.errors import Limits, PathErrors, path_errors
+    from odomcorrupt.scoring.gate import Verdict, check, compare_paired
+    from odomcorrupt.scoring.run import RunScore, ScoreReport, score
 
 __all__ = [
     "Limits",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import comb
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -121,20 +121,41 @@ def breakdown(drift: Array, lost: NDArray[np.bool_]) -> Breakdown:
     if len(x) < 5:
         return Breakdown(None, 0.0, float("inf"), None)
     reach = 3.0 + np.ptp(x)
-    grid = np.linspace(x.min() - reach, x.max() + reach, 401)
-    slopes = np.geomspace(0.3, 60.0, 40)
-    likelihood = np.stack([_log_likelihood(x, y, grid, slope) for slope in slopes])
-    profile = likelihood.max(axis=0)
-    inside = np.flatnonzero(2.0 * (profile.max() - profile) <= _CHI2_1_95)
-    low = 0.0 if inside[0] == 0 else float(np.exp(grid[inside[0]]))
-    high = float("inf") if inside[-1] == len(grid) - 1 else float(np.exp(grid[inside[-1]]))
+    wide = np.linspace(x.min() - reach, x.max() + reach, 201)
+    inside = _profile(x, y, wide).inside
+    # once more, finer, over what the first pass could not exclude
+    first, last = wide[max(inside[0] - 1, 0)], wide[min(inside[-1] + 1, len(wide) - 1)]
+    found = _profile(x, y, np.linspace(first, last, 401))
+    grid = found.grid
+    low = 0.0 if inside[0] == 0 else float(np.exp(grid[found.inside[0]]))
+    high = float("inf") if inside[-1] == len(wide) - 1 else float(np.exp(grid[found.inside[-1]]))
     if y.all() or not y.any():
         return Breakdown(None, low if not y.any() else 0.0, high if y.all() else float("inf"), None)
     # where a whole range is as likely, its middle
-    best = np.flatnonzero(profile >= profile.max() - 1e-6)
+    best = np.flatnonzero(found.likelihood >= found.likelihood.max() - 1e-6)
     at = int(best[len(best) // 2])
-    slope = float(slopes[int(np.argmax(likelihood[:, at]))])
-    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_logit(LOST_PART) / slope)))
+    return Breakdown(float(np.exp(grid[at])), low, high, float(np.exp(-_logit(LOST_PART) / found.slope[at])))
+
+
+class _Profile(NamedTuple):
+    """Profile likelihood over a grid (k,) of break-down points, logarithms.
+
+    likelihood, slope : (k,) the log likelihood at the best slope, and that slope
+    inside : which points lie in the 95 % interval
+    """
+
+    grid: Array
+    likelihood: Array
+    slope: Array
+    inside: NDArray[np.int64]
+
+
+def _profile(x: Array, lost: NDArray[np.bool_], grid: Array) -> _Profile:
+    slopes = np.geomspace(0.3, 60.0, 40)
+    every = np.stack([_log_likelihood(x, lost, grid, slope) for slope in slopes])
+    best = every.max(axis=0)
+    inside = np.flatnonzero(2.0 * (best.max() - best) <= _CHI2_1_95)
+    return _Profile(grid, best, slopes[every.argmax(axis=0)], inside)
 
 
 def _logit(p: float) -> float:

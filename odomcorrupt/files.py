@@ -1,4 +1,4 @@
-"""Write a result file whole or not at all."""
+"""Result files, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Write beside the target and rename when complete."""
-    from odomcorrupt.bags.output import Output
+    from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
 
     output = Output(path, overwrite=True)
     output.open()

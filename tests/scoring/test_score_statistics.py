@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.score.statistics import breakdown, growth, sections, summarise
+from odomcorrupt.scoring.statistics import breakdown, growth, sections, summarise
 
 D5, SLOPE = 0.05, 3.0
 

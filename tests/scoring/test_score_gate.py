@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from odomcorrupt.score.errors import ScoreError
-from odomcorrupt.score.gate import _signed_rank, check, compare_paired, parse_rule
+from odomcorrupt.scoring.errors import ScoreError
+from odomcorrupt.scoring.gate import _signed_rank, check, compare_paired, parse_rule
 
 
 def pair(rng, rise, scatter=0.2, n=40):

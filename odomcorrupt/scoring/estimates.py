@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import OdomCorruptError, TopicError
-from odomcorrupt.score.errors import ScoreError
+from odomcorrupt.scoring.errors import ScoreError
 from odomcorrupt.study.io.address import parse_address, plain
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.text import is_text, read_text
@@ -87,7 +87,10 @@ def find_estimate(directory: Path, run_file: Path, *, needs_topic: bool) -> Path
         return found[0]
     if needs_topic and own.exists() and not _is_trajectory(own):
         return run_file
-    raise NoEstimateError(f"no file {name}* with an estimate in {directory}")
+    raise NoEstimateError(
+        f"no file {name}* with an estimate in {directory}; name another place with --outputs, or a "
+        "topic of the run with --estimate"
+    )
 
 
 def _is_trajectory(path: Path) -> bool:

@@ -11,15 +11,15 @@ import numpy as np
 from odomcorrupt.batching.manifest import BEGINNING, read_beginning, read_records
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.score.errors import Failure, Limits, PathErrors, ScoreError, path_errors
-from odomcorrupt.score.estimates import NoEstimateError, find_estimate, read_estimate, read_first
-from odomcorrupt.score.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
+from odomcorrupt.scoring.errors import Failure, Limits, PathErrors, ScoreError, path_errors
+from odomcorrupt.scoring.estimates import NoEstimateError, find_estimate, read_estimate, read_first
+from odomcorrupt.scoring.statistics import Breakdown, Growth, Section, Summary, breakdown, growth, sections, summarise
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.score.errors import Alignment
+    from odomcorrupt.scoring.errors import Alignment
     from odomcorrupt.study.io.recording import Trajectory
 
 __all__ = ["METRICS", "RunScore", "ScoreReport", "Status", "score"]
@@ -33,7 +33,7 @@ _KEPT = 400
 """Points kept of each run's errors along the path, for pictures."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RunScore:
     """The estimate of one run.
 
@@ -82,7 +82,7 @@ class RunScore:
         return self.status in ("ok", "lost", "diverged")
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class ScoreReport:
     """Scores of n runs.
 
@@ -193,7 +193,7 @@ def score(
 
     Examples
     --------
-    >>> from odomcorrupt.score import score
+    >>> from odomcorrupt.scoring import score
     >>> report = score("runs", "/amcl_pose", truth="/ground_truth")  # doctest: +SKIP
     >>> report.summary("ate_m").p90.value  # doctest: +SKIP
 
@@ -204,6 +204,7 @@ def score(
     found: list[RunScore] = []
     clean: Trajectory | None = None
     truths: set[str] = set()
+    frames: set[str] = set()
     for label, directory, root in places:
         beside = directory if outputs is None else Path(outputs) / directory.relative_to(root)
         records = read_records(directory)
@@ -217,13 +218,14 @@ def score(
             found.append(one)
             clean = clean or reference
             truths |= {source.name} if source.name else set()
+            frames |= {source.frame} if source.frame else set()
     if clean is None or not any(run.metrics for run in found):
         first = found[0]
         raise ScoreError(f"none of {len(found)} runs has an estimate that can be scored; {first.name}: {first.reason}")
     steps = np.linalg.norm(np.diff(clean.xyt[:, :2], axis=0), axis=1)
     return ScoreReport(
         tuple(found), estimate or "text files", ", ".join(sorted(truths)), align, limits, count_missing,
-        np.concatenate(([0.0], np.cumsum(steps))), clean.xyt[:, :2], tuple(_notes(found, truths, align)),
+        np.concatenate(([0.0], np.cumsum(steps))), clean.xyt[:, :2], tuple(_notes(found, truths, frames, align)),
     )  # fmt: skip
 
 
@@ -312,7 +314,7 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
         reason = f"more than {limits.lost_m:g} m off from {failure.t_s:.1f} s ({failure.distance_m:.1f} m) on"
     if errors.coverage < limits.least_coverage:
         lost = f"; before that {reason}" if reason else ""
-        status, reason = "partial", f"covers {errors.coverage:.0%} of the path{lost}"
+        status, reason = "partial", f"covers {100.0 * errors.coverage:.0f} % of the path{lost}"
     kept = np.unique(np.linspace(0, len(errors.t_s) - 1, _KEPT).astype(int))
     return replace(
         blank, status=status, reason=reason, metrics=errors.metrics(), failure=failure, coverage=errors.coverage,
@@ -321,13 +323,19 @@ def _judged(blank: RunScore, errors: PathErrors, limits: Limits) -> RunScore:
     )  # fmt: skip
 
 
-def _notes(runs: Sequence[RunScore], truths: set[str], align: Alignment) -> list[str]:
+def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], align: Alignment) -> list[str]:
     """Return what concerns all runs: frames, alignment and what was left out while reading."""
     notes = []
     frames = sorted({run.frame for run in runs if run.metrics})
     if len(frames) > 1:
         notes.append(f"the estimates are in different frames: {', '.join(repr(frame) for frame in frames)}")
-    if align == "none":
+    own = {frame for frame in frames if frame}
+    if align == "none" and own and true_frames and own != true_frames:
+        told = " and ".join(", ".join(sorted(names)) for names in (own, true_frames))
+        notes.append(
+            f"not aligned, although the estimate and the truth are in frames called {told}; are they the same?"
+        )
+    elif align == "none":
         notes.append("not aligned: estimate and truth are taken to be in one frame")
     if any(name.endswith("clean.tum") for name in truths):
         notes.append("truth: the odometry before it was corrupted; name a topic with --truth where that is no truth")

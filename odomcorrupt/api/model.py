@@ -1,0 +1,308 @@
+"""Motion models: noise with alphas, systematic effects, the model file; and a path of numbers corrupted by one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import ArrayLike, NDArray
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.model import motion_model
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.model.noise_laws import Law
+
+__all__ = ["Model", "ModelLike", "Noise", "as_model"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Noise of a motion model, as its source writes it.
+
+    Alphas of different laws are not interchangeable: under `diffusion` each is the standard deviation after one metre
+    or one radian, under `linear` (MRPT) that of one step over its motion, under `quadratic` (nav2's amcl) the variance
+    over the squared motion.
+
+    Parameters
+    ----------
+    alpha : sequence of float or str
+        rot_rot, rot_trans, trans_trans, trans_rot (alpha1 to alpha4), and more where the law has more; metres and
+        radians. Text may say an angle, as in "5deg" (after one radian) or "10deg/m" (after one metre).
+    law : str
+        diffusion, linear, quadratic, velocity or omni.
+    step : str, optional
+        Stretch of path that a law of steps is applied to, as in "0.25m,0.2rad"; by default once per message.
+    twist_noise : (float, float), optional
+        White noise on every twist, m/s and rad/s.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.Noise(alpha=(0.05, "2deg/m", 0.05, 0.01)).law
+    'diffusion'
+
+    """
+
+    alpha: Sequence[float | str] = (0.0, 0.0, 0.0, 0.0)
+    law: str = "diffusion"
+    step: str | None = None
+    twist_noise: tuple[float, float] | None = None
+
+    def as_motion_noise(self) -> motion_model.Noise:
+        """Return the law and its coefficients.
+
+        Raises
+        ------
+        ModelError
+            Where there is no such law, or a number makes no sense in it.
+
+        """
+        from odomcorrupt.model import motion_model
+        from odomcorrupt.model.noise_laws import law_named
+
+        law = law_named(self.law)
+        names = law.alphas + ("",) * len(self.alpha)
+        values = [_coefficient(value, name, law) for value, name in zip(self.alpha, names, strict=False)]
+        coefficients = law.coefficients(values)
+        if self.twist_noise is not None:
+            white_v, white_omega = self.twist_noise
+            coefficients = replace(coefficients, white_v=white_v, white_omega=white_omega)
+        step = None if self.step is None else motion_model.Step.parse(self.step)
+        return motion_model.Noise(law.name, coefficients, step)
+
+
+def _coefficient(value: float | str, name: str, law: Law) -> float:
+    """Return a coefficient; angles are taken where an angle is meant, and after what it is meant."""
+    from odomcorrupt.model.motion_model import parse_alpha
+
+    if not isinstance(value, str):
+        return float(value)
+    number = parse_alpha(value)
+    unit = next((unit for unit in ("deg", "rad") if unit in value.split("/", maxsplit=1)[0]), None)
+    after = value.partition("/")[2]
+    cause = "m" if name.endswith("_trans") else "rad"
+    if unit is not None and law.degree == 1:
+        raise ModelError(f"{name}: {value}; alphas of the law {law.name} scale variances, write them without a unit")
+    if unit is not None and name and not name.startswith("rot_"):
+        raise ModelError(f"{name}: {value} is an angle, and it is metres; write a number")
+    if after and name and after != cause:
+        raise ModelError(f"{name}: {value}; it is caused per {cause}, and not per {after}")
+    return number
+
+
+class Model:
+    """A robot's motion model: noise, systematic effects, and what a fit knows of its measurement.
+
+    Parameters
+    ----------
+    noise : Noise, optional
+        None: no noise at all.
+    effects : sequence of str or Effect
+        Systematic errors, as in "unequal_wheels:curvature=0.005" or "wheelbase:e=1%"; of a name alone, the typical
+        size is taken.
+    track_m : float, optional
+        Nominal distance between the wheels, metres; effects of single wheels need it.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)), effects=["wheelbase:e=1%"])
+    <Model: law diffusion, rot_rot 0.05 rot_trans 0.02 trans_trans 0.05 trans_rot 0.01; effects wheelbase (e 0.01)>
+
+    """
+
+    __slots__ = ("motion_model", "origin")
+
+    motion_model: MotionModel
+    """The numbers themselves."""
+    origin: str
+    """Where they come from, in words; "" where the user gave them."""
+
+    def __init__(
+        self, noise: Noise | None = None, *, effects: Sequence[str | Effect] = (), track_m: float | None = None
+    ) -> None:
+        from odomcorrupt.model import motion_model
+
+        self.motion_model = motion_model.MotionModel((noise or Noise()).as_motion_noise(), track_m=track_m)
+        self.origin = ""
+        if effects:
+            added = self.with_effects(effects)
+            self.motion_model, self.origin = added.motion_model, added.origin
+
+    @classmethod
+    def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
+        """Return a motion model of the library, and where its numbers come from."""
+        model = cls.__new__(cls)
+        model.motion_model, model.origin = motion_model, origin
+        return model
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Model:
+        """Return the model in a file, as `fit`, `learn` and `presets` write it.
+
+        Raises
+        ------
+        ModelError
+            Where the file is no model; the message says what is wrong with it.
+
+        """
+        from odomcorrupt.model.model_file import read_model
+
+        return cls.of(read_model(Path(fspath(path))), f"of {fspath(path)}")
+
+    @classmethod
+    def preset(cls, name: str = "typical") -> Model:
+        """Return ready-made noise by name: typical, article, or one fitted to a real robot."""
+        from odomcorrupt.model.motion_model import MotionModel
+        from odomcorrupt.model.presets import preset_named
+
+        preset = preset_named(name)
+        return cls.of(MotionModel(preset.noise), f"preset {preset.name}: {preset.source}")
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the model as TOML, which a person reads and edits; return the path."""
+        from odomcorrupt.files import refuse_existing, write_text
+        from odomcorrupt.model.model_file import format_model
+
+        target = Path(fspath(path))
+        refuse_existing(target, overwrite=overwrite)
+        write_text(target, format_model(self.motion_model))
+        return target
+
+    def with_effects(self, effects: Sequence[str | Effect]) -> Model:
+        """Return this model with effects added, each as text or as an effect of the library."""
+        from odomcorrupt.model.effect_notation import parse_effect
+
+        found, assumed = [], []
+        for given in effects:
+            if isinstance(given, str):
+                written = parse_effect(given)
+                found.append(written.effect)
+                assumed += [f"{written.effect.name} at its typical size, {written.assumed}"] if written.assumed else []
+            else:
+                found.append(given)
+        robot = replace(self.motion_model, effects=(*self.motion_model.effects, *found))
+        return Model.of(robot, "; ".join(part for part in (self.origin, *assumed) if part))
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Systematic and random effects, in the model's order."""
+        return self.motion_model.effects
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Every number by name: coefficients that are not zero, then "effect.parameter"."""
+        from odomcorrupt.effects.effect import parameters
+
+        noise = self.motion_model.noise
+        numbers = {name: getattr(noise.coefficients, name) for name in noise.coefficients.__slots__}
+        own = {f"{e.name}.{p.name}": getattr(e, p.name) for e in self.effects for p in parameters(e)}
+        return {name: value for name, value in numbers.items() if value or name in noise.law.alphas} | own
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the parameters that a fit made, by the same names."""
+        return dict(self.motion_model.standard_errors)
+
+    def corrupt_path(
+        self, t_s: ArrayLike, xy_yaw: ArrayLike, *, seed: int, runs: int = 1, first_run: int = 0
+    ) -> NDArray[Any]:
+        """Return noisy odometry of a path, as corruption of a bag with these stamps draws it.
+
+        Parameters
+        ----------
+        t_s : (n,)
+            Times, seconds, ascending.
+        xy_yaw : (n, 3)
+            Clean poses: x and y in metres, heading in radians (wrapped or not).
+        seed : int
+            Of all draws: the same seed and run give the same path as `corrupt` and the command line.
+        runs, first_run : int
+            How many runs, and the number of the first one.
+
+        Returns
+        -------
+        ndarray, shape (runs, n, 3)
+            Noisy poses, metres and radians; headings continue those given.
+
+        Raises
+        ------
+        ModelError
+            Where the arrays are no path.
+
+        Examples
+        --------
+        >>> import numpy as np, odomcorrupt as oc
+        >>> t = np.arange(0.0, 10.0, 0.1)
+        >>> model = oc.Model(oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01)))
+        >>> model.corrupt_path(t, np.column_stack((0.3 * t, 0 * t, 0 * t)), seed=3, runs=50).shape
+        (50, 100, 3)
+
+        """
+        import numpy as np
+
+        from odomcorrupt.corruption.path import NoisyPath
+
+        times, poses = np.asarray(t_s, dtype=np.float64), np.asarray(xy_yaw, dtype=np.float64)
+        if times.ndim != 1 or poses.shape != (len(times), 3):
+            raise ModelError(f"a path: times {times.shape} and poses {poses.shape}; give shapes (n,) and (n, 3)")
+        if not (np.isfinite(times).all() and np.isfinite(poses).all()):
+            raise ModelError("a path: not all of its times and poses are finite numbers")
+        if not (np.diff(times) > 0.0).all():
+            raise ModelError("a path: its times do not ascend; sort them and drop repeats first")
+        if runs < 1:
+            raise ModelError(f"runs: {runs}; draw one or more")
+        stamps_ns = np.rint(times * 1e9).astype(np.int64)
+        noisy = np.empty((runs, *poses.shape))
+        for i in range(runs):
+            noisy[i] = poses + NoisyPath(self.motion_model, seed, first_run + i).feed(stamps_ns, poses).error_xyt
+        return noisy
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Model) and self.motion_model == other.motion_model
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        from odomcorrupt.corruption.summary import model_words
+
+        words = model_words(self.motion_model, self.origin)
+        return f"<Model: {words[0].lower()}{words[1:]}>"
+
+
+ModelLike = Model | Noise | str | PathLike[str]
+"""A model, noise alone, a model file (.toml), or the name of a preset."""
+
+
+def as_model(given: ModelLike | MotionModel | None) -> Model:
+    """Return the model that is meant; None is the preset `typical`.
+
+    Raises
+    ------
+    ModelError
+        Where text names neither a model file nor a preset.
+
+    """
+    if isinstance(given, Model):
+        return given
+    if isinstance(given, Noise):
+        return Model(given)
+    if given is None:
+        return Model.preset()
+    if isinstance(given, str | PathLike):
+        from odomcorrupt.model.presets import PRESETS
+
+        name = fspath(given)
+        if name in PRESETS:
+            return Model.preset(name)
+        if not name.endswith(".toml") and not Path(name).exists():
+            raise ModelError(f"{name}: no model file and no preset; presets are {', '.join(PRESETS)}")
+        return Model.load(name)
+    return Model.of(given)

@@ -1,0 +1,317 @@
+"""One motion: where it may have ended, and how likely an end pose is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from odomcorrupt.api.model import as_model
+from odomcorrupt.api.result import Result
+from odomcorrupt.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike, NDArray
+
+    from odomcorrupt.api.model import ModelLike
+    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.noise_laws import Variances
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.sampling.density import DensityGrid
+    from odomcorrupt.sampling.samples import Move
+    from odomcorrupt.sampling.text import Drawn
+
+__all__ = ["Density", "Samples", "density", "sample"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Samples(Result):
+    """End poses drawn for one motion.
+
+    drawn : the motion, its noise, the samples and where they come from
+    space : the free space that they had to stay in, None without a map
+    """
+
+    drawn: Drawn
+    space: FreeSpace | None = None
+
+    @property
+    def xyt(self) -> NDArray[Any]:
+        """End poses, shape (count, 3), metres and radians; headings are not wrapped."""
+        return self.drawn.xyt
+
+    @property
+    def seed(self) -> int:
+        """Seed of the draws."""
+        return self.drawn.seed
+
+    def summary(self) -> Summary:
+        """Return mean and spread of the samples beside those of the linearised model."""
+        from odomcorrupt.sampling.text import brief
+
+        return brief(self.drawn)
+
+    def details(self) -> str:
+        """Return motion, noise, and both covariances."""
+        from odomcorrupt.sampling.text import report_text
+
+        return report_text(self.drawn)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return motion, noise, moments and samples."""
+        from odomcorrupt.sampling.text import json_text
+
+        return {"schema": 2, **json.loads(json_text(self.drawn))}
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each sample."""
+        return [dict(zip(("x_m", "y_m", "theta_rad"), map(float, row), strict=True)) for row in self.xyt]
+
+    def _figure(self) -> Figure:
+        """Return the samples with the ellipse of a Kalman filter."""
+        from odomcorrupt.report.plots.samples import draw_banana
+        from odomcorrupt.sampling.text import title
+
+        return draw_banana(self.drawn.move, self.drawn.variances, self.xyt, title(self.drawn), self.space)
+
+
+def sample(
+    start_xyt: Sequence[float],
+    end_xyt: Sequence[float],
+    *,
+    model: ModelLike | None = None,
+    count: int = 1000,
+    seed: int | None = None,
+    within: MapCondition | None = None,
+    article_code: bool = False,
+) -> Samples:
+    """Draw where one motion may have ended.
+
+    Parameters
+    ----------
+    start_xyt, end_xyt : (3,)
+        Odometry before and after the motion, metres and radians.
+    model : Model, Noise, path of a model file or name of a preset, optional
+        Noise; by default the preset `typical`. Effects act along a drive and are refused.
+    count : int
+        How many samples.
+    seed : int, optional
+        Of the draws; by default one is drawn, and the result has it.
+    within : MapCondition, optional
+        Free space that samples must end in.
+    article_code : bool
+        Square the standard deviations, as the listing of the article from 2018 does.
+
+    Returns
+    -------
+    Samples
+        `xyt` has shape (count, 3).
+
+    Raises
+    ------
+    ModelError
+        Where the model has effects, or its noise goes with time.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> oc.sample((0, 0, 0), (1, 0.35, 0.7), count=500, seed=1).xyt.shape
+    (500, 3)
+
+    """
+    from odomcorrupt.rng import draw_seed, stream
+    from odomcorrupt.sampling.samples import move_sampled
+    from odomcorrupt.sampling.text import Drawn
+
+    chosen = as_model(model)
+    move, variances = _motion(start_xyt, end_xyt, chosen.motion_model, article_code=article_code)
+    drawn_seed = draw_seed() if seed is None else seed
+    rng = stream(drawn_seed, 0, "sample")
+    notes: tuple[str, ...] = ()
+    if within is None:
+        xyt = move_sampled(move, variances, count, rng)
+    else:
+        from odomcorrupt.mapping.conditioned import move_sampled_in_map
+
+        free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
+        xyt, notes = free.xyt, (free.account(),)
+    noise = chosen.motion_model.noise
+    drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, article_code, notes)
+    return Samples(drawn, None if within is None else within.space)
+
+
+def _motion(
+    start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any, *, article_code: bool
+) -> tuple[Move, Variances]:
+    import numpy as np
+
+    from odomcorrupt.sampling.samples import move_between, move_variances
+
+    if model.effects:
+        raise ModelError("effects act along a drive, one motion has no time: corrupt a path, or leave them out")
+    start, end = (np.asarray(pose, dtype=np.float64) for pose in (start_xyt, end_xyt))
+    if start.shape != (3,) or end.shape != (3,):
+        raise ModelError(f"poses of shapes {start.shape} and {end.shape}; give x, y and heading of each")
+    move = move_between(start, end, arc=model.noise.law.arc)
+    return move, move_variances(model.noise, move, article_code=article_code)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Density(Result):
+    """Density of end poses of one motion, in closed form.
+
+    poses : (n, 3) where it was asked for, metres and radians
+    values : (n,) there; 1/(m^2 rad) of a density of poses, 1/(m rad^2) of the product
+    reading : "pose", "product" or "hypothetical"
+    grid : over x and y, the heading summed up
+    within, free_part : the map that it respects, and which part of the density without the map is free
+    """
+
+    poses: NDArray[Any]
+    values: NDArray[Any]
+    reading: str
+    grid: DensityGrid
+    move: Move
+    variances: Variances
+    law: str
+    free_part: float = 1.0
+    within: MapCondition | None = None
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return "1/(m^2 rad)" if self.reading == "pose" else "1/(m rad^2)"
+
+    def _sentences(self) -> list[str]:
+        import math
+
+        said = [
+            f"at ({x:g} m, {y:g} m, {math.degrees(t):g} deg): {value:.6g} {self.unit}"
+            for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
+        ]
+        if self.within is not None:
+            said.append(f"{100.0 * self.free_part:.4g} % of it is free in the map, by which it is divided")
+        meaning = "one is a density" if self.reading == "pose" else "the product is not a density over poses"
+        return [*said, f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"]
+
+    def summary(self) -> Summary:
+        """Return the density at each pose, and its integral over all."""
+        from odomcorrupt.report.text.summary import Line, Summary
+
+        return Summary((Line("DENSITY", self.law), *(Line("", sentence) for sentence in self._sentences())))
+
+    def details(self) -> str:
+        """Return the same, with the noise in full."""
+        return "\n".join([f"noise: {self.law}", *self._sentences()])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return poses, values and the integral."""
+        return {
+            "schema": 2,
+            "reading": self.reading,
+            "unit": self.unit,
+            "law": self.law,
+            "integral": self.grid.integral,
+            "at": self.rows(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each pose."""
+        return [
+            {"x_m": x, "y_m": y, "theta_rad": t, "density": value}
+            for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
+        ]
+
+    def _figure(self) -> Figure:
+        """Return the density beside a thousand samples of seed 0."""
+        return self.draw_beside(1000, 0)
+
+    def draw_beside(self, count: int, seed: int) -> Figure:
+        """Return the density beside samples of the same motion."""
+        from odomcorrupt.report.plots.density import draw_density
+        from odomcorrupt.rng import stream
+        from odomcorrupt.sampling.samples import move_sampled
+
+        xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
+        if self.within is not None:
+            starts = self.move.start_xyt[:2] + 0.0 * xyt[:, :2]
+            xyt = xyt[self.within.space.allows(starts, xyt[:, :2], self.within.check)]
+        name = "Density of end poses" if self.reading == "pose" else f"p1 p2 p3 ({self.reading}) at end poses"
+        per_area = "density (1/m^2)" if self.reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
+        title = f"{name}: {self.law.partition(' (')[0]}, samples of seed {seed}"
+        return draw_density(self.move, self.grid, xyt, title, per_area)
+
+
+def density(
+    start_xyt: Sequence[float],
+    end_xyt: Sequence[float],
+    poses: ArrayLike = (),
+    *,
+    model: ModelLike | None = None,
+    reading: Literal["pose", "product", "hypothetical"] = "pose",
+    article_code: bool = False,
+    within: MapCondition | None = None,
+) -> Density:
+    """Return how likely end poses of one motion are: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
+
+    Parameters
+    ----------
+    start_xyt, end_xyt : (3,)
+        Odometry before and after the motion, metres and radians.
+    poses : (n, 3)
+        Where to evaluate it.
+    model : Model, Noise, path of a model file or name of a preset, optional
+        Noise; by default the preset `typical`.
+    reading : {"pose", "product", "hypothetical"}
+        A density over poses; the product of the densities of rot1, trans and rot2 of the lecture; or the same with
+        the variances of the motion to each pose, as table 5.5 of the book prints it.
+    article_code : bool
+        As in `sample`.
+    within : MapCondition, optional
+        Zero where a map is not free, and divided by its integral over what is.
+
+    Returns
+    -------
+    Density
+        `values` at the poses, and a grid with its integral.
+
+    Raises
+    ------
+    ModelError
+        Where the noise gives no density, as without any noise of the travel.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> round(oc.density((0, 0, 0), (1, 0, 0), [(1, 0, 0)], model="typical").grid.integral, 3)
+    1.0
+
+    """
+    import numpy as np
+
+    from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
+    from odomcorrupt.sampling.text import law_words
+
+    chosen = as_model(model).motion_model
+    move, variances = _motion(start_xyt, end_xyt, chosen, article_code=article_code)
+
+    def density_of(xyt: NDArray[Any]) -> NDArray[Any]:
+        if reading == "hypothetical":
+            return hypothetical(xyt, move, chosen.noise)
+        return (pose_density if reading == "pose" else product)(xyt, move, variances)
+
+    at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    values = density_of(at)
+    grid = density_on_grid(move, variances, density_of=density_of)
+    part = 1.0
+    if within is not None:
+        start_xy = move.start_xyt[:2]
+        grid, part = within_map(grid, within.space, start_xy, within.check)
+        free = within.space.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2], within.check)
+        values = np.where(free, values / part, 0.0)
+    law = law_words(chosen.noise, article_code=article_code)
+    return Density(at, values, reading, grid, move, variances, law, part, within)

@@ -1,0 +1,235 @@
+"""Recordings of simulated robots whose faults are known to a file beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from odomcorrupt.api.result import Result
+from odomcorrupt.errors import EffectError, OdomCorruptError
+from odomcorrupt.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.simulation.record import SimulatedRun
+
+__all__ = ["Simulation", "simulate"]
+
+_HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
+"""Sources of heading, as users and as the simulator call them."""
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Simulation(Result):
+    """A simulated recording, and what is wrong with its robot.
+
+    target, answer_path : the bag, and the file with the answer; None where nothing was written
+    answer_text : that file's text
+    settings : robot, route, duration and so on, as the file has them
+    recording : odometry and truth as arrays
+    bag : the bag's bytes
+    """
+
+    target: Path | None
+    answer_path: Path | None
+    answer_text: str
+    settings: Mapping[str, str | float]
+    recording: SimulatedRun
+    bag: bytes
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """What is wrong with the robot: causes and their parameters."""
+        return self.recording.answer
+
+    @property
+    def track_m(self) -> float:
+        """Nominal distance between the wheels, metres."""
+        return self.recording.track_m
+
+    def summary(self) -> Summary:
+        """Return what was recorded, and where its answer is."""
+        from odomcorrupt.report.text.summary import Line, Summary, command_line
+
+        name = "stdout" if self.target is None else str(self.target)
+        lines = [
+            Line("RECORDED", f"{self.settings['duration_s']:g} s of /odom and /ground_truth in {name}", "good"),
+            Line("robot", f"heading from {self.settings['heading']}, nominal track {self.track_m} m"),
+        ]
+        if self.answer_path is not None:
+            lines.append(Line("answer", f"what is wrong with it is in {self.answer_path}"))
+        if self.target is not None:
+            lines.append(command_line(["odomcorrupt", "learn", name, "--track", self.track_m, "-o", "robot.toml"]))
+        return Summary(tuple(lines))
+
+    def details(self) -> str:
+        """Return what was recorded in a sentence."""
+        name = "stdout" if self.target is None else str(self.target)
+        return (
+            f"{name}: {self.settings['duration_s']:g} s of /odom and /ground_truth, heading from "
+            f"{self.settings['heading']}, nominal track {self.track_m} m; what is wrong is in {self.answer_path}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings and the files; the answer stays in its file."""
+        return {
+            "schema": 2,
+            "output": None if self.target is None else str(self.target),
+            "answer": None if self.answer_path is None else str(self.answer_path),
+            "track_m": self.track_m,
+            **self.settings,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the odometry: a row for each message."""
+        run = self.recording
+        return [
+            {"stamp_ns": int(stamp), "x_m": float(x), "y_m": float(y), "yaw_rad": float(yaw)}
+            for stamp, (x, y, yaw) in zip(run.odom_stamps_ns, run.odom_xyt, strict=True)
+        ]
+
+    def _figure(self) -> Figure:
+        """Return the true path and that of the odometry."""
+        from odomcorrupt.geometry.se2 import between, compose
+        from odomcorrupt.report.plots.corruption import draw_corruption
+
+        run = self.recording
+        odometry = compose(run.truth_xyt[0], between(run.odom_xyt[:1], run.odom_xyt))
+        name = "simulation" if self.target is None else self.target.name
+        rows = [int(i * (len(odometry) - 1) / (len(run.truth_xyt) - 1)) for i in range(len(run.truth_xyt))]
+        return draw_corruption(run.truth_xyt, odometry[rows], name, names=("truth", "odometry"))
+
+
+def simulate(
+    target: str | PathLike[str] | None = None,
+    *,
+    effects: Sequence[str] = (),
+    parameters: Mapping[str, Mapping[str, float | str]] | None = None,
+    size: float = 1.0,
+    seed: int = 0,
+    robot: int | None = None,
+    route: str = "office",
+    drive: str | PathLike[str] | None = None,
+    truth: Literal["mocap", "rtk"] = "mocap",
+    heading: Literal["wheels", "gyro"] | None = None,
+    drive_type: Literal["differential", "skid"] = "differential",
+    duration_s: float | None = None,
+    answer: str | PathLike[str] | None = None,
+    overwrite: bool = False,
+) -> Simulation:
+    """Record a simulated robot with a hidden or a chosen fault, from its wheels, ground, sensors and clocks.
+
+    Parameters
+    ----------
+    target : path, optional
+        MCAP to write; its answer goes beside it. None writes nothing.
+    effects : sequence of str
+        Names of faults; none: hidden ones are drawn; ("none",): a robot without any.
+    parameters : mapping, optional
+        Parameters of faults by their names, instead of drawn ones.
+    size : float
+        Multiplies the magnitude of a drawn fault.
+    seed, robot : int
+        Seeds of the drive with its noise, and of the robot with its fault; the robot's is by default the drive's.
+    route : str
+        office, loops, shuttle, slalom, yard or umbmark.
+    drive : path, optional
+        Bag whose /cmd_vel it follows instead, as `diagnose --drive` writes it.
+    truth : {"mocap", "rtk"}
+        Who watches.
+    heading : {"wheels", "gyro"}, optional
+        Source of its heading; by default what the fault needs.
+    drive_type : {"differential", "skid"}
+        Kind of machine.
+    duration_s : float, optional
+        Seconds; by default 600, or as long as `drive`.
+    answer : path, optional
+        File for the answer.
+    overwrite : bool
+        Whether existing files are replaced.
+
+    Returns
+    -------
+    Simulation
+        The recording and its answer.
+
+    Raises
+    ------
+    EffectError
+        Where a fault is not known, or does not show with this source of heading.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> run = oc.simulate(effects=["wheelbase"], seed=3, duration_s=20.0)
+    >>> run.answer["cause"]
+    'wheelbase'
+
+    """
+    require("scipy", "the study needs it", "study")
+    import io
+
+    from odomcorrupt.files import refuse_existing, write_bytes, write_text
+    from odomcorrupt.simulation.bag import write_mcap
+    from odomcorrupt.simulation.commands import read_commands
+    from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
+    from odomcorrupt.simulation.record import fingerprint, format_answer
+    from odomcorrupt.simulation.run import Scenario
+    from odomcorrupt.simulation.run import simulate as simulate_run
+
+    path = None if target is None else Path(fspath(target))
+    secret = None if path is None else path.with_suffix(".answer.toml")
+    secret = secret if answer is None else Path(fspath(answer))
+    for file in (path, secret):
+        refuse_existing(file, overwrite=overwrite)
+    source = _HEADINGS[heading] if heading else None
+    robot_seed = seed if robot is None else robot
+    if not effects:
+        hidden = draw_causes(robot_seed, source)
+    elif tuple(effects) == ("none",):
+        hidden = Hidden((), source or "encoders")
+    else:
+        causes = names_of(list(effects))
+        hidden = Hidden(causes, source or source_of_turns(causes))
+        for name in causes:
+            if hidden.yaw_from not in EVERY[name].shows_with:
+                raise EffectError(f"{name}: does not show with heading {heading}; choose the other source")
+    commands = None if drive is None else read_commands(Path(fspath(drive)))
+    seconds = duration_s or (600.0 if commands is None else commands.duration_s)
+    if not 1.0 <= seconds <= 1e6:
+        raise OdomCorruptError(f"duration: {seconds:g} s; simulate from 1 to 1e6 s")
+    scenario = Scenario(
+        duration_s=seconds,
+        size=size,
+        truth=truth,
+        parameters=parameters or {},
+        route=commands or route,
+        yaw_from=hidden.yaw_from,
+        robot_seed=robot,
+        drive_type=drive_type,
+        home=route,
+    )
+    run = simulate_run(seed, hidden.causes, scenario)
+    settings: dict[str, str | float] = {
+        "robot": robot_seed,
+        "route": route if drive is None else Path(fspath(drive)).name,
+        "duration_s": seconds,
+        "truth": truth,
+        "heading": next(name for name, own in _HEADINGS.items() if own == hidden.yaw_from),
+        "drive_type": drive_type,
+        "size": size,
+    }
+    text = format_answer(run, seed, settings)
+    bag = io.BytesIO()
+    write_mcap(run, bag, metadata={"answer_sha256": fingerprint(text)})
+    if secret is not None:
+        write_text(secret, text)
+    if path is not None:
+        write_bytes(path, bag.getvalue())
+    return Simulation(path, secret, text, settings, run, bag.getvalue())

@@ -1,0 +1,76 @@
+"""How a bag came about, as this program noted it in the bag: seed, run, version and model of earlier corruptions."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from odomcorrupt.bags.block import Block
+
+__all__ = ["NAME", "ProvenanceWatcher", "mapping_of"]
+
+NAME = "odomcorrupt"
+"""Of the metadata record of an MCAP, and the prefix of keys in a rosbag2's custom_data."""
+
+
+class ProvenanceWatcher:
+    """Looks at blocks as they go by, and collects what earlier corruptions noted; a ROS 1 bag has no place for it.
+
+    watch : also called with every block
+    """
+
+    def __init__(self, watch: Callable[[Block], None] = lambda _: None) -> None:
+        self._watch = watch
+        self._found: list[dict[str, str]] = []
+
+    def __call__(self, block: Block) -> None:
+        """Take note of a block."""
+        if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
+            content = block.data.tobytes()[RECORD_HEADER_BYTES:]
+            try:
+                if _name_of(content) == NAME:
+                    self._found.append(mapping_of(content))
+            except (struct.error, UnicodeDecodeError, ValueError):
+                pass  # somebody else's record of this name
+        self._watch(block)
+
+    def provenance(self, source: Path | None) -> tuple[dict[str, str], ...]:
+        """Return what was noted, the latest corruption last; of a rosbag2 directory, what its metadata.yaml says."""
+        if self._found or source is None or not source.is_dir():
+            return tuple(self._found)
+        from odomcorrupt.bags.rosbag2.metadata import read_info  # noqa: PLC0415 - YAML is slow to import
+
+        path = source / "metadata.yaml"
+        try:
+            if f"{NAME}." not in path.read_text(encoding="utf8"):
+                return ()
+            custom = read_info(path).get("custom_data") or {}
+        except (OSError, ValueError, BagError):
+            return ()
+        own = {str(key)[len(NAME) + 1 :]: str(v) for key, v in custom.items() if str(key).startswith(f"{NAME}.")}
+        return (own,) if own else ()
+
+
+def _name_of(content: bytes) -> str:
+    (size,) = struct.unpack_from("<I", content)
+    return content[4 : 4 + size].decode()
+
+
+def mapping_of(content: bytes) -> dict[str, str]:
+    """Return the strings of a metadata record's content, by their keys."""
+    words: list[str] = []
+    at = 4 + struct.unpack_from("<I", content)[0]
+    at += 4
+    while at < len(content):
+        (size,) = struct.unpack_from("<I", content, at)
+        words.append(content[at + 4 : at + 4 + size].decode())
+        at += 4 + size
+    return dict(zip(words[::2], words[1::2], strict=True))

@@ -1,0 +1,196 @@
+"""Options that every command has: -v, -q, --json, --config; how results are printed; defaults from odomcorrupt.toml."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import json
+import os
+import pkgutil
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from odomcorrupt import commands
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from odomcorrupt.api.result import Result
+    from odomcorrupt.report.text.summary import Summary
+
+__all__ = ["CONFIG", "Voice", "chosen_output", "output_option", "overwrite_option", "standard_options"]
+
+CONFIG = "odomcorrupt.toml"
+"""Defaults are read from this file where it is in the working directory."""
+_LIMIT_BYTES = 1 << 20
+_DEFAULTS = "odomcorrupt.defaults"
+"""Where a context keeps the name of that file, and of the options that it set."""
+_WIDTH = 80
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """How much a command says: eight lines, everything, nothing, or JSON."""
+
+    verbose: bool = False
+    quiet: bool = False
+    as_json: bool = False
+
+    def tell(self, result: Result, *, err: bool = False) -> None:
+        """Print a result.
+
+        Parameters
+        ----------
+        result : what was computed
+        err : whether it goes to stderr, because stdout may carry a bag
+        """
+        if self.as_json:
+            self.say("", "", result.to_dict(), err=err)
+        elif self.verbose:
+            self.say("", result.details(), None, err=err)
+        elif not self.quiet:
+            self.say(result.summary(), "", None, err=err)
+
+    def say(self, brief: Summary | str, details: str, values: Any, *, err: bool = False) -> None:
+        """Print a result that is a summary, a text and values."""
+        if self.as_json:
+            click.echo(json.dumps(values, indent=2, allow_nan=False), err=err)
+        elif self.verbose:
+            click.echo(details, err=err)
+        elif not self.quiet:
+            stream = sys.stderr if err else sys.stdout
+            width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 24)).columns) if stream.isatty() else _WIDTH
+            click.echo(brief if isinstance(brief, str) else brief.text(width, colour=_colours(stream)), err=err)
+
+    def note(self, sentence: str) -> None:
+        """Print a sentence on stderr, unless nothing is to be said."""
+        if not self.quiet:
+            click.echo(sentence, err=True)
+
+    def detail(self, sentence: str) -> None:
+        """Print a sentence on stderr where everything is to be said."""
+        if self.verbose:
+            click.echo(sentence, err=True)
+
+
+def _colours(stream: Any) -> bool:
+    """Tell whether a stream shows colours and the user wants them (https://no-color.org)."""
+    return bool(stream.isatty()) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add -v, -q, --json and --config; the command gets the first three as one `voice`."""
+
+    @functools.wraps(command)
+    def with_voice(*args: Any, verbose: bool, quiet: bool, as_json: bool, **given: Any) -> Any:
+        if quiet and verbose:
+            raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
+        voice = Voice(verbose, quiet, as_json)
+        file, names = click.get_current_context().meta.get(_DEFAULTS, ("", ()))
+        if file:
+            voice.note(f"defaults from {file}: {', '.join(names)}")
+        return command(*args, voice=voice, **given)
+
+    decorated: Callable[..., Any] = with_voice
+    for option in (
+        click.option(
+            "--config",
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            is_eager=True,
+            expose_value=False,
+            callback=_read_defaults,
+            help=f"File with defaults of options. [default: {CONFIG}, where there is one]",
+        ),
+        click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds."),
+        click.option("-q", "--quiet", is_flag=True, help="Print no result."),
+        click.option("-v", "--verbose", is_flag=True, help="Print everything that is known."),
+    ):
+        decorated = option(decorated)
+    return decorated
+
+
+def overwrite_option(what: str = "an existing output") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the option by which outputs are replaced."""
+    return click.option("--overwrite", "--force", "overwrite", is_flag=True, help=f"Replace {what}.")
+
+
+def output_option(metavar: str = "OUTPUT") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return -o, which says the same as the last argument."""
+    return click.option("-o", "output_option", metavar=metavar, type=click.Path(), help=f"The same as {metavar}.")
+
+
+def chosen_output(argument: str | None, option: str | None, metavar: str = "OUTPUT") -> str:
+    """Return the output that an argument or -o names."""
+    if argument is not None and option is not None:
+        raise click.UsageError(f"{metavar} and -o: both name the output; give one of them")
+    chosen = option if argument is None else argument
+    if chosen is None:
+        raise click.UsageError(f"Missing argument '{metavar}'.")
+    return str(chosen)
+
+
+def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) -> None:
+    """Set a command's defaults from a file: top-level keys for every command that has them, then its own table."""
+    file = Path(CONFIG) if path is None else path
+    if ctx.resilient_parsing or (path is None and not file.is_file()):
+        return
+    table = _table(file)
+    name = ctx.command.name or ""
+    known = _names(ctx.command)
+    commands_known = _command_names()
+    defaults: dict[str, Any] = {}
+    for key, value in table.items():
+        option = key.replace("_", "-")
+        if isinstance(value, dict):
+            if key not in commands_known:
+                raise click.UsageError(f"{file}: [{key}] is no command; there are {', '.join(commands_known)}")
+        elif option in known:
+            defaults[known[option]] = value
+        elif option not in _options_of_all():
+            raise click.UsageError(f"{file}: {key}: no command has this option")
+    for key, value in table.get(name, {}).items():
+        option = key.replace("_", "-")
+        if option not in known:
+            raise click.UsageError(f"{file}: [{name}] {key}: is no option; there are {', '.join(sorted(known))}")
+        defaults[known[option]] = value
+    if defaults:
+        joined = {key: " ".join(map(str, value)) if key == "alpha" and isinstance(value, list) else value
+                  for key, value in defaults.items()}  # fmt: skip
+        ctx.default_map = {**(ctx.default_map or {}), **joined}
+        ctx.meta[_DEFAULTS] = (str(file), tuple(sorted(defaults)))
+
+
+def _table(file: Path) -> Mapping[str, Any]:
+    import tomllib
+
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise click.UsageError(f"{file}: cannot be read ({error.strerror})") from error
+    if len(data) > _LIMIT_BYTES:
+        raise click.UsageError(f"{file}: more than {_LIMIT_BYTES} bytes; that is no file of defaults")
+    try:
+        return tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise click.UsageError(f"{file}: not valid TOML ({error})") from error
+
+
+def _names(command: click.Command) -> dict[str, str]:
+    """Return a command's long options, without dashes, and what its function calls them."""
+    options = (p for p in command.params if isinstance(p, click.Option) and p.expose_value)
+    return {word[2:]: p.name or "" for p in options for word in p.opts if word.startswith("--")}
+
+
+def _command_names() -> list[str]:
+    found: Iterable[str] = (info.name for info in pkgutil.iter_modules(commands.__path__))
+    return [name.replace("_", "-") for name in sorted(found) if not name.startswith("_")]
+
+
+def _options_of_all() -> set[str]:
+    modules = (importlib.import_module(f"{commands.__name__}.{n.replace('-', '_')}") for n in _command_names())
+    return {name for module in modules for name in _names(module.command)}

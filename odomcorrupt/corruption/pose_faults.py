@@ -1,0 +1,103 @@
+"""What makes poses and transforms mean nothing for a robot on a plane: said of a bag, whoever looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["FAR_M", "PoseFaults", "frame_faults"]
+
+FAR_M = 1e9
+"""Where no robot is: a pose so far away is no number of use."""
+
+_STEEP = float(np.sin(np.deg2rad(85.0)))
+"""Sine of a pitch at which the body's x axis points up or down, and the heading is an accident."""
+
+
+@dataclass(slots=True)
+class PoseFaults:
+    """Counts poses of an odometry topic.
+
+    no_orientation : quaternions that are zero
+    upright : pitches beyond 85 deg
+    far : positions beyond `FAR_M`
+    """
+
+    no_orientation: int = 0
+    upright: int = 0
+    far: int = 0
+
+    def take(self, position: Array, quat_xyzw: Array) -> None:
+        """Look at poses: position (n, 3) metres, quat_xyzw (n, 4)."""
+        with np.errstate(all="ignore"):
+            length2 = (quat_xyzw * quat_xyzw).sum(axis=1)
+            x, y, z, w = quat_xyzw.T
+            sine = np.abs(2.0 * (w * y - z * x))
+            self.no_orientation += _count(length2 == 0.0)
+            self.upright += _count((length2 > 0.0) & (sine > _STEEP * length2))
+            self.far += _count((np.abs(position[:, :2]) >= FAR_M).any(axis=1) & np.isfinite(position).all(axis=1))
+
+    def sentences(self) -> list[str]:
+        """Return what is to be said, without a full stop."""
+        said = []
+        if self.no_orientation:
+            said.append(f"{self.no_orientation} orientations are zero: their heading is taken as 0")
+        if self.upright:
+            said.append(f"{self.upright} poses pitch beyond 85 deg: their heading means nothing")
+        if self.far:
+            said.append(f"{self.far} poses are beyond {FAR_M:.0e} m: not used, and left alone")
+        return said
+
+
+def _count(which: NDArray[np.bool_] | np.bool_) -> int:
+    return int(np.count_nonzero(which))
+
+
+def frame_faults(edges: Iterable[tuple[str, str]], odom: str | None, base: str | None) -> list[str]:
+    """Return what is wrong with a bag's tree of frames, in sentences without a full stop.
+
+    edges : parent and child of every transform
+    odom, base : frames of the odometry
+    """
+    said = []
+    if odom is not None and odom == base:
+        said.append(f"the odometry is from {odom} to {base}, one frame: a robot has a frame of its own")
+    parents: dict[str, set[str]] = {}
+    for parent, child in edges:
+        parents.setdefault(child, set()).add(parent)
+    for child, above in sorted(parents.items()):
+        if len(above) > 1 and not any(child in parents.get(one, ()) for one in above):
+            said.append(f"TF gives {child} {len(above)} parents ({', '.join(sorted(above)[:6])}): it can have one")
+    loop = _loop(parents)
+    if loop:
+        said.append(f"TF has a loop: {' -> '.join(loop)}")
+    return said
+
+
+def _loop(parents: dict[str, set[str]]) -> list[str]:
+    """Return the frames of one loop, the first of them again at the end; none where there is none."""
+    done: set[str] = set()
+    for first in sorted(parents):
+        path: list[str] = []
+        ways = [iter(sorted(parents.get(first, ())))]
+        path.append(first)
+        while path and first not in done:
+            above = next(ways[-1], None)
+            if above is None:
+                done.add(path.pop())
+                ways.pop()
+            elif above in path:
+                return [above, *reversed(path[path.index(above) :])]
+            elif above not in done:
+                path.append(above)
+                ways.append(iter(sorted(parents.get(above, ()))))
+    return []

@@ -1,0 +1,74 @@
+"""Effects as a person writes them: "wheelbase:e=1%", "slip_burst", "my_file.Wobble:size=0.1"."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.effects import effect_at, effect_named, effect_of
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.errors import EffectError, ModelError
+from odomcorrupt.model.motion_model import parse_alpha
+
+if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect
+
+__all__ = ["WrittenEffect", "parse_effect"]
+
+_PERCENT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*%\s*\Z")
+
+
+class WrittenEffect(NamedTuple):
+    """An effect as it was written, and what was assumed where nothing was.
+
+    assumed : sizes that were not given and are the typical ones, as in "curvature 0.005 1/m"; "" where all were given
+    """
+
+    effect: Effect
+    assumed: str
+
+
+def parse_effect(text: str) -> WrittenEffect:
+    """Return the effect written as NAME or NAME:key=value,key=value, NAME being one of the library or module.Class.
+
+    Values are numbers, per cent where a parameter has no unit (1%), or angles (5deg). Without any amplitude the effect
+    has its typical size.
+
+    Raises
+    ------
+    EffectError
+        Where the name or a parameter is not known, or a value makes no sense.
+
+    """
+    name, _, rest = text.partition(":")
+    name = name.strip()
+    if "=" in name:
+        known, _, value = name.partition("=")
+        key = parameters(effect_named(known))[0].name
+        raise EffectError(f"effect {text}: parameters follow a colon and a name; write {known}:{key}={value}")
+    kind = effect_at(name) if "." in name else effect_named(name)
+    words = choices(kind)
+    units = {p.name: p.unit for p in parameters(kind)}
+    values: dict[str, float | str] = {}
+    for part in rest.split(",") if rest else ():
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals:
+            raise EffectError(f"effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01")
+        values[key] = value if key in words else _number(text, part, value, units.get(key, ""))
+    typical = {p.name: p.typical for p in amplitudes(kind)}
+    if typical.keys().isdisjoint(values):
+        assumed = ", ".join(f"{p.name} {p.typical:g} {p.unit}".strip() for p in amplitudes(kind))
+        return WrittenEffect(effect_of(kind, {**typical, **values}), assumed)
+    return WrittenEffect(effect_of(kind, values), "")
+
+
+def _number(text: str, part: str, value: str, unit: str) -> float:
+    percent = _PERCENT.match(value)
+    if percent is not None:
+        if unit:
+            raise EffectError(f"effect {text}: {part!r} is a share, and it is given in {unit}; write a number")
+        return float(percent[1]) / 100.0
+    try:
+        return parse_alpha(value)
+    except ModelError:
+        raise EffectError(f"effect {text}: {part!r} is not key=number; write as in wheel_scale:e=0.01") from None

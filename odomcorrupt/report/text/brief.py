@@ -1,0 +1,199 @@
+"""What a study found, in eight lines: verdict, findings with their sizes, held-out errors, and what to type next."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import TYPE_CHECKING
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.report.text.comparison import measures_words
+from odomcorrupt.report.text.confidence import (
+    clocks_found,
+    law_numbers,
+    noise_sure,
+    step_sure,
+    sure_words,
+    told_expression,
+    twins_of,
+)
+from odomcorrupt.report.text.diagnosis import dependence
+from odomcorrupt.report.text.lack_of_fit import size
+from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
+from odomcorrupt.study.validate.agreement import agreement_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.report.text.summary import Tone
+    from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.validate.compare import Comparison
+
+__all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
+
+_SHOWN_MODELS = 4
+"""Models of a comparison that have a line each."""
+
+
+def readings(name: str) -> str:
+    """Return an effect's name with its twin: one error with two readings, which no recording can tell apart."""
+    twins = twins_of(name)
+    return f"{name} (= {', '.join(twins)})" if twins else name
+
+
+def findings_brief(
+    search: Learned,
+    advice: Advice,
+    comparison: Comparison,
+    *,
+    fit: Fit | None = None,
+    notes: Sequence[str] = (),
+    following: Line | None = None,
+) -> Summary:
+    """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
+
+    Parameters
+    ----------
+    search, advice : what was found, and what the data leave open
+    comparison : the models that were judged; the first one without what was found
+    fit : the final fit, where it is not the search's own
+    notes : what reading the recordings noticed
+    following : the command to type next
+    """
+    lines = _found_lines(search, fit or search.fit)
+    verdict, tone = _verdict(search, comparison)
+    first = lines[0].text if lines else "nothing that is known would explain more than chance does"
+    lines = [Line(verdict, first, tone), *lines[1:]]
+    lines += _open_lines(advice)
+    held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
+    if len(comparison.judgements) > 1:
+        agreement = agreement_of(comparison)
+        mixed: Tone = {"better": "good", "mixed": "warning", "worse": "bad"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
+        lines.insert(_effects_of(search), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
+    elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
+        change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
+        lines.insert(1, Line("errors", f"10 s error {change} with the clock set right"))
+    last = comparison.judgements[-1]
+    if last.verdict.rejected and not search.unknown:
+        worst = last.verdict.against[0]
+        lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
+    if notes:
+        lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
+    return Summary((*lines, *([following] if following else [])))
+
+
+def _effects_of(search: Learned) -> int:
+    return max(len(search.added), 1)
+
+
+def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
+    if search.unknown and not search.laws:
+        return "UNKNOWN", "warning"
+    if search.added or search.noise or search.laws or any(clocks_found(search.clocks)):
+        mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
+        return "MISSING", "warning" if mixed else "good"
+    return "COMPLETE", "good"
+
+
+def _found_lines(search: Learned, fit: Fit) -> list[Line]:
+    """Return a line for each effect, dependence, noise and clock that was found, effects first."""
+    errors = iter(fit.standard_errors)
+    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
+    lines = []
+    for step in search.steps:
+        if step.added is not None and step.added in own:
+            values = ", ".join(numbers_text(*own[step.added]))
+            said = f"{readings(step.added)}  {values}  {sure_words(step_sure(step, search))}"
+            lines.append(Line("", said + _rivals(step)))
+    for unknown in search.unknown[:2]:
+        expression = told_expression(unknown, law_numbers(unknown, search, fit))
+        lines.append(Line("", f"{dependence(unknown)}: {expression}"))
+    for gain in search.noise:
+        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {sure_words(noise_sure(gain, search))}"
+        lines.append(Line("noise", said))
+    names = [r.name for r in search.fit.problem.recordings]
+    for one in clocks_found(search.clocks):
+        value = (
+            value_text(one.value, one.error, "s")
+            if one.name == "time_offset"
+            else f"{one.value * 1e6:.0f} +- {one.error * 1e6:.2g} ppm"
+        )
+        lines.append(Line("clock", f"{one.name} {value} in {names[one.recording]}"))
+    lines += [
+        Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): was something changed?", "warning")
+        for one in search.disagreements
+    ]
+    return lines
+
+
+def _rivals(step: Step) -> str:
+    twins = twins_of(step.added or "")
+    rivals = [name for name in step.alternatives if name not in twins]
+    return f", or {', '.join(rivals)}" if rivals else ""
+
+
+def _open_lines(advice: Advice) -> list[Line]:
+    # twins are one error with two readings, and nothing is open between them
+    rivals = [c for c in advice.choices if set(c.names[1:]) - set(twins_of(c.names[0]))]
+    if not rivals:
+        return []
+    names = "; ".join(" or ".join(choice.names) for choice in rivals)
+    told = any(choice.plan is not None for choice in rivals)
+    return [Line("open", f"{names}{': --drive NEXT.mcap writes the drive that tells' if told else ''}", "warning")]
+
+
+def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
+    """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
+    last = comparison.judgements[-1]
+    if len(comparison.judgements) == 1:
+        words = "is rejected by these data" if last.verdict.rejected else "explains these data"
+        first = Line("REJECTED" if last.verdict.rejected else "HOLDS", f"{last.name} {words}",
+                     "bad" if last.verdict.rejected else "good")  # fmt: skip
+    else:
+        agreement = agreement_of(comparison)
+        label = {"better": "BETTER", "worse": "WORSE", "same": "SAME", "mixed": "MIXED"}[agreement.verdict]
+        tone: Tone = {"better": "good", "worse": "bad", "mixed": "warning"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
+        first = Line(label, f"{last.name}: {measures_words(comparison)}", tone)
+    lines = [first]
+    if isfinite(comparison.raw_error_m):
+        lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as it came"))
+    shown = comparison.judgements[-_SHOWN_MODELS:]
+    for judgement in shown:
+        rejected = "rejected" if judgement.verdict.rejected else "not rejected"
+        said = (
+            f"{judgement.name}: 10 s error {size('along', judgement.ten_second_error_m)}, "
+            f"{judgement.nats.per_m:.4g} nats/m, {rejected}"
+        )
+        lines.append(Line("model" if judgement is shown[0] else "", said))
+    if last.failures:
+        from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
+
+        lines.append(Line("fails", sentence(last.failures[0]), "warning"))
+    return Summary((*lines, *([following] if following else [])))
+
+
+def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
+    """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
+    fit = result.fit
+    law = fit.problem.approach.law_name
+    names = ", ".join(r.name for r in fit.problem.recordings)
+    error = size("along", result.ten_second_error_m)
+    lines = [Line("FITTED", f"{names}: 10 s error {error} on the fitted data", "good")]
+    k = fit.noise.coefficients
+    numbers = [f"{i.name} {getattr(k, i.name):.3g}" for i in result.intervals if i.identifiable]
+    lines.append(Line("noise", f"law {law}: {', '.join(numbers) or 'nothing identifiable'}"))
+    hidden = [i.name for i in result.intervals if not i.identifiable]
+    if hidden:
+        lines.append(Line("", f"not identifiable from this drive: {', '.join(hidden)}", "warning"))
+    errors = iter(fit.standard_errors)
+    for effect in fit.effects:
+        own = [float(next(errors)) for _ in amplitudes(effect)]
+        kind = "set-up" if effect.kind == "setup" else "effect"
+        lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, own))}"))
+    for one in clocks_found(result.clocks):
+        value = value_text(one.value, one.error, "s") if one.name == "time_offset" else f"{one.value * 1e6:.0f} ppm"
+        lines.append(Line("clock", f"{one.name} {value} in {fit.problem.recordings[one.recording].name}"))
+    return Summary((*lines, *([following] if following else [])))

@@ -1,0 +1,114 @@
+"""A result in at most eight aligned lines of 80 columns: the verdict first, the command to type next last."""
+
+from __future__ import annotations
+
+import html
+import shlex
+import textwrap
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = ["MOST_LINES", "WIDTH", "Line", "Summary", "Tone", "command_line"]
+
+MOST_LINES = 8
+"""Lines of a summary: as many as are read without scrolling or searching."""
+WIDTH = 80
+"""Columns of a summary, where a terminal has as many."""
+
+Tone = Literal["plain", "good", "warning", "bad", "command"]
+"""What a line means, for colours: a command is never shortened."""
+
+_COLOURS = {"good": "\x1b[32m", "warning": "\x1b[33m", "bad": "\x1b[31m", "command": "\x1b[36m", "plain": "\x1b[1m"}
+_RESET = "\x1b[0m"
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A label and what it labels; the label may be empty below another one."""
+
+    label: str
+    text: str
+    tone: Tone = "plain"
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The lines of a summary: the verdict is the first one, a command the last one."""
+
+    lines: tuple[Line, ...]
+
+    def text(self, width: int = WIDTH, *, colour: bool = False) -> str:
+        """Return the summary as text.
+
+        Parameters
+        ----------
+        width : int
+            Columns; a command is folded with backslashes, so that it can be pasted.
+        colour : bool
+            Whether labels have the ANSI colour of their tone.
+
+        Returns
+        -------
+        str
+            At most `MOST_LINES` lines; where findings are left out, one says so.
+
+        """
+        indent = max((len(line.label) for line in self.lines), default=0) + 2
+        blocks = [(line, _folded(line, max(width - indent, 24))) for line in self.lines]
+        kept = _within(blocks)
+        rows = []
+        for line, parts in kept:
+            for number, part in enumerate(parts):
+                label = f"{line.label if not number else '':<{indent}}"
+                if colour and not number and line.label:
+                    label = f"{_COLOURS[line.tone]}{label}{_RESET}"
+                rows.append(f"{label}{part}".rstrip())
+        return "\n".join(rows)
+
+    def html(self) -> str:
+        """Return the summary as a table for a notebook."""
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(line.label)}</th>"
+            f"<td style='text-align:left'>{html.escape(line.text)}</td></tr>"
+            for line in self.lines
+        )
+        return f"<table>{rows}</table>"
+
+    @property
+    def headline(self) -> str:
+        """The verdict on one line, for a repr."""
+        first = self.lines[0]
+        return f"{first.label} {first.text}".strip()
+
+
+def _folded(line: Line, width: int) -> list[str]:
+    if line.tone != "command":
+        return textwrap.wrap(line.text, width) or [""]
+    parts = textwrap.wrap(line.text, width - 2, break_long_words=False, break_on_hyphens=False)
+    return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
+
+
+def _within(blocks: Sequence[tuple[Line, list[str]]]) -> list[tuple[Line, list[str]]]:
+    """Keep what fits into `MOST_LINES`: the first line, the command at the end, and of the rest what comes first."""
+    if sum(len(parts) for _, parts in blocks) <= MOST_LINES:
+        return list(blocks)
+    commands = [block for block in blocks if block[0].tone == "command"]
+    others = [block for block in blocks if block[0].tone != "command"]
+    room = MOST_LINES - sum(len(parts) for _, parts in commands) - 1
+    kept = []
+    for line, parts in others:
+        if len(parts) > room:
+            break
+        kept.append((line, parts))
+        room -= len(parts)
+    left = len(others) - len(kept)
+    more = Line("", f"and {left} more: -v shows all")
+    return [*kept, (more, [more.text]), *commands]
+
+
+def command_line(words: Sequence[object]) -> Line:
+    """Return the line with the command to type next."""
+    return Line("next", shlex.join(map(str, words)), "command")

@@ -1,0 +1,150 @@
+"""From recordings to a robot's model: search, experiment design, fit, and comparison on held-out recordings.
+
+Clocks come first: they are estimated once, by the search, and every later step is given them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING
+
+from odomcorrupt.study.design.advise import Advice, advise
+from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
+from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.validate.compare import Comparison, compare
+from odomcorrupt.study.validate.held_out import keep_what_holds
+from odomcorrupt.study.validate.model_sequence import ladder_comparison
+from odomcorrupt.study.validate.round_trip import RoundTrip, proved
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.stepwise import Learned
+
+__all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "Watch", "diagnose_model", "learn_robot"]
+
+LAW = "diffusion"
+"""Noise law of what is learned: the only one whose drift does not depend on the message rate."""
+
+Watch = Callable[[str, float], None]
+"""Called before each stage with its name and the share of the work that is done."""
+
+
+def _silent(_stage: str, _share: float) -> None:
+    """Take no note."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
+class LearnedRobot:
+    """What was learned of a robot.
+
+    recordings, held_out : what the model was fitted to, and what it was judged on; the same where nothing was held out
+    search : effects, noise and dependences that were found, and those that were tested
+    advice : what these data leave open, and which drive would settle it
+    base, robot : the fits without effects and with all that was found
+    proof : the model as it can be used: read back, corrected and corrupted with
+    dropped : sentences of what was found, but is not in the model because held-out data speak against it
+    comparison : both, judged on the held-out recordings or by cross-validation
+    """
+
+    recordings: Sequence[Recording]
+    held_out: Sequence[Recording]
+    search: Learned
+    advice: Advice
+    base: RobotFit
+    robot: RobotFit
+    proof: RoundTrip
+    dropped: tuple[str, ...]
+    comparison: Comparison
+
+    @property
+    def sequence(self) -> Comparison:
+        """The models before each addition and the last one, judged alike; computed when it is first asked for."""
+        return _sequence(self)
+
+
+def learn_robot(
+    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = _silent
+) -> LearnedRobot:
+    """Return the model that recordings of one robot support, and how it does on recordings it was not fitted to.
+
+    Parameters
+    ----------
+    recordings : runs of one robot, each with a clock of its own
+    held_out : to judge the model on; without any it is cross-validated on halves of the recordings
+    watch : called before each stage
+    """
+    watch("search for missing effects", 0.0)
+    search, parts = keep_what_holds(learn(recordings), held_out)
+    watch("what the data leave open", 0.6)
+    advice = advise(search)
+    watch("fit", 0.8)
+    base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
+    random = [gain.effect for gain in search.noise]
+    found = (*search.fit.effects, *random)
+    robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
+    proof = proved(robot.model, recordings)
+    models = {"without effects": base.model}
+    names = [*search.added, *(one.title for one in search.laws), *(effect.name for effect in random)]
+    if names:
+        models["with " + ", ".join(names)] = proof.model
+    watch("comparison on held-out data", 0.9)
+    judged_on = held_out or recordings
+    return LearnedRobot(
+        recordings=recordings,
+        held_out=judged_on,
+        search=search,
+        advice=advice,
+        base=base,
+        robot=robot,
+        proof=proof,
+        dropped=tuple(part.remark for part in parts if part.harm),
+        comparison=compare(judged_on, models),
+    )
+
+
+@cache
+def _sequence(learned: LearnedRobot) -> Comparison:
+    return ladder_comparison(learned.search, learned.held_out)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class DiagnosedModel:
+    """What a model misses.
+
+    search : effects, noise and dependences that were found, and those that were tested
+    advice : what these data leave open, and which drive would settle it
+    sequence : the model and what each addition makes of it, cross-validated
+    """
+
+    search: Learned
+    advice: Advice
+    sequence: Comparison
+
+
+def diagnose_model(
+    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = _silent
+) -> DiagnosedModel:
+    """Return what a model misses on recordings; None is noise alone.
+
+    The set-up of the model (lever arm, mounting) is refitted with it, since it belongs to the recordings.
+
+    Parameters
+    ----------
+    recordings : runs of one robot
+    model : what is known of it
+    name : what to call it
+    watch : called before each stage
+    """
+    start = () if model is None else (*model.effects, *model.setup.effects)
+    watch("search for missing effects", 0.0)
+    search = learn(recordings, start, law_name=LAW if model is None else model.noise.law_name)
+    watch("what the data leave open", 0.6)
+    advice = advise(search)
+    watch("comparison of the additions", 0.8)
+    sequence = ladder_comparison(search, recordings, name or "without effects")
+    return DiagnosedModel(search=search, advice=advice, sequence=sequence)

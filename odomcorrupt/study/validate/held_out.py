@@ -1,0 +1,176 @@
+"""Whether each part of a learned model holds on data that it was not fitted on; what does plainly worse is dropped.
+
+Every effect, law and random gain of the model is taken out in turn, the rest refitted, and both judged on the same
+windows and intervals of held-out data: other recordings of the robot, or else the two halves of the fitted ones, each
+judged by a fit of the other. Differences are paired, so that what is hard for both counts for neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import FitError, RecordingError
+from odomcorrupt.study.estimate.calibrate import model_of
+from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.estimate.windows import phased_misses
+from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.validate.compare import clocks_beside
+from odomcorrupt.study.validate.cross_validation import cutting_of
+from odomcorrupt.study.validate.evaluation import evaluate_stretch
+from odomcorrupt.study.validate.log_score import block_differences
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.clock import Clock
+    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.validate.evaluation import Evaluation
+
+__all__ = ["HeldOut", "keep_what_holds"]
+
+_PLAIN = 2.0
+"""Standard errors beyond which a paired difference is no chance."""
+_WORSE = {"factor": 1.02, "plain": 1.15, "errors": _PLAIN}
+"""When a 10 s error is plainly larger than another one, see `Drift.worse_than`."""
+_FEWEST_BLOCKS = 6
+"""Blocks of 15 s that it takes to say of a likelihood that it is plainly worse."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """What held-out data say of one part of a model.
+
+    nats, error : log likelihood that the part gains on them, and its standard error from blocks of the drive
+    ten_second_error_m : without it, and with it
+    harm : what it makes plainly worse, in words; "" where nothing
+    """
+
+    name: str
+    nats: float
+    error: float
+    ten_second_error_m: tuple[float, float]
+    harm: str
+
+    @property
+    def remark(self) -> str:
+        """Why the part is not in the model, in a sentence."""
+        return f"{self.name} was found, but is not in the model: on held-out data {self.harm}"
+
+
+def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
+    """Return what was learned without the parts that held-out data speak plainly against, and what they say of each.
+
+    Parameters
+    ----------
+    learned : from the search
+    others : recordings of the same robot that were not searched, if there are any
+
+    """
+    fitted, said = learned.fit, list[HeldOut]()
+    clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
+    while True:
+        parts = _parts(fitted)
+        found = _test(fitted, parts, others, clocks) if parts else []
+        worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
+        if worst is None:
+            said += [one for _, one in found]
+            break
+        said.append(worst[1])
+        fitted = _without(fitted, worst[0])
+    learned = replace(learned, held_out={one.name: (one.nats, one.error) for one in said})
+    if fitted is learned.fit:
+        return learned, tuple(said)
+    kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
+    fitted = with_robust_errors(fitted, kept)
+    laws = tuple(one for one in learned.laws if one.name in kept)
+    noise = tuple(gain for gain in learned.noise if gain.effect.name not in WANDERING or gain.effect.name in kept)
+    return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
+
+
+def _parts(fitted: Fit) -> list[Effect]:
+    return [*(effect for effect in fitted.effects if effect.kind != "setup"), *fitted.random]
+
+
+def _without(fitted: Fit, part: Effect) -> Fit:
+    return fitted.refit(
+        [e for e in fitted.effects if e is not part], random=[e for e in fitted.random if e is not part]
+    )
+
+
+def _test(
+    fitted: Fit, parts: Sequence[Effect], others: Sequence[Recording], clocks: Sequence[Clock]
+) -> list[tuple[Effect, HeldOut]]:
+    """Return what held-out data say of each part; nothing where there are too few of them."""
+    folds = _folds(fitted, others, clocks)
+    try:
+        whole = [judged for fold in folds for judged in fold.judged(fitted, None)]
+        return [
+            (part, _verdict(part, whole, [judged for fold in folds for judged in fold.judged(fitted, part)]))
+            for part in parts
+        ]
+    except FitError:
+        return []
+
+
+@dataclass(frozen=True, slots=True)
+class _Fold:
+    """Recordings to fit on, their clocks right (none: the fit of all stands as it is), and those to judge on."""
+
+    train: tuple[Recording, ...]
+    test: tuple[Recording, ...]
+
+    def judged(self, fitted: Fit, part: Effect | None) -> list[Evaluation]:
+        """Return the model without a part, judged on this fold."""
+        if self.train:
+            own = fit(
+                self.train,
+                [e for e in fitted.effects if e is not part],
+                approach=fitted.problem.approach,
+                start=fitted.noise.free,
+                random=[e for e in fitted.random if e is not part],
+                nearly=True,
+            )
+        else:
+            own = fitted if part is None else _without(fitted, part)
+        model = model_of(own, own.random)
+        return [evaluate_stretch(r, model, fitted.problem.approach, refitted=bool(self.train)) for r in self.test]
+
+
+def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) -> list[_Fold]:
+    if others:
+        return [_Fold((), tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
+    problem = fitted.problem
+    on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
+    try:
+        cutting = cutting_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
+    except RecordingError:  # too short to be halved
+        return []
+    pieces = [run for run in cutting.pieces(on_time) if run.second]
+    first = tuple(r for run in pieces for r in run.first)
+    second = tuple(r for run in pieces for r in run.second)
+    return [_Fold(first, second), _Fold(second, first)]
+
+
+def _verdict(part: Effect, whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
+    with_it, base = (Drift(tuple(phased_misses([piece.left for piece in pieces]))) for pieces in (whole, without))
+    gains = block_differences(whole, without)
+    nats = float(gains.sum())
+    error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
+    farther = with_it.worse_than(base, **_WORSE)
+    unlikelier = len(gains) >= _FEWEST_BLOCKS and nats < -_PLAIN * error
+    closer = base.worse_than(with_it, **_WORSE)
+    harm = ""
+    if farther:
+        harm = f"the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
+    elif unlikelier and not closer:
+        harm = f"the model is {-nats:.0f} nats less likely with it"
+    return HeldOut(part.name, nats, error, (base.rmse, with_it.rmse), harm)

@@ -1,0 +1,134 @@
+"""The Python interface: instant to import, complete, and the same numbers as the command line."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import odomcorrupt as oc
+from odomcorrupt.cli import run
+from odomcorrupt.errors import ModelError, OdomCorruptError
+from odomcorrupt.trajectories.reader import read_drive
+
+ROOT = Path(__file__).parent.parent.parent
+OFFICE = ROOT / "fixtures" / "office.mcap"
+NOISE = oc.Noise(alpha=(0.05, 0.02, 0.05, 0.01))
+
+
+def test_the_import_brings_nothing_heavy():
+    code = "import sys, odomcorrupt; print({'numpy', 'scipy', 'click', 'pandas', 'matplotlib'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_every_public_name_can_be_had_and_no_other():
+    assert set(oc.__all__) <= set(dir(oc))
+    for name in oc.__all__:
+        assert getattr(oc, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'corupt'"):
+        oc.corupt  # noqa: B018 - the access is the test
+
+
+def test_functions_stay_functions_when_rooms_are_imported():
+    for room in ("corruption.run", "correction.run", "batching.plan", "simulation.run"):
+        importlib.import_module(f"odomcorrupt.{room}")
+    assert all(callable(getattr(oc, name)) for name in ("corrupt", "correct", "batch", "simulate"))
+
+
+def test_the_bytes_are_those_of_the_command_line(tmp_path):
+    ours, theirs = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    done = oc.corrupt(str(OFFICE), ours, model=NOISE, seed=7, run=2)
+    assert (
+        run([str(OFFICE), str(theirs), "-q", "--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "--run", "2"])
+        == 0
+    )
+    assert ours.read_bytes() == theirs.read_bytes()
+    assert (done.seed, done.run, done.moved["/odom"]) == (7, 2, 3000)
+
+
+def test_a_path_of_numbers_is_corrupted_as_the_bag_is(tmp_path):
+    target = tmp_path / "noisy.mcap"
+    model = oc.Model(NOISE, effects=["unequal_wheels:curvature=0.005"])
+    oc.corrupt(OFFICE, target, model=model, seed=3)
+    clean, noisy = read_drive(OFFICE, None), read_drive(target, None)
+    ours = model.corrupt_path(clean.stamps_ns * 1e-9 - clean.stamps_ns[0] // 10**9, clean.xyt, seed=3, runs=2)
+    assert ours.shape == (2, len(clean), 3)
+    np.testing.assert_allclose(ours[0], noisy.xyt, atol=2e-6)
+    assert np.abs(ours[1] - ours[0]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("t", "poses", "said"),
+    [
+        ([0.0, 1.0], np.zeros((3, 3)), "give shapes"),
+        ([0.0, 0.0], np.zeros((2, 3)), "do not ascend"),
+        ([0.0, 1.0], np.full((2, 3), np.nan), "finite"),
+    ],
+)
+def test_what_is_no_path_is_refused(t, poses, said):
+    with pytest.raises(ModelError, match=said):
+        oc.Model(NOISE).corrupt_path(t, poses, seed=1)
+
+
+def test_a_model_comes_back_from_its_file(tmp_path):
+    model = oc.Model(NOISE, effects=["wheelbase:e=1%"], track_m=0.3)
+    assert oc.Model.load(model.save(tmp_path / "robot.toml")) == model
+    assert model.parameters["wheelbase.e"] == 0.01
+    with pytest.raises(OdomCorruptError, match="exists already"):
+        model.save(tmp_path / "robot.toml")
+    with pytest.raises(ModelError, match="no model file and no preset"):
+        oc.corrupt(OFFICE, tmp_path / "x.mcap", model="typpical")
+
+
+def test_an_option_that_is_none_is_named(tmp_path):
+    with pytest.raises(TypeError, match="keep_thruth: no such option"):
+        oc.corrupt(OFFICE, tmp_path / "x.mcap", keep_thruth="/t")
+
+
+def test_a_result_is_small_to_print_and_whole_as_values(tmp_path):
+    done = oc.corrupt(OFFICE, tmp_path / "a.mcap", model=NOISE, seed=7)
+    lines = str(done).splitlines()
+    assert len(lines) <= 8
+    assert max(map(len, lines[:-2])) <= 80
+    assert len(repr(done)) < 120
+    assert "<table>" in done._repr_html_()
+    assert json.loads(json.dumps(done.to_dict()))["seed"] == 7
+    assert done.rows()[0]["drawn_m"] == pytest.approx(done.drift.end_drawn_m)
+
+
+def test_pandas_is_imported_for_a_table_only(tmp_path):
+    pandas = pytest.importorskip("pandas")
+    done = oc.corrupt(OFFICE, tmp_path / "a.mcap", model=NOISE, seed=7)
+    assert isinstance(done.to_pandas(), pandas.DataFrame)
+
+
+def test_corrupting_again_is_said(tmp_path, capsys):
+    oc.corrupt(OFFICE, tmp_path / "a.mcap", model=NOISE, seed=7)
+    again = oc.corrupt(tmp_path / "a.mcap", tmp_path / "b.mcap", model=NOISE, seed=8)
+    assert again.earlier[0]["seed"] == "7"
+    assert "was corrupted before (seed 7" in str(again)
+    assert run(["info", str(tmp_path / "b.mcap"), "--json"]) == 0
+    assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
+
+
+@pytest.mark.parametrize("module", ["api.model", "api.motion", "api.corruption", "api.simulation"])
+def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
+    (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
+    monkeypatch.chdir(tmp_path)
+    failed, tried = doctest.testmod(importlib.import_module(f"odomcorrupt.{module}"), optionflags=doctest.ELLIPSIS)
+    assert (failed, tried > 0) == (0, True)
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
+    (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
+    monkeypatch.chdir(tmp_path)
+    for module in ("api.recordings", "api.study"):
+        assert doctest.testmod(importlib.import_module(f"odomcorrupt.{module}")).failed == 0

@@ -1,0 +1,117 @@
+"""Poses and frames that mean nothing are said, by what looks at a bag and by what corrupts it."""
+
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bagged import ODOM, TF, odometry, quaternion, transforms
+from drives import office
+from mcap.writer import Writer
+
+from odomcorrupt.cli import run
+from odomcorrupt.corruption.pose_faults import PoseFaults, frame_faults
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7")
+
+
+def test_orientations_of_no_length_and_upright_ones_are_counted():
+    quats = np.array([[0, 0, 0, 0], [0, 0, 0, 1], quaternion(1.0, 0.2, np.pi / 2), 3 * quaternion(1.0, 0.0, -1.55)])
+    faults = PoseFaults()
+    faults.take(np.array([[0, 0, 0], [1e15, 0, 0], [0, -2e9, 0], [np.nan, 0, 0]], dtype=float), quats.astype(float))
+    assert (faults.no_orientation, faults.upright, faults.far) == (1, 2, 2)
+    faults.take(np.zeros((2, 3)), np.array([quaternion(2.0, 1.0, 1.0), [np.nan] * 4]))
+    assert (faults.no_orientation, faults.upright, faults.far) == (1, 2, 2)
+
+
+TREES = {
+    "sound": ([("map", "odom"), ("odom", "base"), ("base", "laser")], []),
+    "sound, the other way round": ([("base", "odom"), ("odom", "map")], []),
+    "two parents": ([("map", "base"), ("odom", "base")], ["TF gives base 2 parents (map, odom): it can have one"]),
+    "loop": ([("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")], ["TF has a loop: a -> b -> c -> a"]),
+    "to and fro": ([("odom", "base"), ("base", "odom")], ["TF has a loop: base -> odom -> base"]),
+    "itself": ([("odom", "odom")], ["TF has a loop: odom -> odom"]),
+}
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_trees_of_frames_that_are_none_are_said(name):
+    edges, said = TREES[name]
+    assert frame_faults(edges, "odom", "base") == said
+
+
+def test_a_long_chain_and_many_parents_take_no_time():
+    chain = [(f"f{k}", f"f{k + 1}") for k in range(3000)]
+    assert frame_faults(chain, None, None) == []
+    web = [(f"f{k}", f"f{j}") for k in range(40) for j in range(k + 1, 40)]
+    assert len(frame_faults(web, None, None)) == 38
+
+
+@pytest.fixture
+def odd(tmp_path):
+    """Write a drive with a pose of no orientation, one upright, one far away, and a loop of frames."""
+    t, poses = office(20.0, 20.0)
+    poses = poses.copy()
+    poses[50, 0] = 1e15
+    path = tmp_path / "in.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        ids = {}
+        for topic, kind in (("/odom", ODOM.msgtype), ("/tf", TF.msgtype)):
+            ids[topic] = writer.register_channel(topic, "cdr", writer.register_schema(kind, "ros2msg", b""))
+        for number, (stamp, pose) in enumerate(zip(t, poses, strict=True)):
+            data = odometry(stamp, pose)
+            for row, quat in ((60, np.zeros(4)), (70, quaternion(0.3, 0.0, np.pi / 2))):
+                if number == row:
+                    data = data.replace(quaternion(pose[2]).astype("<f8").tobytes(), quat.astype("<f8").tobytes())
+            writer.add_message(ids["/odom"], int(stamp), data, int(stamp))
+        for stamp in t[:3]:
+            edges = [(stamp, "odom", "base_link", np.zeros(3)), (stamp, "map", "base_link", np.zeros(3))]
+            edges += [(stamp, "base_link", "laser", np.zeros(3)), (stamp, "laser", "map", np.zeros(3))]
+            for edge in edges:
+                writer.add_message(ids["/tf"], int(stamp), transforms(edge), int(stamp))
+        writer.finish()
+    return path
+
+
+SAID = (
+    "1 orientations are zero: their heading is taken as 0",
+    "1 poses pitch beyond 85 deg: their heading means nothing",
+    "1 poses are beyond 1e+09 m: not used, and left alone",
+    "TF gives base_link 2 parents (map, odom): it can have one",
+    "TF has a loop: base_link -> laser -> map -> base_link",
+)
+
+
+def test_info_and_the_summary_say_them(odd, tmp_path, capsys):
+    assert run(["info", str(odd)]) == 0
+    seen = capsys.readouterr().out
+    assert run([str(odd), str(tmp_path / "out.mcap"), *NOISE]) == 0
+    moved = capsys.readouterr().err
+    for sentence in SAID:
+        assert sentence in seen, seen
+        assert f"{sentence[0].upper()}{sentence[1:]}." in moved, moved
+    assert "are not numbers" not in moved + seen
+
+
+def test_one_frame_for_odom_and_base_is_said(tmp_path, capsys):
+    words = ["--base-frame", "odom"]
+    assert run(["info", str(FIXTURES / "office.mcap"), *words]) == 0
+    assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), *words, *NOISE]) == 0
+    said = capsys.readouterr()
+    assert "the odometry is from odom to odom, one frame" in said.out
+    assert "The odometry is from odom to odom, one frame" in said.err
+
+
+def test_a_log_time_before_1970_is_no_time_of_an_mcap(tmp_path, capsys):
+    path = tmp_path / "in.db3"
+    path.write_bytes((FIXTURES / "office_ros2" / "office_ros2.db3").read_bytes())
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE messages SET timestamp = -5 WHERE rowid = 3")
+    assert run([str(path), str(tmp_path / "out.mcap"), *NOISE]) == 1
+    assert "log time -5 ns: is before 1970" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+    assert run([str(path), str(tmp_path / "out.db3"), *NOISE]) == 0

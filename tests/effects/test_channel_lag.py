@@ -1,0 +1,45 @@
+"""A filtered channel: what corruption makes of a step of speed, and how correction takes it back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+
+SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
+
+
+def lagging(tau, omega, rate_hz):
+    """Return times, the clean poses of a robot that turns so, and those that its lagging odometry reports."""
+    n = len(omega)
+    clean = accumulate(np.zeros(3), Increments(np.full(n, 0.5 / rate_hz), np.zeros(n), omega / rate_hz))
+    stamps = 10**12 + np.round(np.arange(n + 1) * 1e9 / rate_hz).astype(np.int64)
+    effect = effect_from_values("channel_lag", {"tau": tau})
+    reported = clean + NoisyPath(MotionModel(SILENT, (effect,)), 1).feed(stamps, clean).error_xyt
+    return (stamps - stamps[0]) * 1e-9, clean, reported, effect
+
+
+@pytest.mark.parametrize("rate_hz", [10.0, 50.0, 200.0])
+def test_a_step_of_the_yaw_rate_is_reported_late_by_tau(rate_hz):
+    """The heading that a first-order lag owes after a step is tau times the step: the textbook's ramp error."""
+    omega = np.where(np.arange(int(10 * rate_hz)) < 2 * rate_hz, 0.0, 0.8)
+    _, clean, reported, _ = lagging(0.2, omega, rate_hz)
+    assert (clean - reported)[-1, 2] == pytest.approx(0.2 * 0.8, rel=1e-3)
+    after = int(2.2 * rate_hz) + 1
+    # one time constant after the step 1 - 1/e of it is reported, within the window that speeds are averaged over
+    rate = np.diff(reported[:, 2])[after - 1] * rate_hz
+    assert rate == pytest.approx(0.8 * (1.0 - np.exp(-1.0)), abs=0.12)
+
+
+def test_any_lag_is_stable_to_put_in_and_taken_out_again():
+    omega = np.sin(np.arange(2000) * 0.01) + np.where(np.arange(2000) % 300 < 150, 0.5, -0.5)
+    for tau in (0.02, 0.3, 1.0):
+        t_s, clean, reported, effect = lagging(tau, omega, 50.0)
+        back = accumulate(reported[0], corrected_increments([effect], motion_of(t_s, reported)))
+        assert back == pytest.approx(clean, abs=1e-9)

@@ -1,0 +1,38 @@
+"""Summaries fit: at most eight lines of the width, the verdict first, the command last and whole."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from odomcorrupt.report.text.summary import MOST_LINES, Line, Summary, command_line
+
+
+@pytest.mark.parametrize(("count", "width", "words"), [*product((1, 7, 12), (40, 80), (3, 60))])
+def test_it_fits_whatever_is_in_it(count, width, words):
+    lines = [Line("VERDICT", "it is so"), *(Line(f"label {i}", "word " * words) for i in range(count))]
+    text = Summary((*lines, command_line(["odomcorrupt", "info", "a.mcap"]))).text(width)
+    rows = text.splitlines()
+    assert len(rows) <= MOST_LINES
+    assert max(map(len, rows)) <= width
+    assert rows[0].split() == ["VERDICT", "it", "is", "so"]
+    assert rows[-1].split()[-1] == "a.mcap"
+
+
+def test_what_is_left_out_is_counted():
+    lines = [Line(str(i), "finding") for i in range(20)]
+    assert Summary(tuple(lines)).text().splitlines()[-1].strip() == "and 13 more: -v shows all"
+
+
+def test_a_long_command_can_be_pasted():
+    words = ["odomcorrupt", "fit", *(f"/data/recordings/run_{i}.mcap" for i in range(6)), "--add", "wheelbase"]
+    text = Summary((Line("V", "v"), command_line(words))).text()
+    command = "\n".join(row[6:] for row in text.splitlines()[1:])
+    assert command.replace("\\\n", "").split() == words
+
+
+def test_labels_are_aligned_and_html_is_escaped():
+    summary = Summary((Line("A", "<b>"), Line("longer", "text")))
+    assert [row.index(word) for row, word in zip(summary.text().splitlines(), ("<b>", "text"), strict=True)] == [8, 8]
+    assert "&lt;b&gt;" in summary.html()

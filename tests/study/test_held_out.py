@@ -1,0 +1,108 @@
+"""A part of a learned model stays where data that were not fitted do not speak plainly against it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.text.confidence import clocks_found
+from odomcorrupt.study.estimate.clocks import Clocks
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.confidence import confidence, evidence_of
+from odomcorrupt.study.select.stepwise import Learned, Step, learn
+from odomcorrupt.study.validate.compare import clocks_beside
+from odomcorrupt.study.validate.held_out import keep_what_holds
+
+QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
+
+
+def drive(seed, *, scale=1.0, wide=1.0, seconds=240.0):
+    """Return a drive whose odometry goes `scale` as far, and turns `wide` as far, as the robot."""
+    steps = wander(seed, seconds)
+    true = accumulate(np.zeros(3), steps)
+    said = Increments(scale * steps.ds_m, steps.dl_m, wide * steps.dtheta_rad)
+    return recording(replace(said), noisy_path(said, QUIET, seed), seed=seed), true
+
+
+def with_truth(pair, seed):
+    """Return the recording of a drive beside its own truth, a little noisy."""
+    run, true = pair
+    noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
+
+
+def believed(run, *effects):
+    """Return what a search would have left that included these effects."""
+    fitted = fit([run], [effect_from_values(name, {}) for name in effects], approach=Approach())
+    return Learned(
+        clocks=Clocks((Clock(),), ((False, False),), ((0.0, 0.0),)),
+        rounds=tuple(Step(before=fitted, candidates=(), added=name) for name in effects),
+        noise=(), unknown=(), laws=(), margins={}, fit=fitted, error_m=0.0,
+    )  # fmt: skip
+
+
+def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_stays():
+    """In the first half alone the wheels slipped: as a scale of the whole drive it makes the other half worse."""
+    run = with_truth(drive(4, wide=1.02), 5)
+    late = run.odometry.stamps_ns > run.truth.stamps_ns[len(run.truth) // 2]
+    steps = np.diff(run.odometry.xyt, axis=0)
+    steps[~late[1:], :2] *= 1.03
+    changed = np.concatenate((run.odometry.xyt[:1], run.odometry.xyt[0] + np.cumsum(steps, axis=0)))
+    run = replace(run, odometry=Trajectory(run.odometry.stamps_ns, changed))
+    kept, said = keep_what_holds(believed(run, "wheelbase", "wheel_scale"))
+    assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
+    (harm,) = (one.harm for one in said if one.harm)
+    assert "mm" in harm or "nats" in harm
+
+
+def test_other_recordings_of_the_robot_decide_where_there_are_any():
+    learned = believed(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
+    same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
+    assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
+    assert not keep_what_holds(learned, [replace(other, name="other")])[0].fit.effects
+
+
+@pytest.mark.slow
+def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
+    learned = learn([with_truth(drive(4, wide=1.02), 5)])
+    (step,) = learned.steps
+    told = replace(learned, held_out={step.added: (3.0, 2.0)})
+    assert evidence_of(step, learned).own > 7.0
+    assert evidence_of(step, told).own == pytest.approx(7.0)
+
+
+def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
+    run = with_truth(drive(8, wide=0.25), 9)
+    late = replace(run, odometry=Trajectory(run.odometry.stamps_ns + 300_000_000, run.odometry.xyt))
+    model = MotionModel(Noise("diffusion", QUIET), (effect_from_values("wheelbase", {"e": -0.75}),))
+    assert clocks_beside([late], Approach(), model).clocks[0].offset_s == pytest.approx(0.3, abs=0.02)
+
+
+def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
+    learned = believed(with_truth(drive(4), 5), "accel_slip")
+    candidates = (SimpleNamespace(gain=40.0, refused="", name="accel_slip"),)
+    (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
+    clear = confidence(evidence_of(step, learned))
+    open_ = replace(learned, clocks=replace(learned.clocks, ambiguous_nats=38.0))
+    assert clear > 0.9
+    assert confidence(evidence_of(step, open_)) < 0.9
+
+
+def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
+    clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
+    (sure,) = clocks_found(clocks)
+    (doubtful,) = clocks_found(replace(clocks, untested=("backlash",)))
+    (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), untested=("backlash",)))
+    assert min(sure.sure, large.sure) > 0.9
+    assert doubtful.sure < 0.6

@@ -1,0 +1,53 @@
+"""A push or a lift is told with its time, place and size; noise and a truth that jumps are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import single_events
+from odomcorrupt.study.io.recording import Trajectory
+
+
+def pushed(seed, *, yaw_deg=0.0, begin_s=100.0, lasts_s=3.0):
+    """Return a recording in which somebody turned the robot by so much, of which its odometry knows nothing."""
+    steps = wander(seed, 240.0)
+    run = recording(steps, noisy_path(steps, Coefficients(0.01, 0.01, 0.003, 0.001), seed), seed=seed)
+    during = (np.arange(len(steps)) >= 50 * begin_s) & (np.arange(len(steps)) < 50 * (begin_s + lasts_s))
+    turn = steps.dtheta_rad + during * np.radians(yaw_deg) / during.sum()
+    true = accumulate(np.zeros(3), Increments(steps.ds_m, steps.dl_m, turn))
+    noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
+
+
+def events_of(run):
+    return single_events(fit([run], approach=choose_approach([run])))
+
+
+def test_a_push_is_told_with_its_time_place_and_size():
+    run = pushed(3, yaw_deg=16.0)
+    events = events_of(run)
+    assert sum(np.degrees(event.yaw_rad) for event in events) == pytest.approx(-16.0, abs=3.0)
+    for event in events:
+        assert 99.0 < event.start_s < event.end_s < 104.0
+        at = run.truth.at(np.array([event.start_s]), run.origin_ns)[0]
+        assert event.place_xy == pytest.approx((at[0], at[1]), abs=0.02)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_holds_no_event(seed):
+    assert events_of(pushed(seed)) == []
+
+
+def test_a_truth_that_jumps_and_comes_back_is_no_event():
+    run = pushed(3)
+    truth = run.truth.xyt.copy()
+    truth[5000:5400, :2] += 0.3
+    assert events_of(replace(run, truth=Trajectory(run.truth.stamps_ns, truth))) == []

@@ -1,0 +1,40 @@
+"""The commands of the study on simulated recordings: what is known is not missing, and clocks keep their names."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from odomcorrupt.cli import run
+
+pytestmark = pytest.mark.slow
+
+
+def simulated(path, *words):
+    assert run(["simulate", str(path), "-q", *words]) == 0
+    return str(path)
+
+
+def test_a_mounting_that_the_model_has_is_not_missing(tmp_path, capsys):
+    bag = simulated(tmp_path / "arm.mcap", "--effect", "lever_arm:x=0.15,y=0.05", "--seed", "4", "--duration", "200")
+    assert run(["fit", bag, "-o", str(tmp_path / "arm.toml")]) == 0
+    assert "lever_arm" in capsys.readouterr().out
+    assert run(["diagnose", bag, str(tmp_path / "arm.toml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["verdict"] == "complete"
+    assert "lever_arm" not in [one["effect"] for one in found["found"]]
+
+
+def test_learned_and_held_out_recordings_keep_their_own_clocks(tmp_path, capsys):
+    late = ("--effect", "time_offset", "--robot", "5", "--duration", "120")
+    bags = [simulated(tmp_path / f"s{seed}.mcap", *late, "--seed", str(seed)) for seed in (1, 2, 3)]
+    report = tmp_path / "page.html"
+    assert run(["learn", *bags[:2], "--judge", bags[2], "--report", str(report), "-o", str(tmp_path / "r.toml")]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("MISSING  time_offset")
+    assert len(said) <= 8
+    page = report.read_text()
+    assert "<h1>What is missing: s1.mcap, s2.mcap</h1>" in page
+    assert re.findall(r"<p>of (s\d\.mcap)</p>", page) == ["s1.mcap", "s2.mcap"]
