@@ -22,7 +22,9 @@ _ERASE = "\r\x1b[K"
 """What a line of progress begins with; it stays as it is."""
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 """C0, C1, separators, and what turns the direction of writing."""
-_CONTROLS_IN_TEXT = re.compile(f"(?![\n\t]){_CONTROLS.pattern}")
+_COLOUR = r"\x1b\[(?:0|1|3[1236])m"
+"""The colours of a summary; text within them is escaped before it is coloured."""
+_CONTROLS_IN_TEXT = re.compile(f"(?![\n\t])(?!{_COLOUR}){_CONTROLS.pattern}")
 
 
 def visible(text: str) -> str:
@@ -43,7 +45,7 @@ class TextStream(io.TextIOWrapper):
     failure: OSError | None = None
 
     def write(self, text: str) -> int:
-        """Print text with its control characters escaped, line breaks and tabs apart."""
+        """Print text with its control characters escaped, but for line breaks, tabs and the colours of summaries."""
         erase = _ERASE if text.startswith(_ERASE) else ""
         if self.failure is None:
             try:

@@ -256,7 +256,7 @@ def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_noth
     [
         (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
         (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
-        (["--effect", "wheel_scale:e=1"], "too strong to be put into this drive"),
+        (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong to be put into this drive"),
         (["--compression", "rar"], "compression rar: is not one"),
         (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],
@@ -426,5 +426,6 @@ def test_progress_is_told_on_terminals_only_and_wiped_away(tmp_path):
     assert done.returncode == 0
     assert b"\r\x1b[K" in said
     lines = said.rsplit(b"\x1b[K", 1)[1].decode().splitlines()
-    assert lines[0].startswith("Moved: ")
-    assert max(map(len, lines)) <= 100
+    assert lines[0].startswith("\x1b[32mMOVED")
+    plain = [re.sub(r"\x1b\[\d+m", "", line) for line in lines if str(tmp_path) not in line]
+    assert max(map(len, plain)) <= 80

@@ -66,6 +66,7 @@ class Case:
     truth: str = "mocap"
     yaw_from: str = "encoders"
     drive_type: str = "differential"
+    duration_s: float = 600.0
 
     @property
     def key(self) -> str:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from laboratory.cases import Case
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["LEARNED_S", "judges", "learning_run", "noiseless_pair", "quiet_run"]
+__all__ = ["judges", "learning_run", "noiseless_pair", "quiet_run"]
 
-LEARNED_S, JUDGED_S = 600.0, 300.0
+JUDGED_S = 300.0
 JUDGE_SEED = 400_000
 """What is added to a seed for another drive of the same robot."""
 QUIET = Rig(ticks_per_turn=None)
@@ -24,18 +24,18 @@ QUIET = Rig(ticks_per_turn=None)
 
 def learning_run(case: Case) -> SimulatedRun:
     """Return the drive to learn from."""
-    return simulate(case.seed, case.causes, duration_s=LEARNED_S, **_options(case))
+    return simulate(case.seed, case.causes, duration_s=case.duration_s, **_options(case))
 
 
 def quiet_run(case: Case) -> SimulatedRun:
     """Return the same drive, had the robot no flaw."""
-    return simulate_without(case.seed, case.causes, duration_s=LEARNED_S, **_options(case))
+    return simulate_without(case.seed, case.causes, duration_s=case.duration_s, **_options(case))
 
 
 def noiseless_pair(case: Case) -> tuple[SimulatedRun, SimulatedRun]:
     """Return the drive with its flaw and without, both without ticks and without noise of the truth."""
     still = replace(TRACKERS[case.truth], noise_m=0.0, noise_rad=0.0, wander_m=0.0)
-    options = _options(case) | {"truth": still, "rig": QUIET, "duration_s": LEARNED_S}
+    options = _options(case) | {"truth": still, "rig": QUIET, "duration_s": case.duration_s}
     return simulate(case.seed, case.causes, **options), simulate_without(case.seed, case.causes, **options)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -84,6 +84,9 @@ def read_recordings(
     truth_shift_s: float = 0.0,
     track_m: float | None = None,
     names: Sequence[str] = (),
+    scan: str | None = None,
+    laser_scale_accuracy: float = 0.003,
+    progress: Callable[[str, float], None] | None = None,
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
 
@@ -101,6 +104,12 @@ def read_recordings(
         Nominal distance between the wheels, metres; effects of single wheels need it.
     names : sequence of str
         What to call the recordings, where not by their files.
+    scan : str, optional
+        Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth.
+    laser_scale_accuracy : float
+        Standard deviation of the laser's own scale error: no scale is known better.
+    progress : callable, optional
+        Called with what takes long, and which part of it is done.
 
     Returns
     -------
@@ -142,16 +151,19 @@ def read_recordings(
                 truth_shift_s=truth_shift_s,
                 track_m=track_m,
                 name=name,
+                scan=scan,
+                truth_scale_error=laser_scale_accuracy,
             )
             for path, truth_path, name in zip(files, each, called, strict=True)
-        ]
+        ],
+        progress,
     )
 
 
-def _read(sources: Sequence[Source]) -> Recordings:
+def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
     from odomcorrupt.study.io.reader import read_runs
 
-    return Recordings(tuple(run for source in sources for run in read_runs(source)), tuple(sources))
+    return Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
 
 
 def as_paths(paths: PathLikes) -> list[Path]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-__all__ = ["TRACK", "Number"]
+__all__ = ["TRACK", "Number", "Share"]
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
@@ -36,6 +36,17 @@ class Number(click.ParamType):  # type: ignore[type-arg]  # generic since click 
             start = f"more than {self._low:g}" if self._above else f"{self._low:g} or more"
             self.fail(f"{value}; write {self._unit}, {start} and at most {self._high:g}{self._else}", param, ctx)
         return number
+
+
+class Share(Number):
+    """A number of which 1 is the whole, also written in percent: 0.003 or 0.3%."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        text = str(value).strip()
+        if not text.endswith("%"):
+            return super().convert(value, param, ctx)
+        return super().convert(text[:-1], param, ctx) / 100.0
 
 
 TRACK = Number("metres between the wheels", 0.0, 99.0, above=True, else_="leave it out where it is not known")

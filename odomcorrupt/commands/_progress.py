@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.block import Block
 
-__all__ = ["Progress", "Stages", "time_left"]
+__all__ = ["Progress", "Stages", "part_done", "time_left"]
 
 PAUSE_S = 0.2
 """Time between two lines: often enough to look alive."""
@@ -105,3 +105,9 @@ class Stages(_Line):
         if self._ticker.is_alive():
             self._ticker.join()
         super().__exit__(kind, error, trace)
+
+
+def part_done(what: str, share: float) -> None:
+    """Say on stderr what is being done and how far it has got, where that is a terminal."""
+    if sys.stderr.isatty():
+        click.echo(f"\r\x1b[K{what}: {share:.0%}\r", nl=False, err=True)

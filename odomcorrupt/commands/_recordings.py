@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._param_types import TRACK, Number
-from odomcorrupt.commands._progress import Stages
+from odomcorrupt.commands._param_types import TRACK, Number, Share
+from odomcorrupt.commands._progress import Stages, part_done
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ class Reading:
     truth_bags: tuple[Path, ...] = ()
     truth_shift_s: float = 0.0
     track: float | None = None
+    scan: str | None = None
+    laser_scale_accuracy: float = 0.003
 
     def stages(self, voice: Voice) -> Stages:
         """Return what says which stage is under way."""
@@ -70,6 +72,9 @@ class Reading:
             truth_shift_s=self.truth_shift_s,
             track_m=self.track if self.track is not None else track,
             names=["stdin" if str(path) == "-" else "" for path in paths],
+            scan=self.scan,
+            laser_scale_accuracy=self.laser_scale_accuracy,
+            progress=part_done,
         )
         for recording in runs:
             voice.detail(describe(recording))
@@ -80,6 +85,7 @@ class Reading:
     def words(self) -> list[str]:
         """Return the words of a command line that read the same recordings again."""
         words = [w for flag, value in (("--odom", self.odom), ("--truth", self.truth)) if value for w in (flag, value)]
+        words += ["--scan", self.scan] if self.scan else []
         words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
         if self.truth_shift_s:
             words += ["--truth-shift", repr(self.truth_shift_s)]
@@ -116,6 +122,19 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         ),
         click.option(
             "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
+        ),
+        click.option(
+            "--scan",
+            metavar="TOPIC",
+            help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
+        ),
+        click.option(
+            "--laser-scale-accuracy",
+            type=Share("a share as in 0.3% or 0.003", 0.0, 20.0),
+            metavar="SHARE",
+            default="0.3%",
+            help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
+            "[default: 0.3%]",
         ),
         click.option(
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"

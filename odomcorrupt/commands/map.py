@@ -11,6 +11,7 @@ from odomcorrupt.commands._model import AlphaCommand, choose_model, model_option
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._progress import part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
@@ -51,6 +52,13 @@ __all__ = ["command"]
     default=0.05,
     help="Of the maps, metres. [default: 0.05]",
 )
+@click.option(
+    "--method",
+    type=click.Choice(["odometry", "laser"]),
+    default="odometry",
+    help="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png. "
+    "[default: odometry]",
+)
 @overwrite_option("existing outputs")
 @standard_options
 def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
@@ -69,6 +77,9 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
 
     if str(bag) == "-":
         raise OdomCorruptError("-: maps take the whole drive, which a pipe cannot show twice; name a file")
+    if given["method"] == "laser":
+        _by_laser(bag, output, given, voice)
+        return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
     if output is not None:
         if picture_kind(output) is None:
@@ -95,6 +106,53 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         write_text(path.with_suffix(".yaml"), text)
         voice.note(f"wrote {path.with_suffix('.yaml')}")
     save_picture(output, draw_surveys(surveys, WINDOW_M))
+
+
+def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
+    """Write the map by scan matching, the trajectory beside it, and the picture of the maps side by side."""
+    from odomcorrupt.corruption.path import NoisyPath
+    from odomcorrupt.laser.mapping import laser_maps, tum_text
+    from odomcorrupt.mapping.mapfile import format_map
+    from odomcorrupt.mapping.wall_thickness import WINDOW_M
+    from odomcorrupt.report.plots.maps import draw_surveys
+    from odomcorrupt.rng import draw_seed
+    from odomcorrupt.study.io.address import parse_address
+    from odomcorrupt.study.io.laser_truth import laser_run
+
+    if given["truth"] is not None or given["laser_pose"] is not None:
+        raise click.UsageError("--method laser finds where the laser sits and takes no --truth; leave them out")
+    files = {} if output is None else {end: output.with_suffix(end) for end in (".yaml", ".pgm", ".tum", ".png")}
+    if output is not None:
+        if output.suffix != ".yaml":
+            raise click.UsageError(f"{output}: --method laser writes a map for nav2; name it .yaml")
+        need_pictures()
+        for path in files.values():
+            refuse_existing(path, overwrite=given["overwrite"])
+    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
+    chosen = choose_model(**options)
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
+    run = laser_run(bag, str(bag), odom, given["scan"], part_done)
+    odometry = run.odometry.trajectory()
+    noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
+    maps = laser_maps(run, noise.error_xyt, given["resolution"])
+    notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
+    said = "\n".join([*notes, _thicknesses(maps.surveys)])
+    voice.say(said, said, _values(maps.surveys, notes, seed))
+    if output is None:
+        return
+    image, text = format_map(maps.surveys[0].grid, files[".pgm"].name)
+    write_bytes(files[".pgm"], image)
+    write_text(files[".yaml"], text)
+    write_text(files[".tum"], tum_text(maps.trajectory))
+    save_picture(files[".png"], draw_surveys(maps.surveys, WINDOW_M, "added by the odometry"))
+    for path in files.values():
+        voice.note(f"wrote {path}")
+
+
+def _thicknesses(surveys: Sequence[Survey]) -> str:
+    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in surveys)
+    return f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"
 
 
 def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:

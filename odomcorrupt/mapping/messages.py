@@ -19,11 +19,23 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["GRID", "SCAN", "GridMessage", "ScanMessage", "read_grid", "read_scan"]
+__all__ = [
+    "CLOUD",
+    "GRID",
+    "SCAN",
+    "CloudMessage",
+    "GridMessage",
+    "ScanMessage",
+    "read_cloud",
+    "read_grid",
+    "read_scan",
+]
 
 SCAN = "sensor_msgs/msg/LaserScan"
 GRID = "nav_msgs/msg/OccupancyGrid"
+CLOUD = "sensor_msgs/msg/PointCloud2"
 
+_CLOUD_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 _LITTLE_CDR, _BIG_CDR = (0x01, 0x07, 0x11), (0x00, 0x06, 0x10)
 
 
@@ -39,6 +51,17 @@ class ScanMessage:
     range_min_m: float
     range_max_m: float
     ranges_m: Array
+    scan_time_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CloudMessage:
+    """A sensor_msgs/PointCloud2: positions (n, 3) in metres, and times (n,) after the first of them, seconds."""
+
+    stamp_ns: int
+    frame_id: str
+    xyz: Array
+    after_s: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +135,57 @@ def read_scan(data: bytes, topic: str, encoding: str) -> ScanMessage:
     """Read a laser scan."""
     cursor = _Cursor(data, topic, encoding)
     stamp, frame = cursor.header()
-    first, _, step, time_step, _, nearest, farthest = cursor.numbers("f", 7)
+    first, _, step, time_step, scan_time, nearest, farthest = cursor.numbers("f", 7)
     ranges = cursor.sequence("f4").astype(np.float64)
-    return ScanMessage(stamp, frame, first, step, time_step, nearest, farthest, ranges)
+    return ScanMessage(stamp, frame, first, step, time_step, nearest, farthest, ranges, scan_time)
+
+
+def read_cloud(data: bytes, topic: str, encoding: str) -> CloudMessage:
+    """Read the positions and, where they are there, the times of a point cloud.
+
+    Raises
+    ------
+    BagError
+        Where the message is damaged, or has no x, y and z of 4 or 8 bytes.
+
+    """
+    cursor = _Cursor(data, topic, encoding)
+    stamp, frame = cursor.header()
+    height, width = cursor.whole(), cursor.whole()
+    fields = {}
+    for _ in range(cursor.whole()):
+        name, offset, kind = cursor.text(), cursor.whole(), cursor.whole("B")
+        cursor.whole()
+        fields[name] = (offset, _CLOUD_KINDS.get(kind, ""))
+    order = ">" if cursor.whole("B") else "<"
+    step, _ = cursor.whole(), cursor.whole()
+    raw = cursor.sequence("u1")
+    if not all(fields.get(name, (0, ""))[1] in ("f4", "f8") for name in "xyz"):
+        found = ", ".join(fields) or "none"
+        raise BagError(f"{topic}: a point cloud without x, y, z as floating-point numbers (fields: {found})")
+    count = width * height
+    beyond = any(offset + np.dtype(kind or "u1").itemsize > step for offset, kind in fields.values())
+    if step < 1 or raw.size < count * step or beyond:
+        raise BagError(f"{topic}: a cloud of {count} points of {step} bytes carries {raw.size}; the message is damaged")
+    table = raw[: count * step].reshape(count, step)
+
+    def column(name: str) -> Array:
+        offset, kind = fields[name]
+        size = np.dtype(kind).itemsize
+        part = np.ascontiguousarray(table[:, offset : offset + size])
+        return part.view(order + kind)[:, 0].astype(np.float64)
+
+    xyz = np.stack([column(name) for name in "xyz"], axis=1)
+    timed = next((n for n in ("t", "time", "timestamp", "time_offset", "offset_time") if fields.get(n, (0, ""))[1]), "")
+    return CloudMessage(stamp, frame, xyz, _after_s(column(timed), fields[timed][1]) if timed else np.zeros(count))
+
+
+def _after_s(times: Array, kind: str) -> Array:
+    """Return seconds after the first point: drivers write seconds, or whole nanoseconds or microseconds."""
+    after = times - times.min() if len(times) else times
+    last = float(after.max()) if len(after) else 0.0
+    unit = 1.0 if kind.startswith("f") and last < 1.0 else 1e-9 if last > 1e6 else 1e-6
+    return after * unit
 
 
 def read_grid(data: bytes, topic: str, encoding: str) -> GridMessage:

@@ -185,7 +185,7 @@ def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always
     assert batch(5) == 1
     said = capsys.readouterr().err
     assert "4 runs made now" in said
-    assert "1 runs (3); run 3: no luck with 3" in said
+    assert "1 runs, tried twice; run 3: no luck with 3" in said
     assert sorted(path.name for path in here.glob("runs/run_*")) == [f"run_{k:06d}.mcap" for k in (0, 1, 2, 4)]
     monkeypatch.setattr(making, "_begin", begin)
     assert batch(5) == 0
@@ -218,7 +218,7 @@ def test_shards_need_a_seed(capsys):
 
 def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
     assert batch(200, "--dry-run") == 0
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     assert not (here / "runs").exists()
     assert said.startswith("200 runs to make, about ")
     assert batch(4) == 0

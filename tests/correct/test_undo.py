@@ -22,7 +22,7 @@ from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
-SYSTEMATIC = [name for name, kind in registry().items() if kind.kind != "noise" and not kind.clock]
+SYSTEMATIC = [name for name, kind in registry().items() if kind.kind not in {"noise", "event"} and not kind.clock]
 AMPLE = {"region_slip": {"slip": 0.05, "x": 3.0, "y": 0.0, "radius": 1.5}}
 
 

@@ -87,9 +87,9 @@ SAID = (
 
 
 def test_info_and_the_summary_say_them(odd, tmp_path, capsys):
-    assert run(["info", str(odd)]) == 0
+    assert run(["info", str(odd), "-v"]) == 0
     seen = capsys.readouterr().out
-    assert run([str(odd), str(tmp_path / "out.mcap"), *NOISE]) == 0
+    assert run([str(odd), str(tmp_path / "out.mcap"), "-v", *NOISE]) == 0
     moved = capsys.readouterr().err
     for sentence in SAID:
         assert sentence in seen, seen
@@ -98,7 +98,7 @@ def test_info_and_the_summary_say_them(odd, tmp_path, capsys):
 
 
 def test_one_frame_for_odom_and_base_is_said(tmp_path, capsys):
-    words = ["--base-frame", "odom"]
+    words = ["--base-frame", "odom", "-v"]
     assert run(["info", str(FIXTURES / "office.mcap"), *words]) == 0
     assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), *words, *NOISE]) == 0
     said = capsys.readouterr()

@@ -15,6 +15,7 @@ from odomcorrupt.corruption.run import Container, corrupt_bag
 from odomcorrupt.corruption.summary import holonomic_words, summary
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import wrap, yaw_from_quaternion
 from odomcorrupt.model.noise_laws import Coefficients
@@ -181,12 +182,17 @@ def test_a_silent_summary_promises_no_drift(tmp_path):
 
 
 def test_where_no_edge_is_moved_the_summary_names_those_there_are(tmp_path):
-    for frame, words in (("nope", "no transform from nope (TF has base_link -> "), (None, "transforms odom -> base_")):
-        outcome = corrupt_bag(
-            FIXTURES / "office.mcap", tmp_path / f"{frame}.mcap", model(), seed=3, run=0,
-            options=Options(odom_frame=frame), container=Container(),
+    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
+    moved = summary(outcome, "")
+    assert "transforms odom -> base_link" in moved
+    assert "TF has" not in moved
+    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed=frozenset({"map -> base_link"}))
+    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
+
+
+def test_a_frame_that_is_nowhere_is_refused(tmp_path):
+    with pytest.raises(TopicError, match="--odom-frame nope: no odometry message and no transform has this frame"):
+        corrupt_bag(
+            FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=3, run=0,
+            options=Options(odom_frame="nope"), container=Container(),
         )  # fmt: skip
-        text = summary(outcome, "")
-        assert words in text
-        assert "odom -> base_link" in text
-        assert ("TF has" in text) is (frame == "nope")

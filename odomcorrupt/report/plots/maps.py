@@ -27,7 +27,7 @@ __all__ = ["draw_free_space", "draw_grid", "draw_surveys"]
 PATHS = (BLUE, RED, GREEN)
 
 
-def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
+def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added by noise") -> Figure:
     """Draw maps side by side on the same canvas; below how far hits left the walls, and how thick these are."""
     left, right, bottom, top = surveys[0].grid.extent
     width = 11.0
@@ -46,7 +46,7 @@ def draw_surveys(surveys: Sequence[Survey], window_m: float) -> Figure:
             axes.locator_params(axis="x", nbins=5)
         below = places[1, :].subgridspec(1, 2)
         _off_surface(figure.add_subplot(below[0, 0]), surveys)
-        _thickness(figure.add_subplot(below[0, 1]), surveys, window_m)
+        _thickness(figure.add_subplot(below[0, 1]), surveys, window_m, added)
     return figure
 
 
@@ -86,20 +86,20 @@ def _off_surface(axes: Axes, surveys: Sequence[Survey]) -> None:
             label=survey.name,
         )  # fmt: skip
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title("hits off the clean map's walls (RMS)")
+    axes.set_title(f"hits off the walls of: {surveys[0].name} (RMS)")
     axes.grid(visible=True, axis="y", color="0.92")
     axes.set_axisbelow(True)
     axes.legend(loc="upper left", fontsize=9)
 
 
-def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float) -> None:
+def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float, added: str) -> None:
     for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
         axes.plot(
             survey.marks_m, 100.0 * survey.thickness_m, "o", linestyle=style, color=colour, markersize=4,
             label=survey.name,
         )  # fmt: skip
     added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
-    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label="added by noise")
+    axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")

@@ -8,6 +8,8 @@ import textwrap
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from odomcorrupt.standard_streams import visible
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -57,7 +59,7 @@ class Summary:
 
         """
         indent = max((len(line.label) for line in self.lines), default=0) + 2
-        blocks = [(line, _folded(line, max(width - indent, 24))) for line in self.lines]
+        blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self.lines]
         kept = _within(blocks)
         rows = []
         for line, parts in kept:
@@ -84,10 +86,10 @@ class Summary:
         return f"{first.label} {first.text}".strip()
 
 
-def _folded(line: Line, width: int) -> list[str]:
-    if line.tone != "command":
-        return textwrap.wrap(line.text, width) or [""]
-    parts = textwrap.wrap(line.text, width - 2, break_long_words=False, break_on_hyphens=False)
+def _folded(tone: Tone, text: str, width: int) -> list[str]:
+    if tone != "command":
+        return textwrap.wrap(text, width) or [""]
+    parts = textwrap.wrap(text, width - 2, break_long_words=False, break_on_hyphens=False)
     return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 

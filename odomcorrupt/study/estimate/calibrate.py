@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
-from odomcorrupt.study.estimate.extrinsics import find_setup
+from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
@@ -86,6 +86,7 @@ def fit_robot(
     recordings = [restore_lost(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     start_noise = None
+    effects = [*effects, *mounting_of(recordings, effects)]
     if clocks is None:
         clocks = find_clocks(recordings, approach)
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]

@@ -16,6 +16,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.random_process import WANDERING, with_random
+from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
 
@@ -158,7 +159,8 @@ def fit(
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.nodes, problem.steps)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
-        noise = fit_noise_beside(problem, components, columns, random, begin)
+        free_too = np.concatenate((columns, bias_roots(problem)), axis=2) if has_bias(problem) else columns
+        noise = fit_noise_beside(problem, components, free_too, random, begin)
         start, before = noise.free, problem
         noise = with_random(noise, problem, columns, random)
         errors = np.sqrt(np.maximum(np.diag(noise.theta_covariance), 0.0))

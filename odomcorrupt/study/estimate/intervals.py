@@ -16,6 +16,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, rotate, wrap
 from odomcorrupt.model.noise_laws import variances
+from odomcorrupt.study.io.recording import UNKNOWN_M2
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,9 +36,15 @@ LEAST_NODES = 20
 """Fewer intervals than this cannot carry a fit of anything."""
 
 
-def pick_nodes(truth_s: Array, first_s: float, last_s: float, spacing_s: float) -> NDArray[np.int64]:
-    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before."""
-    inside = np.flatnonzero((truth_s >= first_s) & (truth_s <= last_s))
+def pick_nodes(
+    truth_s: Array, first_s: float, last_s: float, spacing_s: float, among: NDArray[np.bool_] | None = None
+) -> NDArray[np.int64]:
+    """Return indices of truth samples in [first, last], each at least about `spacing_s` behind the one before.
+
+    among : (n,) which samples may be picked, all by default
+    """
+    usable = (truth_s >= first_s) & (truth_s <= last_s)
+    inside = np.flatnonzero(usable if among is None else usable & among)
     if len(inside) < 2:
         raise RecordingError(
             f"odometry and truth overlap in {len(inside)} truth samples; check that their stamps come from one clock"
@@ -61,6 +68,9 @@ class Intervals:
     source, share : (n,) which increment of the odometry a step is of, and which part of it
     axis : (n, 2) forward axis of the step's middle, seen from the interval's end
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
+    start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
+        position's part is near the identity, the heading's near one
+    start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
 
     start_s: Array
@@ -77,6 +87,10 @@ class Intervals:
     lever: Array
     lever0: Array
     lever1: Array
+    start_shape: Array
+    end_shape: Array
+    start_unseen: Array
+    end_unseen: Array
 
     def __len__(self) -> int:
         return len(self.start_s)
@@ -202,6 +216,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     lever0, lever1 = lever(start), lever(end)
     middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
+    shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     return Intervals(
         start_s=node_s[kept],
@@ -218,6 +233,10 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever=(lever0 + lever1) / 2.0,
         lever0=lever0,
         lever1=lever1,
+        start_shape=shape[kept],
+        end_shape=shape[kept + 1],
+        start_unseen=unseen[kept],
+        end_unseen=unseen[kept + 1],
     )
 
 
@@ -265,6 +284,28 @@ def cut_at(odometry: Trajectory, odo_s: Array, node_s: Array, origin_ns: int) ->
     xyt[is_node], xyt[~is_node] = odometry.at(node_s, origin_ns), odometry.xyt[between_them]
     sources[is_node], sources[~is_node] = source, between_them
     return Cut(t_s, xyt, at_node, sources)
+
+
+def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
+    """Return covariances (n, 3, 3) of poses over those of a usual pose, position and heading apart, and unseen axes.
+
+    The level of the former is estimated. What is added where nothing is known along an axis is not: an estimate of it
+    would only repeat what was guessed there.
+    """
+    unseen = np.zeros((count, 3, 3))
+    if covariance is None:
+        return np.broadcast_to(np.eye(3), (count, 3, 3)), unseen
+    values, vectors = np.linalg.eigh(covariance[:, :2, :2])
+    blind = values[:, 1] > UNKNOWN_M2
+    worst = vectors[:, :, 1]
+    unseen[:, :2, :2] = (blind * values[:, 1])[:, None, None] * worst[:, :, None] * worst[:, None, :]
+    values[blind, 1] = values[blind, 0]
+    shape = np.zeros((count, 3, 3))
+    shape[:, :2, :2] = (
+        (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2) / max(float(np.median(values[:, 0])), 1e-12)
+    )
+    shape[:, 2, 2] = covariance[:, 2, 2] / max(float(np.median(covariance[:, 2, 2])), 1e-12)
+    return shape, unseen
 
 
 def _quarter(xy: Array) -> Array:

@@ -24,7 +24,7 @@ from odomcorrupt.study.estimate.whitener import (
     Whitener,
     band_of,
     factored,
-    floor_band,
+    fixed_band,
     truth_pieces,
     truth_weights,
 )
@@ -117,7 +117,7 @@ class NoiseLikelihood:
         bands = [band_of(part * weights[:, None, None]) for part in components.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
-        self._floor = np.asfortranarray(floor_band(len(nodes)))
+        self._floor = np.asfortranarray(fixed_band(nodes))
 
     def initial_guess(self) -> Array:
         """Return noise (m,) where truth and odometry each explain a fair part of the residual."""

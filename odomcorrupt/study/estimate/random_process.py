@@ -11,6 +11,7 @@ from scipy.linalg import cholesky, eigh
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
+from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -73,8 +74,11 @@ class Process:
 
 
 def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Sequence[Effect]) -> NoiseFit:
-    """Return a fit of noise with random coefficients in its covariance, everything linear estimated again."""
-    if not random:
+    """Return a fit of noise with random coefficients and the truth's own bias in its covariance, all else estimated.
+
+    Without either it is the same fit.
+    """
+    if not random and not has_bias(problem):
         return noise
     wider = widened(noise.whitener, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
@@ -86,14 +90,18 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
     if white.shrink is None:
         return noise
     plain = replace(white, directions=None, shrink=None, log_det=white.log_det + float(np.log(white.shrink).sum()))
+    plain = widened(plain, problem, ())
     return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
-    """Return the whitener of the problem's residuals with random coefficients in their covariance."""
-    if not random:
+    """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
+    roots = [root_of(effect, problem) for effect in random]
+    if has_bias(problem):
+        roots.append(bias_roots(problem))
+    if not roots:
         return white
-    designs = np.concatenate([white.whiten(root_of(effect, problem)) for effect in random], axis=1)
+    designs = np.concatenate([white.whiten(root) for root in roots], axis=1)
     # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
     square, turned = eigh(designs.T @ designs)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)

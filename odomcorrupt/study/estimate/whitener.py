@@ -26,7 +26,7 @@ __all__ = [
     "band_of",
     "dense_covariance",
     "factored",
-    "floor_band",
+    "fixed_band",
     "interval_covariance",
     "truth_pieces",
     "truth_weights",
@@ -89,7 +89,7 @@ class Whitener:
 
 def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the covariance (K, 3, 3) of each residual by itself: odometry's noise q, and the truth's at both ends."""
-    total = q.copy()
+    total = q + unseen_piece(nodes)[0]
     for weight, (diagonal, _) in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
         total += weight * diagonal
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
@@ -107,14 +107,25 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     Each is a pair: added to the residuals' own covariances (K, 3, 3), and to those with the one before (K - 1, 3, 3).
     """
     a = _adjoint_of_inverse(nodes.truth_step)
-    pieces = []
-    for unit in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0])):
-        ar = a @ unit
-        pieces.append((unit + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]))
+    pieces = [
+        _at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept)
+        for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
+    ]
     wander = np.zeros_like(a)
     wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
     pieces.append((wander, np.zeros_like(a[1:])))
     return pieces
+
+
+def unseen_piece(nodes: Intervals) -> tuple[Array, Array]:
+    """Return what is added where the truth knows nothing along an axis, as a pair like those of `truth_pieces`."""
+    return _at_ends(nodes, _adjoint_of_inverse(nodes.truth_step), nodes.start_unseen, nodes.end_unseen)
+
+
+def _at_ends(nodes: Intervals, a: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """Return what covariances (K, 3, 3) of the truth at both ends of intervals add to their residuals."""
+    ar = a @ start
+    return end + ar @ np.swapaxes(a, 1, 2), -ar[1:] * nodes.linked[1:, None, None]
 
 
 def band_of(diagonal: Array, below: Array | None = None) -> Array:
@@ -141,16 +152,16 @@ def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     truth : how noisy the truth is
 
     """
-    band = band_of(q) + floor_band(len(nodes))
+    band = band_of(q) + fixed_band(nodes)
     for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
         band += weight * band_of(*piece)
     return factored(band)
 
 
-def floor_band(count: int) -> Array:
-    """Return the floor of the covariance as a band (6, 3 K)."""
-    band = np.zeros((BAND + 1, 3 * count))
-    band[0] = np.tile(FLOOR, count)
+def fixed_band(nodes: Intervals) -> Array:
+    """Return what is no parameter's of the covariance, as a band (6, 3 K): its floor, and axes that are not seen."""
+    band = band_of(*unseen_piece(nodes))
+    band[0] += np.tile(FLOOR, len(nodes))
     return band
 
 
@@ -165,7 +176,7 @@ def factored(band: Array) -> Whitener:
 def dense_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the same covariance as a plain matrix (3 K, 3 K), for small K: tests and the curious."""
     diagonal = interval_covariance(nodes, q, truth)
-    below = np.zeros((len(nodes) - 1, 3, 3))
+    below = unseen_piece(nodes)[1].copy()
     for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
         below += weight * piece[1]
     k = len(nodes)

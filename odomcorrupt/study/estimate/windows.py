@@ -55,7 +55,8 @@ class _Ends(NamedTuple):
 
 def _time_ends(recording: Recording, length_s: float, phase: float) -> _Ends:
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s)
+    known = recording.truth.known
+    picked = pick_nodes(truth_s, odo_s[0] + phase * length_s, odo_s[-1], length_s, known)
     length = np.diff(truth_s[picked])
     return _Ends(picked, np.flatnonzero(np.abs(length - length_s) < 0.1 * length_s))
 
@@ -66,7 +67,7 @@ def distance_windows(recording: Recording, length_m: float, phase: float = 0.0) 
     phase : which part of a window to leave out at the start
     """
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
-    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]))
+    inside = np.flatnonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1]) & recording.truth.known)
     xy = recording.odometry.xyt[:, :2]
     travelled = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))))
     at_truth = np.interp(truth_s[inside], odo_s, travelled)

@@ -154,7 +154,7 @@ class _PoseReader:
         if len(self.frames) > 1 and len(children) == 1:
             named_frames = ", ".join(repr(f) for f, _ in sorted(self.frames))
             notes.append(f"{topic}: frames {named_frames} mixed; taken as one")
-        frame = max(self.frames, key=lambda names: self.frames[names])[0] if self.frames else ""
+        frame, child = max(self.frames, key=lambda names: self.frames[names]) if self.frames else ("", "")
         claimed = values[:, 4]
         return Samples(
             self.place,
@@ -166,6 +166,7 @@ class _PoseReader:
             logs,
             claimed if np.isfinite(claimed).all() else claimed[:0],
             tuple(notes),
+            child=plain(child),
         )
 
 

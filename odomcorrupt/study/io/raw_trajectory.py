@@ -32,6 +32,8 @@ class Samples:
     yaw_rad : (n,) as recorded, neither wrapped nor unwrapped; NaN where there is no heading
     log_ns : (n,) int64, when they were recorded; empty where nobody says
     variance_m2 : (n,) what the recorder claims of x plus y; empty where it claims nothing
+    covariance : (n, 3, 3) of each pose in its own axes, where its source measured it
+    child : the frame that moves, "" where nobody says
     notes : what was noticed or left out so far, in words
     """
 
@@ -44,6 +46,8 @@ class Samples:
     log_ns: NDArray[np.int64]
     variance_m2: Array
     notes: tuple[str, ...] = ()
+    covariance: Array | None = None
+    child: str = ""
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
@@ -71,6 +75,7 @@ class Samples:
             yaw_rad=self.yaw_rad[rows],
             log_ns=self.log_ns[rows] if len(self.log_ns) else self.log_ns,
             variance_m2=self.variance_m2[rows] if len(self.variance_m2) else self.variance_m2,
+            covariance=self.covariance[rows] if self.covariance is not None else None,
         ).noted(*notes)
 
     def stamped(self, stamps_ns: NDArray[np.int64]) -> Samples:
@@ -90,4 +95,5 @@ class Samples:
         if len(self) < LEAST:
             raise RecordingError(f"{self.place} holds {len(self)} usable poses; it takes many more")
         yaw = np.unwrap(self.yaw_rad) if self.headed else self.yaw_rad
-        return Trajectory(self.stamps_ns, np.concatenate((self.xyz[:, :2], yaw[:, None]), axis=1))
+        xyt = np.concatenate((self.xyz[:, :2], yaw[:, None]), axis=1)
+        return Trajectory(self.stamps_ns, xyt, self.covariance)

@@ -12,6 +12,7 @@ from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
@@ -21,6 +22,7 @@ from odomcorrupt.study.io.topic_selection import FLAGS
 from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from odomcorrupt.study.io.address import Address
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.io.topic_selection import Role
 
-__all__ = ["Source", "read_runs"]
+__all__ = ["Source", "read_runs", "recordings_of"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,8 @@ class Source:
     truth_shift_s : what is added to the stamps of the truth, seconds
     track_m : nominal distance between the wheels, where it is known
     name : what to call the run, where not by its path
+    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
+    truth_scale_error : standard deviation of the laser's own scale error
     """
 
     path: Path
@@ -50,10 +54,14 @@ class Source:
     truth_shift_s: float = 0.0
     track_m: float | None = None
     name: str = ""
+    scan: str | None = None
+    truth_scale_error: float = SCALE_ACCURACY
 
 
-def read_runs(source: Source) -> list[Recording]:
+def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
+
+    told : called with what takes long, and which part of it is done
 
     Raises
     ------
@@ -63,11 +71,55 @@ def read_runs(source: Source) -> list[Recording]:
         Where what is there cannot be odometry and truth of one run; the message says why.
 
     """
-    odometry, truth = _read(source)
+    scan = source.scan or automatic_scan(source)
+    if scan is None:
+        odometry, truth = _read(source)
+        return recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+    if source.truth is not None or source.truth_path is not None:
+        raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+    odom = parse_address(source.odom) if source.odom is not None else None
+    run = laser_run(source.path, _place(source), odom, scan, told)
+    found: list[Recording] = []
+    name = source.name or source.path.name
+    parts = truth_of(run)
+    for part in parts:
+        try:
+            found += recordings_of(name, run.odometry, part, source.track_m, source.truth_shift_s)
+        except RecordingError:
+            if len(parts) == 1:
+                raise
+    if not found:
+        raise RecordingError(f"{_place(source)}: no part of the laser's map carries a study; drive slower or longer")
+    chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
+    error = source.truth_scale_error
+    said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    return [
+        replace(
+            r,
+            name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
+            truth_scale_error=error,
+            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
+            notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
+        )
+        for i, r in enumerate(found)
+    ]
+
+
+def recordings_of(
+    name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
+) -> list[Recording]:
+    """Return the recordings of odometry and truth, checked and cleaned: several where resets cut them.
+
+    Raises
+    ------
+    RecordingError
+        Where they cannot be of one run; the message says why.
+
+    """
     odometry, truth = in_order(odometry), in_order(truth)
-    if source.truth_shift_s:
-        shift = round(source.truth_shift_s * 1e9)
-        truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {source.truth_shift_s:g} s")
+    if truth_shift_s:
+        shift = round(truth_shift_s * 1e9)
+        truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     truth = without_constant_heading(odometry, truth)
@@ -76,15 +128,27 @@ def read_runs(source: Source) -> list[Recording]:
         check_itself(path)
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_signs(calm, real)
-    said += filter_signs(calm, real) + jitter_signs(calm) + jitter_signs(real)
+    # a laser's reader has looked at its stamps already
+    said += filter_signs(calm, real) + jitter_signs(calm) + (jitter_signs(real) if truth.covariance is None else [])
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
-    recordings = independent_parts(source.name or source.path.name, odometry, truth, source.track_m)
+    recordings = independent_parts(name, odometry, truth, track_m)
     return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
 
 
+def automatic_scan(source: Source) -> str | None:
+    """Return the laser to learn from where neither it nor a truth is named, None where there is no need of one."""
+    if source.truth is not None or source.truth_path is not None or is_text(source.path):
+        return None
+    return only_scan(source.path)
+
+
+def _place(source: Source) -> str:
+    return source.name or str(source.path)
+
+
 def _read(source: Source) -> tuple[Samples, Samples]:
-    place = source.name or str(source.path)
+    place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
     truth = parse_address(source.truth) if source.truth is not None else None
     if source.truth_path is None:

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Recording", "Trajectory"]
+__all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
+
+UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
+"""Variance of a pose of which nothing is known along an axis; and the share of poses that must be known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +27,13 @@ class Trajectory:
 
     stamps_ns : (n,) int64, nanoseconds since 1970
     xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
+    covariance : (n, 3, 3) of each pose in its own axes, where its source says it: only their shapes count, the level
+        is estimated; None where all poses are equally good
     """
 
     stamps_ns: NDArray[np.int64]
     xyt: Array
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         if len(self.stamps_ns) < 2:
@@ -37,6 +43,16 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which poses (n,) are known on all axes: all, where their source says nothing, or nearly none of them is."""
+        everywhere = np.ones(len(self), dtype=bool)
+        if self.covariance is None:
+            return everywhere
+        worst = np.linalg.eigvalsh(self.covariance[:, :2, :2])[:, 1]
+        known: NDArray[np.bool_] = worst < UNKNOWN_M2
+        return known if known.mean() > _FEW_KNOWN else everywhere
 
     def seconds_since(self, origin_ns: int) -> Array:
         """Return the stamps as seconds (n,) since an integer origin: float64 stamps since 1970 lose 256 ns."""
@@ -69,6 +85,7 @@ class Recording:
     notes : what reading it left out or noticed, in words
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
+    truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
     """
 
     name: str
@@ -79,6 +96,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     heading_error_rad: float | None = None
     clock: str = ""
+    truth_scale_error: float = 0.0
 
     @property
     def headed(self) -> bool:

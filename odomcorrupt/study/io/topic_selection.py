@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import Channel
     from odomcorrupt.study.io.address import Address
 
-__all__ = ["EDGES", "FLAGS", "TRANSFORM", "Role", "choose", "named", "near"]
+__all__ = ["EDGES", "FLAGS", "TRANSFORM", "Role", "choose", "has_truth", "named", "near"]
 
 Role = Literal["odometry", "truth"]
 
@@ -69,6 +69,12 @@ def named(channels: Iterable[Channel], address: Address, place: str, role: Role)
         way_out = ", ".join(t.replace("/msg/", "/") for t in types)
         raise TopicError(f"{place}: {address.topic} is a {kind}; {role} can be {way_out}, or an edge of TF")
     return good
+
+
+def has_truth(channels: Iterable[Channel]) -> bool:
+    """Whether any topic besides one odometry could be a truth."""
+    topics = {c.topic: c.msgtype for c in channels if c.msgtype in (*POSES, *POSITIONS)}
+    return len(topics) > (ODOMETRY in topics.values())
 
 
 def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Iterable[str]) -> list[Channel]:

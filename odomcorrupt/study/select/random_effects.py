@@ -61,6 +61,10 @@ class RandomCoefficient:
     nats: float
 
 
+_MAP_NATS = 20.0
+"""Nats more that a wandering gain of travel takes where the truth is a map's, whose distortions wander, too."""
+
+
 def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
     """Return the random coefficients that the residual of a fit shows, those that gain most first."""
     log_count = float(np.log(len(fit.problem.nodes)))
@@ -72,12 +76,19 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         nats, scale = _evidence(fit, design, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
+        if _matched(fit) and getattr(effect, "channel", "") == "along":
+            least += _MAP_NATS
         one = RandomCoefficient(effect, nats - 0.5 * process.numbers * log_count)
         key = (effect.name, getattr(effect, "channel", ""))
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
     named = [one for key, (one, least) in found.items() if one.nats > least and key not in have]
     return sorted(named, key=lambda one: one.nats, reverse=True)
+
+
+def _matched(fit: Fit) -> bool:
+    """Whether a truth comes from matched scans."""
+    return any(recording.truth.covariance is not None for recording in fit.problem.recordings)
 
 
 def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
@@ -108,7 +119,8 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Rand
     bursts = slip_bursts(fit)
     if bursts is not None:
         return [RandomCoefficient(bursts, decisions.counted_nats)]
-    heavy = heavy_tails(fit) if tails else None
+    # matches of a laser have heavy tails of their own
+    heavy = heavy_tails(fit) if tails and not _matched(fit) else None
     return [RandomCoefficient(*heavy)] if heavy is not None else []
 
 

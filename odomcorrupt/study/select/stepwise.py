@@ -15,6 +15,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
+from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
@@ -146,6 +147,7 @@ def learn(
     """
     if most is not None:
         decisions = replace(decisions, max_effects=most)
+    start = (*start, *mounting_of(recordings, start))
     encoders = encoder_effects(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)

@@ -1,0 +1,97 @@
+"""What is asked of each drive: the same search taught by motion capture and by the laser, plain numbers out."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from hidden import as_recording, ten_second_error
+from laboratory.answer import errors_of, told
+from laboratory.information import expected_information
+
+from laser.cases import world_of
+from laser.drives import EXACT, drive, laser_recordings, mocap_recording
+from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.simulation import simulate
+from odomcorrupt.simulation.fault_draws import SIZES
+from odomcorrupt.study.design.identifiability import is_untestable
+from odomcorrupt.study.select.stepwise import learn
+
+if TYPE_CHECKING:
+    from laboratory.cases import Case
+
+    from laser.drives import Seen
+    from odomcorrupt.study.io.laser_truth import LaserRun
+    from odomcorrupt.study.select.stepwise import Learned
+
+__all__ = ["ask"]
+
+JUDGE_SEED, JUDGED_S = 400_000, 240.0
+
+
+def ask(case: Case) -> dict[str, Any]:
+    """Return what a case shows."""
+    options: dict[str, Any] = {
+        "size": SIZES.get(case.size, 1.0),
+        "route": case.route,
+        "yaw_from": case.yaw_from,
+        "drive_type": case.drive_type,
+    }
+    causes = list(case.causes) or None
+    seen = drive(case.seed, causes, world_of(case), duration_s=case.duration_s, **options)
+    begun = time.process_time()
+    recordings, run = laser_recordings(seen)
+    matching_s = time.process_time() - begun
+    mocap = learn([mocap_recording(seen)])
+    laser = learn(recordings)
+    answer = told(laser)
+    row: dict[str, Any] = {
+        "world": world_of(case),
+        "answer": answer,
+        "mocap": told(mocap),
+        "truth": seen.run.answer["causes"],
+        "scale": seen.scale,
+        "lag_s": seen.lag_s,
+        "matching_s": matching_s,
+        "accuracy": _accuracy(seen, run),
+        "weak": float(run.path.weak.mean()),
+        "untestable": [c.score.effect.name for c in laser.rounds[-1].candidates if is_untestable(c)],
+    }
+    if case.causes:
+        row["errors"] = {c: errors_of(row["truth"][c], c, answer["found"]) for c in case.causes}
+        row["mocap_errors"] = {c: errors_of(row["truth"][c], c, row["mocap"]["found"]) for c in case.causes}
+    if case.arm == "single":
+        row["expected"] = expected_information(case)
+    judged = simulate(case.seed + JUDGE_SEED, causes, truth=EXACT, duration_s=JUDGED_S, robot_seed=case.seed, **options)
+    recording = as_recording(judged, "judged")
+    row["error"] = {
+        "before": ten_second_error([recording]),
+        "mocap": ten_second_error([recording], _robots(mocap)),
+        "laser": ten_second_error([recording], _robots(laser)),
+    }
+    return row
+
+
+def _robots(learned: Learned) -> list[Any]:
+    """Return the effects of the robot, without where the truth was taken."""
+    return [effect for effect in learned.fit.effects if effect.kind != "setup"]
+
+
+def _accuracy(seen: Seen, run: LaserRun) -> dict[str, list[float]]:
+    """Return root mean square and robust deviation of the laser's motion over 1 s: along, across (mm), yaw (deg)."""
+    path = run.path
+    origin_ns = int(seen.exact.stamps_ns[0])
+    t_s = path.t_s + (run.calibration.motion.origin_ns - origin_ns) * 1e-9 - seen.lag_s
+    real = compose(seen.exact.at(np.clip(t_s, 0.0, None), origin_ns), seen.mount)
+    real[:, :2] *= 1.0 + seen.scale
+    ahead = np.searchsorted(path.t_s, path.t_s + 0.999)
+    rows = np.flatnonzero(ahead < len(t_s))
+    rows = rows[np.abs(path.t_s[ahead[rows]] - path.t_s[rows] - 1.0) < 0.05]
+    miss = between(path.laser_xyt[rows], path.laser_xyt[ahead[rows]]) - between(real[rows], real[ahead[rows]])
+    miss[:, 2] = wrap(miss[:, 2])
+    units = np.array([1e3, 1e3, np.degrees(1.0)])
+    return {
+        "rms": (np.sqrt(np.mean(miss**2, axis=0)) * units).tolist(),
+        "robust": (1.4826 * np.median(np.abs(miss), axis=0) * units).tolist(),
+    }

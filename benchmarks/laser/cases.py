@@ -1,0 +1,49 @@
+"""Which drives the laser arm makes, fixed before any of them is."""
+
+from __future__ import annotations
+
+from laboratory.cases import SYSTEMATIC, Case
+
+__all__ = ["CAUSES", "LEARNED_S", "laser_cases", "world_of"]
+
+LEARNED_S = 300.0
+MOUNTING = ("lever_arm", "mount_yaw", "icr_shift")
+CLOCKS = ("time_offset", "clock_skew")
+CAUSES = tuple(c for c in SYSTEMATIC if c not in (*MOUNTING, *CLOCKS))
+"""Without those that are the laser's own: where it sits (icr_shift is the same thing) and its clock."""
+ROUTES = ("office", "loops", "slalom", "yard", "umbmark")
+SIZES = ("strong", "medium")
+LENGTHS = {"controls": 60, "single": 2 * len(CAUSES) * 5, "corridor": 20}
+FIRST_SEED = {"controls": 170_000, "single": 171_000, "corridor": 172_000}
+PILOT = -161_000
+
+
+def laser_cases(*, pilot: bool = False) -> list[Case]:
+    """Return all cases in the order in which they are run: the arms mixed in proportion."""
+    made = [
+        (i / LENGTHS[arm], arm, _case(arm, i, FIRST_SEED[arm] + i + (PILOT if pilot else 0)))
+        for arm in LENGTHS
+        for i in range(LENGTHS[arm])
+    ]
+    return [case for _, _, case in sorted(made, key=lambda entry: entry[:2])]
+
+
+def world_of(case: Case) -> str:
+    """Return the kind of world of a case."""
+    return "corridor" if case.arm == "corridor" else ("room", "office")[case.number // len(CAUSES) % 2]
+
+
+def _case(arm: str, i: int, seed: int) -> Case:
+    if arm == "controls":
+        return Case(arm, i, seed, ROUTES[i % 5], yaw_from=("encoders", "gyro")[i // 5 % 2], duration_s=LEARNED_S)
+    if arm == "corridor":
+        causes = ((), ("wheel_scale",), ("speed_scale",), ("wheelbase",))[i % 4]
+        return Case(arm, i, seed, "shuttle", causes, "strong" if causes else "", duration_s=LEARNED_S)
+    from laboratory.cases import _heading  # noqa: PLC0415 - the laboratory's own rule
+
+    which, again = i % len(CAUSES), i // len(CAUSES)
+    cause = (CAUSES[which],)
+    return Case(
+        arm, i, seed, ROUTES[(which + again) % 5], cause, SIZES[(which + again) % 2], yaw_from=_heading(cause, again),
+        duration_s=LEARNED_S,
+    )  # fmt: skip

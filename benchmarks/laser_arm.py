@@ -1,0 +1,46 @@
+"""The laboratory's laser arm: the same drives taught by motion capture and by a ray-cast laser.
+
+    python benchmarks/laser_arm.py run results.jsonl [--arm single] [--jobs 1] [--minutes 50] [--pilot]
+    python benchmarks/laser_arm.py summary results.jsonl
+
+`laser/protocol.md` says what is measured; it is frozen before a run. Needs the study and test extras.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+HERE = Path(__file__).parent
+sys.path[:0] = [str(HERE.parent / "tests" / "study"), str(HERE.parent / "tests")]
+
+from laboratory.run import read_results, run  # noqa: E402 - after the path
+from laser.ask import ask  # noqa: E402
+from laser.cases import LENGTHS, laser_cases  # noqa: E402
+from laser.tables import tables  # noqa: E402
+
+
+def main() -> None:
+    """Run a part of the cases, or print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    commands = parser.add_subparsers(dest="command", required=True)
+    runner = commands.add_parser("run")
+    runner.add_argument("results", type=Path)
+    runner.add_argument("--arm", action="append", choices=tuple(LENGTHS), help="only these (repeatable)")
+    runner.add_argument("--jobs", type=int, default=1)
+    runner.add_argument("--minutes", type=float, default=1e9, help="start no case after so long")
+    runner.add_argument("--pilot", action="store_true", help="other seeds, to try the script on")
+    commands.add_parser("summary").add_argument("results", type=Path)
+    chosen = parser.parse_args()
+    if chosen.command == "summary":
+        print(tables(read_results(chosen.results)))
+        return
+    wanted = [c for c in laser_cases(pilot=chosen.pilot) if c.arm in (chosen.arm or LENGTHS)]
+    run(wanted, chosen.results, ask, jobs=chosen.jobs, minutes=chosen.minutes)
+
+
+if __name__ == "__main__":
+    main()

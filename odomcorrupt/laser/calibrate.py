@@ -1,0 +1,314 @@
+"""How a laser's clock and mounting relate to the odometry: from the motion between sweeps, with nothing known before.
+
+Pairs of sweeps that lie a little way apart are matched; their turns against the odometry's give the lag between the two
+clocks, and whether the laser hangs upside down; then their displacements give the mounting (hand-eye calibration in the
+plane, linear in the position and in cosine and sine of the yaw).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
+from odomcorrupt.laser.icp import best_guess, match, surface_of
+from odomcorrupt.laser.surface import lines_of
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.sweep import Sweep, Sweeps
+    from odomcorrupt.study.io.recording import Trajectory
+
+__all__ = ["Calibration", "Motion", "calibrate", "deskewed"]
+
+_PAIRS = 240
+_APART_M, _APART_RAD = 0.25, 0.15
+_LAG_S, _LAG_STEP_S = 0.6, 0.01
+_OVERLAP = 0.6
+_LEAST_PAIRS = 8
+_TURNS_RAD = 0.5
+_PLAIN_RATIO = 0.05
+_DIFFERS_RAD = np.radians(15.0)
+_FEWER = 0.8
+_BETTER = 0.93
+"""Times within a sweep are taken where they make the deviation of matched pairs at most this share of itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Odometry as a function of the laser's time.
+
+    lag_s : what is added to the laser's times to get the odometry's
+    mount : (3,) the laser's pose on the robot
+    """
+
+    odometry: Trajectory
+    origin_ns: int
+    lag_s: float
+    mount: Array
+
+    def robot(self, t_s: Array) -> Array:
+        """Return the odometry's poses (n, 3) at times (n,) of the laser; held at both ends."""
+        own = self.odometry.seconds_since(self.origin_ns)
+        return self.odometry.at(np.clip(t_s + self.lag_s, own[0], own[-1]), self.origin_ns)
+
+    def laser(self, t_s: Array) -> Array:
+        """Return the laser's poses (n, 3) in the odometry's frame at times (n,) of the laser."""
+        return compose(self.robot(t_s), self.mount)
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What is known of a laser before its sweeps are put together.
+
+    motion : the odometry seen by the laser
+    mirrored : whether bearings run the other way round
+    turn_s : time that a whole turn of the laser takes, where the sweeps do not say; negative where it turns clockwise,
+        0 where each is taken at once
+    said : what was found, in words
+    """
+
+    motion: Motion
+    mirrored: bool
+    said: tuple[str, ...]
+    turn_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Pairs:
+    """Matched pairs of sweeps: times (n,), the second seen from the first (n, 3), and how well they match.
+
+    deviation_m : (n,) of the returns from the surfaces
+    ratio : (n,) smaller over larger eigenvalue of the information of the position
+    """
+
+    first_s: Array
+    second_s: Array
+    pose: Array
+    deviation_m: Array
+    ratio: Array
+
+
+def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
+    """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep.
+
+    turn_s : see `Calibration`; such a sweep's stamp is taken to be its middle's
+    """
+    xy = sweep.xy.astype(np.float64)
+    after = sweep.after_s.astype(np.float64)
+    if turn_s != 0.0 and len(after) and after[0] == after[-1]:
+        bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
+        after = (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
+    if mirrored:
+        xy[:, 1] = -xy[:, 1]
+    if not len(after) or after[0] == after[-1]:
+        return xy
+    stamp_s = float(sweep.stamp_ns - motion.origin_ns) * 1e-9
+    knots = np.linspace(float(after.min()), float(after.max()), 5)
+    poses = motion.laser(stamp_s + knots)
+    relative = between(poses[2], poses)
+    at = np.stack([np.interp(after, knots, relative[:, i]) for i in range(3)], axis=1)
+    return at[:, :2] + rotate(xy, at[:, 2])
+
+
+def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibration:
+    """Find lag, sense of rotation and mounting of a laser.
+
+    Raises
+    ------
+    RecordingError
+        Where sweeps cannot be matched with each other.
+
+    """
+    mount = np.zeros(3)
+    told = sweeps.mount
+    flipped = told is not None and float(np.linalg.det(told.plane)) < 0.0
+    if told is not None:
+        mount = np.array([*told.position_xy, np.arctan2(told.plane[1, 0], told.plane[0, 0])])
+    motion = Motion(odometry, origin_ns, 0.0, mount)
+    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, sure=told is not None)
+    said = []
+    if mirrored and not flipped:
+        said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
+    found = None
+    for _ in range(2):
+        motion = Motion(odometry, origin_ns, _lag(pairs, motion), motion.mount)
+        found = _hand_eye(pairs, motion)
+        if found is not None and (told is None or abs(wrap(np.asarray(found[2] - mount[2]))) > _DIFFERS_RAD):
+            motion = Motion(odometry, origin_ns, motion.lag_s, found)
+        pairs = _matched(sweeps, motion, mirrored=mirrored)
+    turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
+    if turn_s:
+        said.append(
+            f"{sweeps.topic}: no times within a sweep; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
+        )
+    if found is not None and told is not None:
+        yaw = float(np.degrees(wrap(np.asarray(found[2] - mount[2]))))
+        if abs(yaw) > np.degrees(_DIFFERS_RAD):
+            said.append(f"{sweeps.topic}: turned by {yaw:.0f} deg against what TF says; mounting taken from the motion")
+    if told is None:
+        where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
+        said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
+    return Calibration(motion, mirrored, tuple(said), turn_s)
+
+
+def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
+    """Return matched pairs, and whether the laser has to be mirrored for them to turn as the odometry does."""
+    best: tuple[float, _Pairs, bool] | None = None
+    for mirrored in (flipped, not flipped):
+        pairs = _matched(sweeps, motion, mirrored=mirrored, free=not sure)
+        if len(pairs.pose) < _LEAST_PAIRS:
+            continue
+        lagged = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
+        turned = _turned(pairs, lagged)
+        rms = float(np.median(np.abs(wrap(pairs.pose[:, 2] - turned)))) + 1e-3
+        if best is None or rms < 0.5 * best[0]:
+            best = (rms, pairs, mirrored)
+        if sure and rms < 0.3 * (float(np.median(np.abs(turned))) + 0.05):
+            break
+    if best is None:
+        raise RecordingError(
+            f"{sweeps.place}: its sweeps do not fit each other (too few returns, too little in view, or too far apart "
+            f"at one in {sweeps.period_s:.2f} s); name another topic with --scan"
+        )
+    return best[1], best[2]
+
+
+def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, *, mirrored: bool) -> float:
+    """Return the time of a whole turn at which sweeps without times fit each other best; 0 where none helps."""
+    if any(len(s) and s.after_s[0] != s.after_s[-1] for s in sweeps.sweeps[:50]) or not len(plain.pose):
+        return 0.0
+    period = min(sweeps.period_s, 0.2)
+    best, turn_s = _BETTER * _misfit(plain), 0.0
+    for candidate in (period, -period):
+        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
+        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
+            best, turn_s = _misfit(pairs), candidate
+    return turn_s
+
+
+def _misfit(pairs: _Pairs) -> float:
+    """Return the mean deviation of returns from surfaces, over pairs."""
+    return float(np.mean(pairs.deviation_m))
+
+
+def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = False, turn_s: float = 0.0) -> _Pairs:
+    """Match pairs of sweeps a little way apart, spread over the drive.
+
+    free : where the mounting is unknown, displacements in all directions are tried
+    """
+    t_s = sweeps.middle_s(motion.origin_ns)
+    poses = motion.laser(t_s)
+    chosen = _spread(t_s, poses)
+    first, second, found, deviation, ratio = [], [], [], [], []
+    for a, b in chosen:
+        one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored, turn_s=turn_s) for k in (a, b))
+        lines = lines_of(one)
+        if len(lines.feet) < 20 or len(other) < 20:
+            continue
+        surface = surface_of(*lines)
+        guess = between(poses[a], poses[b])
+        if free:
+            reach = float(np.hypot(guess[0], guess[1]))
+            ways = [
+                np.array([reach * np.cos(w), reach * np.sin(w), sign * guess[2]])
+                for w in np.arange(0.0, 2 * np.pi, np.pi / 4)
+                for sign in (1.0, -1.0)
+            ]
+            guess = best_guess(other[:: max(1, len(other) // 90)], surface, np.stack(ways))
+        fit = match(other[:: max(1, len(other) // 240)], surface, guess)
+        if fit is not None and fit.overlap > _OVERLAP:
+            first.append(t_s[a])
+            second.append(t_s[b])
+            found.append(fit.pose)
+            deviation.append(fit.deviation_m)
+            ratio.append(fit.ratio)
+    return _Pairs(
+        np.array(first), np.array(second), np.array(found).reshape(-1, 3), np.array(deviation), np.array(ratio)
+    )
+
+
+def _spread(t_s: Array, poses: Array) -> list[tuple[int, int]]:
+    """Return pairs of sweeps between which the odometry moves a little, those that turn most before others."""
+    turned = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(poses[:, 2])))))
+    gone = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))))
+    measure = turned / _APART_RAD + gone / _APART_M
+    ahead = np.searchsorted(measure, measure + 1.0)
+    start = np.flatnonzero(ahead < len(t_s))
+    start = start[(t_s[ahead[start]] - t_s[start] < 3.0) & (ahead[start] > start)]
+    if len(start) > _PAIRS:
+        share = turned[ahead[start]] - turned[start]
+        much = start[np.argsort(share)[::-1][: _PAIRS // 2]]
+        even = start[np.linspace(0, len(start) - 1, _PAIRS // 2).round().astype(np.int64)]
+        start = np.unique(np.concatenate((much, even)))
+    return [(int(a), int(ahead[a])) for a in start]
+
+
+def _turned(pairs: _Pairs, motion: Motion) -> Array:
+    """Return by how much the odometry turned between the sweeps of each pair (n,), rad."""
+    turned: Array = motion.robot(pairs.second_s)[:, 2] - motion.robot(pairs.first_s)[:, 2]
+    return turned
+
+
+def _lag(pairs: _Pairs, motion: Motion) -> float:
+    """Return the lag at which the odometry turns as the sweeps do, seconds; 0 where nothing turns."""
+    measured = pairs.pose[:, 2]
+    if len(measured) < _LEAST_PAIRS or np.abs(measured).sum() < _TURNS_RAD:
+        return 0.0
+    lags = np.arange(-_LAG_S, _LAG_S + _LAG_STEP_S / 2.0, _LAG_STEP_S)
+    cost = []
+    for lag in lags:
+        turned = _turned(pairs, Motion(motion.odometry, motion.origin_ns, float(lag), motion.mount))
+        scale = float(np.clip(measured @ turned / max(float(turned @ turned), 1e-9), 0.5, 2.0))
+        miss = np.abs(wrap(measured - scale * turned))
+        cost.append(float(np.minimum(miss, 0.1).sum()))
+    best = int(np.argmin(cost))
+    if not 0 < best < len(lags) - 1:
+        return 0.0
+    near = np.polyfit(lags[max(best - 4, 0) : best + 5], cost[max(best - 4, 0) : best + 5], 2)
+    if near[0] <= 0.0:
+        return float(lags[best])
+    return float(np.clip(-near[1] / (2.0 * near[0]), lags[best] - 0.04, lags[best] + 0.04))
+
+
+def _hand_eye(pairs: _Pairs, motion: Motion) -> Array | None:
+    """Return the laser's pose (3,) on the robot; None where the drive does not show it.
+
+    With O the robot's motion, L the laser's and X the mounting, O X = X L: t_O + (R_O - I) t_X = k R_X t_L.
+    """
+    plain = pairs.ratio > _PLAIN_RATIO
+    if plain.sum() < _LEAST_PAIRS:
+        return None
+    own = between(motion.robot(pairs.first_s[plain]), motion.robot(pairs.second_s[plain]))
+    seen = pairs.pose[plain]
+    n = len(own)
+    rows = np.zeros((n, 2, 4))
+    c, s = np.cos(seen[:, 2]) - 1.0, np.sin(seen[:, 2])
+    rows[:, 0, 0], rows[:, 0, 1], rows[:, 1, 0], rows[:, 1, 1] = -c, s, -s, -c
+    x, y = seen[:, 0], seen[:, 1]
+    rows[:, 0, 2], rows[:, 0, 3], rows[:, 1, 2], rows[:, 1, 3] = x, -y, y, x
+    weight = np.ones(n)
+    solution = np.zeros(4)
+    for _ in range(8):
+        scaled = rows * weight[:, None, None]
+        solution, *_ = np.linalg.lstsq(
+            np.concatenate((scaled.reshape(-1, 4), 1e-2 * np.eye(4)[:2])),
+            np.concatenate(((own[:, :2] * weight[:, None]).ravel(), np.zeros(2))),
+            rcond=None,
+        )
+        miss = np.linalg.norm(rows @ solution - own[:, :2], axis=1)
+        scale = max(float(np.median(miss)), 1e-3)
+        weight = 1.0 / np.sqrt(1.0 + (miss / (2.0 * scale)) ** 2)
+    length = float(np.hypot(solution[2], solution[3]))
+    if not 0.5 < length < 2.0 or np.hypot(solution[0], solution[1]) > 3.0:
+        return None
+    return np.array([solution[0], solution[1], np.arctan2(solution[3], solution[2])])
+
+
+def back_to_robot(laser: Array, mount: Array) -> Array:
+    """Return the robot's poses (n, 3) from its laser's."""
+    return compose(laser, inverse(mount))

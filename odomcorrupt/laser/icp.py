@@ -1,0 +1,148 @@
+"""Point-to-line scan matching: the pose of a sweep in a map of points with normals, and what is known of it.
+
+Iterated closest points with the point-to-line metric (Censi, "An ICP variant using a point-to-line metric", ICRA 2008),
+a k-d tree for the nearest points, and Cauchy weights against people, glass and mixed pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["LEAST_PAIRS", "WEAK", "Match", "Surface", "best_guess", "match", "surface_of"]
+
+LEAST_PAIRS = 20
+"""Fewer returns than this that meet a surface fix no pose."""
+WEAK = 0.15
+"""Smaller over larger eigenvalue of the normals' scatter, below which nothing is known along the smaller's axis."""
+_GATES_M = (0.5, 0.3, 0.2, 0.15)
+_MOST_STEPS = 15
+_STEP_M, _STEP_RAD = 2e-4, 2e-5
+_FINEST_M = 0.004
+_TUNING = 2.0
+_OVERLAP_M = 0.12
+_FLAT = 1e-3
+_HELD = 0.05
+"""The same ratio, below which the guess is kept along that axis."""
+
+
+class Surface(NamedTuple):
+    """n points (n, 2) of surfaces with their unit normals (n, 2), in one frame, and their k-d tree."""
+
+    points: Array
+    normals: Array
+    tree: cKDTree
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """The pose of a sweep in a surface's frame.
+
+    pose : (3,) m, m, rad
+    information : (3, 3) of the pose in the surface's axes about the sweep's origin, for returns with independent errors
+    deviation_m : robust deviation of the returns from the surfaces, m
+    overlap : share of the returns that lie within 12 cm of a surface point
+    pairs : how many returns were used
+    ratio : smaller over larger eigenvalue of the position's information, the heading unknown
+    weak_axis : (2,) unit vector along which least is known, in the surface's axes
+    """
+
+    pose: Array
+    information: Array
+    deviation_m: float
+    overlap: float
+    pairs: int
+    ratio: float
+    weak_axis: Array
+
+
+def surface_of(points: Array, normals: Array) -> Surface:
+    """Return points and normals (n, 2) with their tree."""
+    return Surface(points, normals, cKDTree(points, leafsize=24, compact_nodes=False, balanced_tree=False))
+
+
+def match(returns: Array, surface: Surface, guess: Array, gates_m: Sequence[float] = _GATES_M) -> Match | None:
+    """Return the pose of returns (m, 2) in a surface's frame that is nearest to a guess (3,); None where none is found.
+
+    gates_m : largest distance between a return and its surface point, iteration by iteration; the last one stays
+    """
+    if len(surface.points) < LEAST_PAIRS or len(returns) < LEAST_PAIRS:
+        return None
+    pose = np.array(guess, dtype=np.float64)
+    for step in range(_MOST_STEPS):
+        gate = gates_m[min(step, len(gates_m) - 1)]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        lever = returns @ np.array([[c, s], [-s, c]])
+        distance, index = surface.tree.query(lever + pose[:2], distance_upper_bound=gate)
+        paired = np.flatnonzero(np.isfinite(distance))
+        if len(paired) < LEAST_PAIRS:
+            return None
+        lever, index = lever[paired], index[paired]
+        normal = surface.normals[index]
+        miss = np.einsum("ij,ij->i", normal, surface.points[index] - lever - pose[:2])
+        deviation = max(1.4826 * float(np.median(np.abs(miss))), _FINEST_M)
+        weight = 1.0 / (1.0 + (miss / (_TUNING * deviation)) ** 2)
+        jacobian = np.empty((len(paired), 3))
+        jacobian[:, :2] = normal
+        jacobian[:, 2] = normal[:, 1] * lever[:, 0] - normal[:, 0] * lever[:, 1]
+        weighted = jacobian * weight[:, None]
+        information = jacobian.T @ weighted
+        move = _step(information, weighted.T @ miss)
+        values, vectors = _axes(information)
+        if values[0] < _HELD * values[1]:
+            move[:2] = vectors[:, 1] * (vectors[:, 1] @ move[:2])
+        pose += move
+        if step >= len(gates_m) - 1 and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
+            break
+    values, vectors = _axes(information)
+    return Match(
+        pose=pose,
+        information=information / deviation**2,
+        deviation_m=deviation,
+        overlap=float(np.count_nonzero(distance < _OVERLAP_M)) / len(returns),
+        pairs=len(paired),
+        ratio=float(values[0] / max(values[1], 1e-12)),
+        weak_axis=vectors[:, 0],
+    )
+
+
+def _axes(information: Array) -> tuple[Array, Array]:
+    """Return eigenvalues (2,), the smaller first, and eigenvectors (2, 2) of the position's information.
+
+    Whatever the heading: one wall far aside fixes either, not both.
+    """
+    a, b, c = information[0, 0], information[0, 1], information[1, 1]
+    x, y, z = information[0, 2], information[1, 2], max(information[2, 2], 1e-12)
+    a, b, c = a - x * x / z, b - x * y / z, c - y * y / z
+    half, middle = float(np.hypot(0.5 * (a - c), b)), 0.5 * (a + c)
+    angle = 0.5 * np.arctan2(2.0 * b, a - c)
+    large = np.array([np.cos(angle), np.sin(angle)])
+    return np.array([max(middle - half, 0.0), middle + half]), np.stack((np.array([-large[1], large[0]]), large), 1)
+
+
+def best_guess(returns: Array, surface: Surface, guesses: Array, within_m: float = 0.25) -> Array:
+    """Return the guess (3,) of several (g, 3) that lays most of some returns (m, 2) near the surface."""
+    c, s = np.cos(guesses[:, 2])[:, None], np.sin(guesses[:, 2])[:, None]
+    x = c * returns[:, 0] - s * returns[:, 1] + guesses[:, 0, None]
+    y = s * returns[:, 0] + c * returns[:, 1] + guesses[:, 1, None]
+    distance, _ = surface.tree.query(np.stack((x, y), axis=2).reshape(-1, 2), distance_upper_bound=within_m)
+    score = np.minimum(distance, within_m).reshape(x.shape).sum(axis=1)
+    best: Array = guesses[int(np.argmin(score))]
+    return best
+
+
+def _step(information: Array, pull: Array) -> Array:
+    """Return the Gauss-Newton step (3,); along an axis of which nothing is known the guess stays."""
+    scale = np.sqrt(np.maximum(np.diag(information), 1e-12))
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    inverse = np.where(values > _FLAT, 1.0 / np.maximum(values, _FLAT), 0.0)
+    step: Array = (vectors @ (inverse * (vectors.T @ (pull / scale)))) / scale
+    return step

@@ -1,0 +1,105 @@
+"""The map that falls out of scan matching, and what the same rays draw through odometry, with and without noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.mapping.frames import Mount
+from odomcorrupt.mapping.raycast import canvas_for
+from odomcorrupt.mapping.scan_map import place, survey
+from odomcorrupt.mapping.scans import Rays
+from odomcorrupt.study.io.recording import Trajectory
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.mapping.scan_map import Survey
+    from odomcorrupt.study.io.laser_truth import LaserRun
+
+__all__ = ["LaserMaps", "laser_maps", "tum_text"]
+
+_MOST_RAYS = 400_000
+
+
+@dataclass(frozen=True, slots=True)
+class LaserMaps:
+    """Maps of one drive.
+
+    trajectory : the robot's by the laser, on the odometry's clock, in the map's frame
+    surveys : through that trajectory, through the odometry, and through the odometry with noise on it
+    """
+
+    trajectory: Trajectory
+    surveys: tuple[Survey, ...]
+
+
+def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
+    """Return the map through the laser's trajectory, and those through the odometry and a noisy one.
+
+    error_xyt : (n, 3) what noise adds to each pose of the odometry
+    """
+    motion, path = run.calibration.motion, run.path
+    stamps = motion.origin_ns + np.round((path.t_s + motion.lag_s) * 1e9).astype(np.int64)
+    stamps, first = np.unique(stamps, return_index=True)
+    trajectory = Trajectory(stamps, path.xyt[first])
+    odometry = run.odometry.trajectory()
+    start = np.clip(trajectory.seconds_since(int(odometry.stamps_ns[0]))[:1], 0.0, None)
+    begin = odometry.at(start, int(odometry.stamps_ns[0]))[0]
+    noisy = Trajectory(odometry.stamps_ns, odometry.xyt + error_xyt)
+    rays = _rays(run)
+    inside = (rays.stamps_ns >= max(stamps[0], odometry.stamps_ns[0])) & (
+        rays.stamps_ns <= min(stamps[-1], odometry.stamps_ns[-1])
+    )
+    rays = replace(rays, stamps_ns=rays.stamps_ns[inside], to_xy=rays.to_xy[inside])
+    paths = {
+        "corrected by the laser": _moved(trajectory, trajectory.xyt[0], begin),
+        "odometry": odometry,
+        "noisy odometry": noisy,
+    }
+    views = {name: place(rays, one) for name, one in paths.items()}
+    canvas = canvas_for(np.concatenate([part for v in views.values() for part in (v.from_xy, v.to_xy)]), resolution_m)
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
+    travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
+    corrected = views["corrected by the laser"]
+    surveys = tuple(survey(name, paths[name].xyt, view, corrected, travelled, canvas) for name, view in views.items())
+    return LaserMaps(paths["corrected by the laser"], surveys)
+
+
+def tum_text(trajectory: Trajectory) -> str:
+    """Return a trajectory as TUM writes it: seconds, x y z, quaternion."""
+    lines = []
+    for stamp, (x, y, yaw) in zip(trajectory.stamps_ns.tolist(), trajectory.xyt.tolist(), strict=True):
+        seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+        lines.append(
+            f"{seconds}.{nanoseconds:09d} {x:.6f} {y:.6f} 0 0 0 {np.sin(0.5 * yaw):.9f} {np.cos(0.5 * yaw):.9f}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _moved(trajectory: Trajectory, here: Array, there: Array) -> Trajectory:
+    """Return a trajectory laid so that a pose (3,) of it becomes another."""
+    turn = there[2] - here[2]
+    xy = there[:2] + rotate(trajectory.xyt[:, :2] - here[:2], np.full(len(trajectory), turn))
+    return Trajectory(trajectory.stamps_ns, np.column_stack((xy, trajectory.xyt[:, 2] + turn)))
+
+
+def _rays(run: LaserRun) -> Rays:
+    """Return the returns of all sweeps in the robot's frame, on the odometry's clock."""
+    motion, sweeps = run.calibration.motion, run.sweeps
+    total = sum(len(s) for s in sweeps.sweeps)
+    thin = max(1, total // _MOST_RAYS)
+    lag_ns = round(motion.lag_s * 1e9)
+    angle = float(motion.mount[2])
+    plane = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    if run.calibration.mirrored:
+        plane = plane @ np.diag([1.0, -1.0])
+    mount = Mount(motion.mount[:2], plane)
+    stamps, ends = [], []
+    for sweep in sweeps.sweeps:
+        after = np.round(sweep.after_s[::thin].astype(np.float64) * 1e9).astype(np.int64)
+        stamps.append(sweep.stamp_ns + lag_ns + after)
+        ends.append(mount.position_xy + sweep.xy[::thin].astype(np.float64) @ mount.plane.T)
+    return Rays(np.concatenate(stamps), mount.position_xy, np.concatenate(ends), len(sweeps), sweeps.frame_id)

@@ -1,0 +1,167 @@
+"""Sweeps to a map: tracking against local surfaces, new keyframes where none is near, loops closed, poses optimised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import between, compose, wrap
+from odomcorrupt.laser.calibrate import deskewed
+from odomcorrupt.laser.icp import match
+from odomcorrupt.laser.keyframes import Edge, KeyframeMap, edge_information, thinned
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.calibrate import Calibration
+    from odomcorrupt.laser.icp import Match
+    from odomcorrupt.laser.sweep import Sweeps
+
+__all__ = ["Tracked", "make_map"]
+
+_TRACK_QUERY = 180
+_OVERLAP = 0.35
+_SURE_OVERLAP = 0.6
+_AWAY_M, _AWAY_RAD = 0.25, 0.2
+_AWAY_SHARE = 0.2
+_NEW_M, _LEAST_M, _NEW_OVERLAP = 0.5, 0.1, 0.6
+_LOST = 3
+_LEAST_RETURNS = 40
+_FAST_MPS, _FAST_RADPS = 5.0, 6.0
+_CLOSE_ROUNDS = 3
+_GATES_M = (0.4, 0.25, 0.15)
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """Where every sweep was in the map.
+
+    keyframe : (n,) the keyframe each sweep was matched with last, -1 where it fitted nowhere
+    relative : (n, 3) its pose in that keyframe's frame
+    t_s : (n,) middles of the sweeps, seconds on the laser's clock since the origin
+    """
+
+    map: KeyframeMap
+    keyframe: NDArray[np.int64]
+    relative: Array
+    t_s: Array
+
+
+def make_map(sweeps: Sweeps, calibration: Calibration, told: Callable[[float], None] | None = None) -> Tracked:
+    """Return the finished map and where each sweep was in it.
+
+    told : called now and then with which part of the sweeps is done
+    """
+    tracker = _Tracker(sweeps, calibration)
+    for n in range(len(sweeps)):
+        if told is not None and n % 50 == 0:
+            told(n / len(sweeps))
+        tracker.take(n)
+    world = tracker.world
+    for _ in range(_CLOSE_ROUNDS):
+        world.settle()
+        if not world.close():
+            break
+    world.settle()
+    return Tracked(world, tracker.keyframe, tracker.relative, tracker.t_s)
+
+
+class _Tracker:
+    """Takes sweep after sweep: where it is in the map so far, and new keyframes where that is too far from all."""
+
+    def __init__(self, sweeps: Sweeps, calibration: Calibration) -> None:
+        self.world = KeyframeMap(sweeps.field_of_view_rad)
+        self.t_s = sweeps.middle_s(calibration.motion.origin_ns)
+        self.keyframe, self.relative = np.full(len(sweeps), -1), np.zeros((len(sweeps), 3))
+        self._sweeps, self._calibration = sweeps, calibration
+        self._dead = calibration.motion.laser(self.t_s)
+        self._current, self._inside = -1, np.zeros(3)
+        self._last, self._lost = -1, 0
+        self._before = np.zeros(3)
+
+    def take(self, n: int) -> None:
+        """Place the next sweep."""
+        found = self._calibration
+        scan = deskewed(self._sweeps.sweeps[n], found.motion, mirrored=found.mirrored, turn_s=found.turn_s)
+        if self._current < 0:
+            if len(scan) >= _LEAST_RETURNS:
+                self._enter(n, self.world.add(scan, self._dead[n]))
+            return
+        step = self._step(n)
+        guess = compose(self._inside, step)
+        matched = self._matched(scan, guess, step)
+        if matched is None:
+            self._lost += 1
+            if self._lost > _LOST and len(scan) >= _LEAST_RETURNS:
+                self._begin(n, scan, guess)
+            return
+        self._lost = 0
+        self._before = step / max(n - self._last, 1)
+        self._last = n
+        self._follow(n, scan, guess, matched)
+
+    def _step(self, n: int) -> Array:
+        """Return the odometry's motion since the last sweep that was placed; after a reset, the motion before."""
+        step = between(self._dead[self._last], self._dead[n])
+        gap_s = max(float(self.t_s[n] - self.t_s[self._last]), 1e-3)
+        jumped = np.hypot(step[0], step[1]) > _FAST_MPS * gap_s + 0.1 or abs(step[2]) > _FAST_RADPS * gap_s + 0.2
+        return self._before if jumped else step
+
+    def _matched(self, scan: Array, guess: Array, step: Array) -> Match | None:
+        """Return the match of a sweep with the local map, looked for more widely where sweeps were lost before."""
+        if not len(scan):
+            return None
+        world, query = self.world, thinned(scan, _TRACK_QUERY)
+        found = match(query, world.local(self._current), guess, _GATES_M)
+        if _fits(found, guess, step, _OVERLAP, 1.0):
+            return found
+        if not self._lost:
+            return None
+        found = match(query, world.local(self._current), world.around(self._current, scan, guess))
+        return found if _fits(found, guess, step, _SURE_OVERLAP, 3.0) else None
+
+    def _begin(self, n: int, scan: Array, guess: Array) -> None:
+        """Begin a part of the map of its own, too far from all that is known, and see whether it fits somewhere."""
+        new = self.world.add(scan, compose(self.world.poses[self._current], guess))
+        self.world.connect(self.world.dead_reckoned(self._current, new, guess))
+        if self.world.tie(new, set()):
+            self.world.settle()
+        self._lost = 0
+        self._enter(n, new)
+
+    def _follow(self, n: int, scan: Array, guess: Array, found: Match) -> None:
+        """Note where a sweep is, go over to the nearest keyframe, and make it one itself where none is near."""
+        world, current = self.world, self._current
+        self.keyframe[n], self.relative[n] = current, found.pose
+        pose = compose(world.poses[current], found.pose)
+        best = world.nearest_to(pose, world.reachable(current))[0]
+        away_m = float(world.distances(pose, np.array([best]))[0])
+        if away_m > _NEW_M or (found.overlap < _NEW_OVERLAP and away_m > _LEAST_M):
+            new = world.add(scan, pose)
+            world.connect(Edge(current, new, found.pose, edge_information(found), matched=True, loop=False))
+            world.connect(world.dead_reckoned(current, new, guess))
+            if world.tie(new, {current}):
+                world.settle()
+            self._enter(n, new)
+            return
+        self._current, self._inside = best, found.pose if best == current else between(world.poses[best], pose)
+
+    def _enter(self, n: int, keyframe: int) -> None:
+        """Go on from a new keyframe, which the sweep itself is."""
+        self._current, self._inside, self._last = keyframe, np.zeros(3), n
+        self.keyframe[n], self.relative[n] = keyframe, np.zeros(3)
+
+
+def _fits(found: Match | None, guess: Array, step: Array, overlap: float, times: float) -> bool:
+    """Whether a match overlaps enough, and is not much farther from the odometry's guess than the step allows."""
+    if found is None or found.overlap < overlap:
+        return False
+    away = found.pose - guess
+    reach = _AWAY_M + _AWAY_SHARE * float(np.hypot(step[0], step[1]))
+    turned = _AWAY_RAD + _AWAY_SHARE * abs(float(step[2]))
+    return bool(np.hypot(away[0], away[1]) <= times * reach and abs(float(wrap(away[2]))) <= times * turned)

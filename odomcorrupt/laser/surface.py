@@ -1,0 +1,71 @@
+"""Which way the surfaces face that a sweep met: lines through the neighbours of each return."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Lines", "lines_of", "lines_through"]
+
+_REACH_M = 0.3
+"""Neighbours of a return lie at most this far away."""
+_MOST_STEPS = 6
+_LEAST = 3
+_FLAT = 0.3
+"""Deviation across a line over that along it, above which the neighbours are no line."""
+
+
+class Lines(NamedTuple):
+    """Lines through the neighbours of points: the foot of each point (n, 2) on its own, and the unit normal (n, 2)."""
+
+    feet: Array
+    normals: Array
+
+
+def lines_of(xy: Array) -> Lines:
+    """Return the lines of the surfaces at returns (m, 2) in the order of bearings; only those that are lines.
+
+    A line is laid through all returns within 0.3 m and six steps of each (total least squares); where fewer than
+    three returns are near, or they make no line, there is none. Feet are less noisy than returns, and of noisy points
+    the nearest one is always too near.
+    """
+    count = len(xy)
+    if count < _LEAST:
+        return Lines(np.zeros((0, 2)), np.zeros((0, 2)))
+    offsets = np.arange(-_MOST_STEPS, _MOST_STEPS + 1)
+    index = np.arange(count)[:, None] + offsets
+    inside = (index >= 0) & (index < count)
+    near = xy[np.clip(index, 0, count - 1)] - xy[:, None, :]
+    weight = (inside & (np.einsum("ijk,ijk->ij", near, near) < _REACH_M**2)).astype(np.float64)
+    return _fitted(xy, near, weight)
+
+
+def lines_through(points: Array, neighbours: int = 16) -> Lines:
+    """Return the lines through the nearest neighbours of points (n, 2) in any order."""
+    tree = cKDTree(points)
+    distance, index = tree.query(points, k=min(neighbours, len(points)), distance_upper_bound=_REACH_M)
+    weight = np.isfinite(distance).astype(np.float64)
+    near = points[np.minimum(index, len(points) - 1)] - points[:, None, :]
+    return _fitted(points, near * weight[:, :, None], weight)
+
+
+def _fitted(xy: Array, near: Array, weight: Array) -> Lines:
+    """Return lines through weighted neighbours (n, k, 2), given from each point."""
+    number = weight.sum(axis=1)
+    mean = np.einsum("ij,ijk->ik", weight, near) / number[:, None]
+    x, y = near[:, :, 0], near[:, :, 1]
+    xx = np.einsum("ij,ij->i", weight, x * x) / number - mean[:, 0] ** 2
+    yy = np.einsum("ij,ij->i", weight, y * y) / number - mean[:, 1] ** 2
+    xy_ = np.einsum("ij,ij->i", weight, x * y) / number - mean[:, 0] * mean[:, 1]
+    direction = 0.5 * np.arctan2(2.0 * xy_, xx - yy)
+    half, middle = np.hypot(0.5 * (xx - yy), xy_), 0.5 * (xx + yy)
+    small, large = np.maximum(middle - half, 0.0), middle + half
+    known = (number >= _LEAST) & (small < _FLAT**2 * large)
+    normal = np.stack((-np.sin(direction), np.cos(direction)), axis=1)[known]
+    off = np.einsum("ij,ij->i", mean[known], normal)
+    return Lines(xy[known] + off[:, None] * normal, normal)

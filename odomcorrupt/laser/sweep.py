@@ -1,0 +1,79 @@
+"""Laser sweeps: the returns of one turn of a planar laser, each with its own time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.mapping.frames import Mount
+
+__all__ = ["MOST_RETURNS", "Sweep", "Sweeps"]
+
+MOST_RETURNS = 720
+"""Denser sweeps are thinned to this many returns: more cost time and say little more."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The m returns of one sweep.
+
+    stamp_ns : of the sweep, as its message carries it
+    xy : (m, 2) float32, where the returns are in the laser's frame, metres, in the order of their bearings
+    after_s : (m,) float32, time of each return after the stamp, seconds
+    """
+
+    stamp_ns: int
+    xy: NDArray[np.float32]
+    after_s: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+
+@dataclass(frozen=True, slots=True)
+class Sweeps:
+    """All sweeps of one topic, stamps growing.
+
+    place : what messages call the topic: "run.bag: /scan"
+    topic, frame_id : where they were published, and the laser's frame
+    sweeps : with their returns in the laser's own plane, counter-clockwise seen from above the plane
+    field_of_view_rad : angle between the first bearing and the last
+    log_ns : (n,) when each was recorded
+    mount : how the laser sits on the robot, None where TF does not say
+    notes : what was noticed or left out, in words
+    """
+
+    place: str
+    topic: str
+    frame_id: str
+    sweeps: tuple[Sweep, ...]
+    field_of_view_rad: float
+    log_ns: NDArray[np.int64]
+    mount: Mount | None
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.sweeps)
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Stamps (n,) of the sweeps."""
+        return np.array([sweep.stamp_ns for sweep in self.sweeps], dtype=np.int64)
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between two sweeps, seconds."""
+        return float(np.median(np.diff(self.stamps_ns))) * 1e-9 if len(self) > 1 else 0.0
+
+    def middle_s(self, origin_ns: int) -> Array:
+        """Return the times (n,) of the middles of the sweeps, seconds since an integer origin."""
+        half = np.array([0.5 * float(s.after_s.min() + s.after_s.max()) if len(s) else 0.0 for s in self.sweeps])
+        stamps: Array = (self.stamps_ns - origin_ns).astype(np.float64) * 1e-9
+        middle: Array = stamps + half
+        return middle

@@ -1,0 +1,112 @@
+"""The laser's trajectory: every sweep relocalised in the finished map, with the information of its match."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import compose, inverse, rotate
+from odomcorrupt.laser.calibrate import deskewed
+from odomcorrupt.laser.icp import WEAK, match
+from odomcorrupt.laser.keyframes import thinned
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.calibrate import Calibration
+    from odomcorrupt.laser.slam import Tracked
+    from odomcorrupt.laser.sweep import Sweeps
+
+__all__ = ["LaserPath", "relocalised"]
+
+_QUERY = 450
+_OVERLAP = 0.35
+_GATES_M = (0.2, 0.15)
+_FLOOR_M, _FLOOR_RAD = 1e-3, 2e-4
+_UNKNOWN_M = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class LaserPath:
+    """Poses of the robot by its laser.
+
+    row : (k,) which sweep each pose is of
+    t_s : (k,) middle of that sweep on the laser's clock, seconds since the origin
+    xyt : (k, 3) poses of the robot in the map, m and rad
+    laser_xyt : (k, 3) poses of the laser
+    covariance : (k, 3, 3) of each pose in the robot's axes, as the match says; a metre along an axis that is not seen
+    part : (k,) which connected part of the map it lies in
+    weak : (k,) whether the match says nothing along one axis
+    ratio : (k,) smaller over larger eigenvalue of the information of each position
+    deviation_m : usual deviation of returns from the map's surfaces
+    """
+
+    row: NDArray[np.int64]
+    t_s: Array
+    xyt: Array
+    laser_xyt: Array
+    covariance: Array
+    part: NDArray[np.int64]
+    weak: NDArray[np.bool_]
+    ratio: Array
+    deviation_m: float
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def only(self, kept: NDArray[np.bool_]) -> LaserPath:
+        """Return some of the poses."""
+        arrays = ("row", "t_s", "xyt", "laser_xyt", "covariance", "part", "weak", "ratio")
+        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
+
+
+def relocalised(
+    sweeps: Sweeps, calibration: Calibration, tracked: Tracked, told: Callable[[float], None] | None = None
+) -> LaserPath:
+    """Return every sweep's pose in the finished map, those that do not fit left out."""
+    motion, world = calibration.motion, tracked.map
+    part_of = world.parts()
+    rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
+    tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
+    for done, n in enumerate(tracked_rows):
+        if told is not None and done % 50 == 0:
+            told(done / len(tracked_rows))
+        k = int(tracked.keyframe[n])
+        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
+        found = match(thinned(scan, _QUERY), world.local(k), tracked.relative[n], _GATES_M)
+        if found is None or found.overlap < _OVERLAP:
+            continue
+        covariance = np.linalg.inv(found.information + np.diag([1e-4, 1e-4, 1e-4]))
+        unseen = found.ratio < WEAK
+        covariance += np.diag([_FLOOR_M, _FLOOR_M, _FLOOR_RAD]) ** 2
+        if unseen:
+            covariance[:2, :2] += _UNKNOWN_M**2 * np.outer(found.weak_axis, found.weak_axis)
+        # into the laser's own axes, then the robot's
+        turn = np.eye(3)
+        turn[:2, :2] = rotate(np.eye(2), np.full(2, found.pose[2] - motion.mount[2]))
+        rows.append(n)
+        poses.append(compose(world.poses[k], found.pose))
+        covariances.append(turn @ covariance @ turn.T)
+        parts.append(part_of[k])
+        weak.append(unseen)
+        ratios.append(found.ratio)
+        deviations.append(found.deviation_m)
+    laser = np.array(poses).reshape(-1, 3)
+    xyt = compose(laser, inverse(motion.mount))
+    xyt[:, 2] = np.unwrap(xyt[:, 2])
+    return LaserPath(
+        row=np.array(rows, dtype=np.int64),
+        t_s=tracked.t_s[rows],
+        xyt=xyt,
+        laser_xyt=laser,
+        covariance=np.array(covariances).reshape(-1, 3, 3),
+        part=np.array(parts, dtype=np.int64),
+        weak=np.array(weak, dtype=bool),
+        ratio=np.array(ratios),
+        deviation_m=float(np.median(deviations)) if deviations else 0.0,
+    )

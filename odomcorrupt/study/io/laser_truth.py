@@ -1,0 +1,197 @@
+"""The laser as the truth: odometry and laser scans of one run in, odometry and the laser's trajectory out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.laser.calibrate import calibrate
+from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
+from odomcorrupt.laser.slam import make_map
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, without_spikes
+from odomcorrupt.laser.trajectory import relocalised
+from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.jumps import without_outliers
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.self_consistency import check_itself
+from odomcorrupt.study.io.time_order import in_order
+from odomcorrupt.study.io.topic_selection import has_truth
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from odomcorrupt.laser.calibrate import Calibration
+    from odomcorrupt.laser.slam import Tracked
+    from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.laser.trajectory import LaserPath
+    from odomcorrupt.study.io.address import Address
+
+__all__ = ["SCALE_ACCURACY", "LaserRun", "laser_run", "match_run", "only_scan", "truth_of"]
+
+SCALE_ACCURACY = 0.003
+"""Standard deviation of a laser's own scale error where nobody says better: 0.3 %."""
+_LEAST_PART_S = 15.0
+_WEAK_SAID = 0.1
+_LAG_SAID_S = 0.02
+_FEWEST = 20
+_BLIND = 0.9
+_JITTER_SAID_S = 3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LaserRun:
+    """One run through its laser.
+
+    odometry : in the order of its stamps
+    sweeps, calibration, tracked, path : what the laser saw, how it sits, the map, and the trajectory in it
+    noise : how noisy that trajectory is beyond what its matches say
+    """
+
+    odometry: Samples
+    sweeps: Sweeps
+    calibration: Calibration
+    tracked: Tracked
+    path: LaserPath
+    noise: WhiteNoise
+
+
+def only_scan(path: Path) -> str | None:
+    """Return the only scan topic of a bag that holds no truth, None where there is a truth or no such topic."""
+    with open_reader(path) as reader:
+        topic = only_scan_topic(reader)
+        return None if topic is None or has_truth(reader.channels.values()) else topic
+
+
+def laser_run(
+    path: Path, place: str, odom: Address | None, scan: str | None, told: Callable[[str, float], None] | None = None
+) -> LaserRun:
+    """Read odometry and scans of one run, and return its trajectory by the laser.
+
+    told : called with what is being done and which part of it is done
+
+    Raises
+    ------
+    TopicError
+        Where a topic is missing, or several could be meant.
+    RecordingError
+        Where the scans carry no trajectory; the message says why.
+
+    """
+    odometry = in_order(read_bag(path, place, {"odometry": odom})["odometry"])
+    return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), told)
+
+
+def match_run(odometry: Samples, sweeps: Sweeps, told: Callable[[str, float], None] | None = None) -> LaserRun:
+    """Return the laser's trajectory of a run from its odometry and its sweeps; see `laser_run`."""
+    if not odometry.headed:
+        raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
+    calm = without_outliers(odometry)
+    check_itself(calm)
+    guide = calm.trajectory()
+    origin_ns = int(guide.stamps_ns[0])
+    _check_overlap(sweeps, odometry)
+    calibration = calibrate(sweeps, guide, origin_ns)
+    tracked = make_map(sweeps, calibration, _part(told, "matching scans"))
+    found = relocalised(sweeps, calibration, tracked, _part(told, "placing scans in the map"))
+    if len(found) < _FEWEST:
+        raise RecordingError(
+            f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
+            "--scan"
+        )
+    found = without_spikes(found, calibration.motion)
+    noise = white_noise(found, calibration.motion)
+    return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
+
+
+def truth_of(run: LaserRun) -> list[Samples]:
+    """Return the laser's trajectory as a truth: one for each part of the map that lasts and hangs together.
+
+    Sweeps that matched nothing are no samples. Stamps are those of the scans, with their lag behind the odometry still
+    in them: the fit estimates it.
+    """
+    sweeps, path = run.sweeps, run.path
+    origin_ns = run.calibration.motion.origin_ns
+    stamps = origin_ns + np.round(path.t_s * 1e9).astype(np.int64)
+    notes = [*sweeps.notes, *run.calibration.said, *_said(run)]
+    blind = float(path.weak.mean())
+    if blind > _BLIND:
+        raise RecordingError(
+            f"{sweeps.place}: in {blind:.0%} of the sweeps walls on one axis alone are seen: a corridor hides travel "
+            "(not testable: wheel_scale, speed_scale and all else that is travel); drive past corners"
+        )
+    found = []
+    for part in np.unique(path.part):
+        own = np.flatnonzero(path.part == part)
+        if float(path.t_s[own[-1]] - path.t_s[own[0]]) < _LEAST_PART_S:
+            continue
+        xyz = np.column_stack((path.xyt[own, :2], np.zeros(len(own))))
+        found.append(
+            Samples(
+                place=sweeps.place,
+                name=sweeps.topic,
+                frame="",
+                stamps_ns=stamps[own],
+                xyz=xyz,
+                yaw_rad=path.xyt[own, 2],
+                log_ns=sweeps.log_ns[path.row[own]],
+                variance_m2=np.zeros(0),
+                covariance=path.covariance[own],
+            )
+        )
+    if not found:
+        raise RecordingError(
+            f"{sweeps.place}: no part of the map lasts {_LEAST_PART_S:g} s ({'; '.join(notes)}); drive slower, or name "
+            "another topic with --scan"
+        )
+    if len(found) > 1:
+        notes.append(f"the map is in {len(found)} parts that nothing connects; each is a run of its own")
+    lost = int(np.count_nonzero(run.tracked.keyframe < 0))
+    if lost:
+        notes.append(f"{lost} of {len(sweeps)} sweeps fit nowhere and are left out")
+    found[0] = found[0].noted(*(note.removeprefix(f"{sweeps.topic}: ") for note in notes))
+    return found
+
+
+def _said(run: LaserRun) -> list[str]:
+    """Return what should be known of a laser's trajectory before anything is learned from it."""
+    path, said = run.path, []
+    lag = run.calibration.motion.lag_s
+    if abs(lag) > _LAG_SAID_S:
+        way = "late" if lag < 0.0 else "early"
+        said.append(
+            f"scans are stamped about {abs(lag):.2f} s {way} against odometry, which looks like odometry that is "
+            f"{'early' if way == 'late' else 'late'}"
+        )
+    weak = float(path.weak.mean())
+    if weak > _WEAK_SAID:
+        said.append(
+            f"in {weak:.0%} of the sweeps walls on one axis alone are seen: motion along them is not known there; "
+            "drive past corners"
+        )
+    if run.noise.stamps_s > _JITTER_SAID_S:
+        said.append(
+            f"stamps of the sweeps are off by about {1e3 * run.noise.stamps_s:.0f} ms each (stamped on arrival?): what "
+            "that does in turns counts as noise of the laser"
+        )
+    if run.sweeps.period_s > 0.5:
+        said.append(f"one sweep in {run.sweeps.period_s:.1f} s: what changes faster is not seen")
+    return said
+
+
+def _check_overlap(sweeps: Sweeps, odometry: Samples) -> None:
+    first = max(int(sweeps.stamps_ns[0]), int(odometry.stamps_ns[0]))
+    last = min(int(sweeps.stamps_ns[-1]), int(odometry.stamps_ns[-1]))
+    if last - first < 10_000_000_000:
+        raise RecordingError(
+            f"{sweeps.place} and {odometry.name} share {max(last - first, 0) * 1e-9:.1f} s: one of their clocks is "
+            "simulated or unset; record both with one clock"
+        )
+
+
+def _part(told: Callable[[str, float], None] | None, what: str) -> Callable[[float], None] | None:
+    return None if told is None else lambda share: told(what, share)
