@@ -62,7 +62,9 @@ def test_diffusion_does_not_depend_on_the_step_and_the_book_laws_do():
         if law == "diffusion":
             assert whole == pytest.approx(tuple(2 * part for part in half))
         else:
-            assert whole[0] == pytest.approx(4 * half[0])
+            # half of a chord belongs to a little less than half of its arc
+            near = 3e-3 if LAWS[law].arc else 1e-6
+            assert whole[0] == pytest.approx((16 if law == "article-code" else 4) * half[0], rel=near)
 
 
 @pytest.mark.parametrize("bearing", np.linspace(-3.1, 3.1, 9))

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.run import Container, Outcome
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.preview.forecast import CleanDrive
     from odomcorrupt.report.text.summary import Summary
 
 __all__ = [
@@ -51,6 +53,7 @@ class BagOptions(TypedDict, total=False):
     keep_truth : a topic on which the clean odometry stays
     keep_localisation : move map -> odom the other way, so that map -> base stays true
     new_odom_frame : leave everything alone and publish the drift as the transform from this frame to odom
+    subtracted : publish noisy minus clean there, component by component, as the article's listing does
     overwrite : replace an existing output
     compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1); by default those of the input
     recover : read what is whole of a damaged input
@@ -65,6 +68,7 @@ class BagOptions(TypedDict, total=False):
     keep_truth: str | None
     keep_localisation: bool
     new_odom_frame: str | None
+    subtracted: bool
     overwrite: bool
     compression: str | None
     level: int | None
@@ -270,7 +274,10 @@ def corrupt(
     chosen = as_model(model)
     drawn = draw_seed() if seed is None else seed
     condition = _condition(within)
-    path = None if condition is None else condition.path(chosen.motion_model, drawn, run)
+    path = None
+    if condition is not None:
+        drive = _clean_drive(_path(source), chosen.motion_model, moved, recover=container.recover)
+        path = condition.path(chosen.motion_model, drawn, run, drive)
     watcher = ProvenanceWatcher(watch)
     outcome = corrupt_bag(
         _path(source),
@@ -286,6 +293,17 @@ def corrupt(
     )
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(_path(source)))
+
+
+def _clean_drive(source: Path | None, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive | None:
+    """Return the odometry of a bag, read before the bag is corrupted; None of a pipe, which is read only once."""
+    from odomcorrupt.bags.open import open_reader
+    from odomcorrupt.preview.forecast import read_clean_drive
+
+    if source is None:
+        return None
+    with open_reader(source, recover=recover) as reader:
+        return read_clean_drive(reader, model, options)
 
 
 def _condition(within: MapCondition | str | PathLike[str] | None) -> MapCondition | None:

@@ -166,8 +166,9 @@ class Density(Result):
 
     poses : (n, 3) where it was asked for, metres and radians
     values : (n,) there; 1/(m^2 rad) of a density of poses, 1/(m rad^2) of the product
-    reading : "pose" or "product"
+    reading : "pose", "product" or "hypothetical"
     grid : over x and y, the heading summed up
+    within, free_part : the map that it respects, and which part of the density without the map is free
     """
 
     poses: NDArray[Any]
@@ -177,6 +178,8 @@ class Density(Result):
     move: Move
     variances: Variances
     law: str
+    free_part: float = 1.0
+    within: MapCondition | None = None
 
     @property
     def unit(self) -> str:
@@ -190,6 +193,8 @@ class Density(Result):
             f"at ({x:g} m, {y:g} m, {math.degrees(t):g} deg): {value:.6g} {self.unit}"
             for (x, y, t), value in zip(self.poses.tolist(), self.values.tolist(), strict=True)
         ]
+        if self.within is not None:
+            said.append(f"{100.0 * self.free_part:.4g} % of it is free in the map, by which it is divided")
         meaning = "one is a density" if self.reading == "pose" else "the product is not a density over poses"
         return [*said, f"integral over the grid of end poses: {self.grid.integral:.6f} ({meaning})"]
 
@@ -232,7 +237,10 @@ class Density(Result):
         from odomcorrupt.sampling.samples import move_sampled
 
         xyt = move_sampled(self.move, self.variances, count, stream(seed, 0, "sample"))
-        name = "Density of end poses" if self.reading == "pose" else "Product p1 p2 p3 at end poses"
+        if self.within is not None:
+            starts = self.move.start_xyt[:2] + 0.0 * xyt[:, :2]
+            xyt = xyt[self.within.space.allows(starts, xyt[:, :2], self.within.check)]
+        name = "Density of end poses" if self.reading == "pose" else f"p1 p2 p3 ({self.reading}) at end poses"
         per_area = "density (1/m^2)" if self.reading == "pose" else "p1 p2 p3, summed (1/(m rad))"
         title = f"{name}: {self.law.partition(' (')[0]}, samples of seed {seed}"
         return draw_density(self.move, self.grid, xyt, title, per_area)
@@ -244,10 +252,11 @@ def density(
     poses: ArrayLike = (),
     *,
     model: ModelLike | None = None,
-    reading: Literal["pose", "product"] = "pose",
+    reading: Literal["pose", "product", "hypothetical"] = "pose",
     article_code: bool = False,
+    within: MapCondition | None = None,
 ) -> Density:
-    """Return how likely end poses of one motion are: p(x_t | u_t, x_t-1).
+    """Return how likely end poses of one motion are: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
 
     Parameters
     ----------
@@ -257,10 +266,13 @@ def density(
         Where to evaluate it.
     model : Model, Noise, path of a model file or name of a preset, optional
         Noise; by default the preset `typical`.
-    reading : {"pose", "product"}
-        A density over poses, or the product of the densities of rot1, trans and rot2 of the lecture.
+    reading : {"pose", "product", "hypothetical"}
+        A density over poses; the product of the densities of rot1, trans and rot2 of the lecture; or the same with
+        the variances of the motion to each pose, as table 5.5 of the book prints it.
     article_code : bool
         As in `sample`.
+    within : MapCondition, optional
+        Zero where a map is not free, and divided by its integral over what is.
 
     Returns
     -------
@@ -281,13 +293,25 @@ def density(
     """
     import numpy as np
 
-    from odomcorrupt.sampling.density import density_on_grid, pose_density, product
+    from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
     from odomcorrupt.sampling.text import law_words
 
     chosen = as_model(model).motion_model
     move, variances = _motion(start_xyt, end_xyt, chosen, article_code=article_code)
+
+    def density_of(xyt: NDArray[Any]) -> NDArray[Any]:
+        if reading == "hypothetical":
+            return hypothetical(xyt, move, chosen.noise)
+        return (pose_density if reading == "pose" else product)(xyt, move, variances)
+
     at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-    values = (pose_density if reading == "pose" else product)(at, move, variances)
-    grid = density_on_grid(move, variances, reading=reading)
+    values = density_of(at)
+    grid = density_on_grid(move, variances, density_of=density_of)
+    part = 1.0
+    if within is not None:
+        start_xy = move.start_xyt[:2]
+        grid, part = within_map(grid, within.space, start_xy, within.check)
+        free = within.space.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2], within.check)
+        values = np.where(free, values / part, 0.0)
     law = law_words(chosen.noise, article_code=article_code)
-    return Density(at, values, reading, grid, move, variances, law)
+    return Density(at, values, reading, grid, move, variances, law, part, within)

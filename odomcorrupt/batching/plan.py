@@ -138,6 +138,12 @@ def _is_sqlite(source: Path, container: Container) -> bool:
         return reader.kind == "sqlite3"
 
 
+def _drift_words(options: Options) -> str | None:
+    if options.new_odom_frame is None:
+        return None
+    return "subtraction" if options.subtracted else "correction"
+
+
 def _option_words(options: Options, container: Container) -> list[str]:
     """Return the command-line arguments for frames, topics and containers."""
     values = (
@@ -147,7 +153,7 @@ def _option_words(options: Options, container: Container) -> list[str]:
         ("--twist", "keep" if options.keep_twist else None),
         ("--covariance", "keep" if options.keep_covariance else None),
         ("--keep-truth", options.keep_truth),
-        ("--tf", "correction" if options.new_odom_frame is not None else None),
+        ("--tf", _drift_words(options)),
         ("--new-odom-frame", options.new_odom_frame),
         ("--compression", container.compression),
         ("--level", container.level),

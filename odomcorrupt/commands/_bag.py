@@ -102,9 +102,10 @@ def moving_options(command: Callable[..., Any]) -> Callable[..., Any]:
                     ),
                     click.option(
                         "--tf",
-                        type=click.Choice(["odometry", "correction"]),
+                        type=click.Choice(["odometry", "correction", "subtraction"]),
                         default="odometry",
-                        help="Move the odometry, or leave it and publish the drift as a transform. [default: odometry]",
+                        help="Move the odometry, or leave it and publish the drift as a transform: rigid, or noisy "
+                        "minus clean as the article's listing has it. [default: odometry]",
                     ),
                     click.option(
                         "--new-odom-frame", metavar="FRAME", help="Parent of the odom frame for --tf correction."
@@ -152,12 +153,14 @@ def bag_words(given: Mapping[str, Any], names: Sequence[str]) -> BagOptions:
         Where --tf correction and its frame do not come together.
 
     """
-    if (given.get("tf") == "correction") != (given.get("new_odom_frame") is not None):
+    if (given.get("tf", "odometry") != "odometry") != (given.get("new_odom_frame") is not None):
         raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
     options: Any = {name: given[name] for name in names if name in given}
     for name in ("twist", "covariance"):
         if name in given:
             options[f"keep_{name}"] = given[name] == "keep"
+    if given.get("tf") == "subtraction":
+        options["subtracted"] = True
     chosen: BagOptions = options
     return chosen
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
@@ -26,18 +27,20 @@ __all__ = ["command"]
 @move_options
 @click.option(
     "--reading",
-    type=click.Choice(["pose", "product"]),
+    type=click.Choice(["pose", "product", "hypothetical"]),
     default="pose",
-    help="A density over poses, or the lecture's product of three. [default: pose]",
+    help="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
+    "motion to each pose. [default: pose]",
 )
 @click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
+@map_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
 @overwrite_option()
 @standard_options
 def command(
     output: Path | None,
     *,
-    reading: Literal["pose", "product"],
+    reading: Literal["pose", "product", "hypothetical"],
     poses: tuple[tuple[float, ...], ...],
     overwrite: bool,
     voice: Voice,
@@ -67,6 +70,7 @@ def command(
             model=chosen.noise.model,
             reading=reading,
             article_code=chosen.noise.article_code,
+            within=choose_condition(given, None, ""),
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error

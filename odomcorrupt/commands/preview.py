@@ -66,7 +66,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
         drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)
     paths = (
-        (None if condition is None else condition.path(model, seed, run)) or NoisyPath(model, seed, run)
+        (None if condition is None else condition.path(model, seed, run, drive)) or NoisyPath(model, seed, run)
         for run in range(given["run"], given["run"] + given["runs"])
     )
     outlook = forecast(drive, model, paths, first_run=given["run"])

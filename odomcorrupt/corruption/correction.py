@@ -59,10 +59,10 @@ class _Stretch:
     first_ns: int
     began_ns: int
 
-    def extend(self, knots: Knots, time_ns: NDArray[np.int64]) -> None:
+    def extend(self, knots: Knots, time_ns: NDArray[np.int64], xyt: Array) -> None:
         self.stamps_ns = np.concatenate((self.stamps_ns, knots.stamps_ns))
         self.time_ns = np.concatenate((self.time_ns, time_ns))
-        self.xyt = np.concatenate((self.xyt, knots.correction_xyt))
+        self.xyt = np.concatenate((self.xyt, xyt))
         self.sums = np.concatenate((self.sums, knots.sums), axis=1)
 
     def forget(self, before_ns: int) -> None:
@@ -102,9 +102,14 @@ class _Stretch:
 
 
 class Curve:
-    """C(t) from the odometry read so far, in stretches between restarts of time."""
+    """C(t) from the odometry read so far, in stretches between restarts of time.
 
-    def __init__(self) -> None:
+    subtracted : the plain difference of the poses in place of C, as the article's listing publishes it: no rigid
+        motion once the robot has turned, so nothing but a transform of that name may be made of it
+    """
+
+    def __init__(self, *, subtracted: bool = False) -> None:
+        self._subtracted = subtracted
         self._stretches: list[_Stretch] = []
         self._count = 0
         self._open = False
@@ -132,7 +137,7 @@ class Curve:
             )  # fmt: skip
             self._count += 1
             self._open = True
-        self._stretches[-1].extend(knots, time_ns)
+        self._stretches[-1].extend(knots, time_ns, knots.error_xyt if self._subtracted else knots.correction_xyt)
 
     def forget(self, before_ns: int) -> None:
         """Drop samples that no message from log time `before_ns` on may use."""

@@ -112,10 +112,6 @@ class NoisyPath:
         self._travelled_m = 0.0
         self._origin = np.zeros(2)
 
-    def push(self, shift_xy: Array) -> None:
-        """Shift the noisy position by (2,) metres; the path continues from there."""
-        self._error = self._error + np.append(shift_xy, 0.0)
-
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
         """Return clean and noisy samples at the next n stamps.
 

@@ -67,6 +67,7 @@ class Options:
     keep_truth : topic for a copy of the clean odometry
     keep_localisation : move the edges between odom and what lies above it, so that map -> base stays true
     new_odom_frame : change no message, and publish the correction as the TF edge from this frame to odom
+    subtracted : publish noisy minus clean there instead, component by component, as the article's listing does
     """
 
     odom_topic: str | None = None
@@ -77,6 +78,7 @@ class Options:
     keep_truth: str | None = None
     keep_localisation: bool = False
     new_odom_frame: str | None = None
+    subtracted: bool = False
 
 
 @dataclass(slots=True)
@@ -124,7 +126,7 @@ class Transform:
         self.truth: TruthTopic | None = None
         self.edge: CorrectionEdge | None = None
         self._path: PathSource = NoisyPath(model, seed, run) if path is None else path
-        self._curve = Curve()
+        self._curve = Curve(subtracted=self.options.subtracted)
         self._now_ns = -(2**62)
         self._first_ns: int | None = None
         self._patcher = Patcher(model, keep_twist=self.options.keep_twist, keep_covariance=self.options.keep_covariance)

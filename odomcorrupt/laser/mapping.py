@@ -63,7 +63,8 @@ def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMap
     canvas = canvas_for(np.concatenate([part for v in views.values() for part in (v.from_xy, v.to_xy)]), resolution_m)
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyt[:, :2], axis=0), axis=1))))
     travelled = np.interp(rays.stamps_ns.astype(np.float64), odometry.stamps_ns.astype(np.float64), way)
-    surveys = tuple(survey(name, paths[name].xyt, view, travelled, canvas) for name, view in views.items())
+    corrected = views["corrected by the laser"]
+    surveys = tuple(survey(name, paths[name].xyt, view, corrected, travelled, canvas) for name, view in views.items())
     return LaserMaps(paths["corrected by the laser"], surveys)
 
 

@@ -1,4 +1,8 @@
-"""Noisy paths of a whole drive that never enter a wall: many runs at once, one increment after the other."""
+"""Noisy paths of a whole drive that never enter a wall: many runs at once, one increment after the other.
+
+An increment that does not end in free space is drawn again; a run of which no try is free is replaced by a copy of
+another one, its past included, as a particle filter resamples (Probabilistic Robotics, section 4.3).
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.mapping.conditioned import MAX_TRIES
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
+    NoFreePoseError,
     moved,
     must_be_free,
     rounds,
@@ -38,21 +43,21 @@ class FreePaths:
 
     xyt : (runs, k, 3) at the places asked for, metres and radians
     redrawn : increments that were not free at the first draw, over all runs
-    blocked : increments of which no try was free: the robot stayed where it was, and turned
+    resampled : how often a run without a free try was replaced by a copy of another one
     increments : how many there were in all
     """
 
     xyt: Array
     redrawn: int
-    blocked: int
+    resampled: int
     increments: int
     tries: int
 
     def account(self) -> str:
         """Return what it took, in one sentence."""
         said = f"map: {self.redrawn} of {self.increments} increments were drawn again"
-        if self.blocked:
-            said += f"; for {self.blocked} none of {self.tries} tries was free: there the robot stayed where it was"
+        if self.resampled:
+            said += f"; {self.resampled} times none of {self.tries} tries was free, and another run was copied"
         return said
 
 
@@ -77,8 +82,34 @@ def free_paths(
     for begin in range(0, len(stamps_ns), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
         here = (places >= begin) & (places < begin + _AT_ONCE)
-        out[:, here] = walkers.feed(stamps_ns[part], clean_xyt[part])[:, places[here] - begin]
-    return FreePaths(out, walkers.redrawn, walkers.blocked, (len(stamps_ns) - 1) * len(runs), tries)
+        walked = walkers.feed(stamps_ns[part], clean_xyt[part])
+        out = out[walked.ancestors]
+        out[:, here] = walked.xyt[:, places[here] - begin]
+    return FreePaths(out, walkers.redrawn, walkers.resampled, (len(stamps_ns) - 1) * len(runs), tries)
+
+
+@dataclass(frozen=True, slots=True)
+class Walked:
+    """Runs over n increments.
+
+    xyt : (runs, n, 3) poses after each
+    ancestors : (runs,) which run each one was a copy of when the batch began
+    parents : (n, runs) which run each one was a copy of after each increment
+    normals : (n, runs, 4) standard normals of rot1, trans, across and rot2 that each was drawn with
+    """
+
+    xyt: Array
+    ancestors: NDArray[np.intp]
+    parents: NDArray[np.intp]
+    normals: Array
+
+    def lineage(self, run: int) -> tuple[Array, int]:
+        """Return the normals (n, 4) that led to a run, and which run it was when the batch began."""
+        rows = np.empty((len(self.parents), 4))
+        for i in range(len(self.parents) - 1, -1, -1):
+            run = int(self.parents[i, run])
+            rows[i] = self.normals[i, run]
+        return rows, run
 
 
 class FreeRuns:
@@ -86,10 +117,12 @@ class FreeRuns:
 
     Every increment is first drawn with the numbers that corruption draws for that run; where the pose it leads to is
     not free, it is drawn again from a stream of its own. So a run that meets no wall is the unconditioned run, and
-    a run is the same however many others are drawn and however the odometry is cut into batches.
+    unless it is resampled a run is the same however many others are drawn and however the odometry is cut.
 
+    particles : 0, or how many variants of a single run are drawn in place of runs. They are drawn again only where all
+        are stuck, else copied: the law of whole paths that are free, and not of increments (section 4.3 of the book)
     redrawn : increments so far that were not free at the first draw
-    blocked : increments of which no try was free: the robot stayed where it was, and turned
+    resampled : how often a run without a free try was replaced by a copy of another one
     """
 
     def __init__(
@@ -101,11 +134,14 @@ class FreeRuns:
         runs: range,
         check: Check = "endpoint",
         tries: int = MAX_TRIES,
+        particles: int = 0,
     ) -> None:
         self._reader, self._space = MotionReader(without_effects(model)), space
-        self._own = [stream(seed, run, "noise") for run in runs]
-        again = [stream(seed, run, "map") for run in runs]
-        self._walk = _Walk(space, check, tries, again, swing_of(model))
+        keys = [(run, 0) for run in runs] if not particles else [(runs.start, number) for number in range(particles)]
+        self._own = [stream(seed, run, "noise", number) for run, number in keys]
+        again = [stream(seed, run, "map", number) for run, number in keys]
+        choose = stream(seed, runs.start, "map resampling")
+        self._walk = _Walk(space, check, tries, again, choose, swing_of(model), whole=bool(particles))
         self.restart()
 
     @property
@@ -114,22 +150,22 @@ class FreeRuns:
         return self._walk.redrawn
 
     @property
-    def blocked(self) -> int:
-        """Increments of which no try was free."""
-        return self._walk.blocked
+    def resampled(self) -> int:
+        """How often a run was replaced by a copy of another one."""
+        return self._walk.resampled
 
     def restart(self) -> None:
         """Begin a new path: the next pose is a first pose, and unchanged."""
         self._reader.restart()
         self._pose = np.zeros((0, 3))
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Array:
-        """Return the runs (runs, n, 3) at the next n poses; stamps ascend. See `NoisyPath.feed`.
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Walked:
+        """Return the runs at the next n poses; stamps ascend. See `NoisyPath.feed`.
 
         Raises
         ------
         MapError
-            Where the first pose is not free.
+            Where the first pose is not free, or an increment has no free try in any run.
 
         """
         if not self._reader.begun:
@@ -139,51 +175,72 @@ class FreeRuns:
         poses = motions.clean_xyt
         normals = np.stack([rng.standard_normal((len(clean_xyt), 4)) for rng in self._own], axis=1)
         out = np.empty((len(pose), len(clean_xyt), 3))
+        every = np.arange(len(pose))
+        parents = np.tile(every, (len(clean_xyt), 1))
+        ancestors = every
         for i in range(len(clean_xyt)):
             if motions.jump[i]:
                 pose = compose(compose(pose, inverse(poses[i])), poses[i + 1])
             else:
-                pose = self._walk.on(pose, motions.step[i], motions.sd[i], normals[i])
+                pose, parents[i] = self._walk.on(pose, motions.step[i], motions.sd[i], normals[i])
+                if (parents[i] != every).any():
+                    out[:, :i], ancestors = out[parents[i], :i], ancestors[parents[i]]
             out[:, i] = pose
         self._pose = pose
-        return out
+        return Walked(out, ancestors, parents, normals)
 
 
 class _Walk:
     """Takes many robots one increment further."""
 
     def __init__(
-        self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator], swing: float
-    ) -> None:
-        self._space, self._check, self._again, self._swing = space, check, again, swing
-        self._rounds = rounds(tries)
-        self.redrawn = self.blocked = 0
+        self, space: FreeSpace, check: Check, tries: int, again: list[np.random.Generator],
+        choose: np.random.Generator, swing: float, *, whole: bool,
+    ) -> None:  # fmt: skip
+        self._whole = whole
+        self._space, self._check, self._again, self._choose, self._swing = space, check, again, choose, swing
+        self._tries, self._rounds = tries, rounds(tries)
+        self.redrawn = self.resampled = 0
 
-    def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> Array:
-        """Return poses (runs, 3) after an increment with normals (runs, 4) of rot1, trans, across, rot2."""
+    def on(self, pose: Array, step: Array, sd: Array, normals: Array) -> tuple[Array, NDArray[np.intp]]:
+        """Return poses (runs, 3) after an increment, and which run (runs,) each is a copy of.
+
+        normals : (runs, 4) of rot1, trans, across, rot2; those of tries that were taken instead are put in their place
+        """
         ahead = moved(pose, step, normals * sd, self._swing)
+        parents: NDArray[np.intp] = np.arange(len(pose))
         if not (sd.any() or step[:3].any()):
-            return ahead
+            return ahead, parents
         bad = ~self._space.allows(pose[:, :2], ahead[:, :2], self._check)
         # a robot whose pose was set into a wall is let out of it
         stuck = np.flatnonzero(bad & self._space.free(pose[:, :2]))
         self.redrawn += len(stuck)
-        for count in self._rounds:
+        for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
             if len(stuck):
-                stuck = self._again_from(pose, step, sd, stuck, count, ahead)
-        self.blocked += len(stuck)
-        ahead[stuck, :2] = pose[stuck, :2]
-        return ahead
+                stuck = self._again_from(pose, step, sd, stuck, count, ahead, normals)
+        if len(stuck):
+            alive = np.setdiff1d(parents, stuck)
+            if not len(alive):
+                x, y = pose[:, :2].mean(axis=0)
+                raise NoFreePoseError(
+                    f"the map and the drive do not fit: about ({x:.2f} m, {y:.2f} m) none of {self._tries} tries of "
+                    f"any of {len(pose)} paths ends where the map is free; check --map-pose, --robot-radius and "
+                    "--unknown, or leave out --map"
+                )
+            self.resampled += len(stuck)
+            parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
+        return ahead[parents], parents
 
     def _again_from(
-        self, pose: Array, step: Array, sd: Array, stuck: NDArray[np.intp], count: int, ahead: Array
+        self, pose: Array, step: Array, sd: Array, stuck: NDArray[np.intp], count: int, ahead: Array, normals: Array
     ) -> NDArray[np.intp]:
         """Draw so many candidates for each stuck run, put the first free one into `ahead`, return who is stuck yet."""
-        noise = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck]) * sd
+        again = np.concatenate([self._again[run].standard_normal((count, 4)) for run in stuck])
         origin = np.repeat(pose[stuck], count, axis=0)
-        candidates = moved(origin, step, noise, self._swing)
+        candidates = moved(origin, step, again * sd, self._swing)
         good = self._space.allows(origin[:, :2], candidates[:, :2], self._check).reshape(-1, count)
         found = good.any(axis=1)
         first = np.argmax(good, axis=1)
         ahead[stuck[found]] = candidates.reshape(-1, count, 3)[found, first[found]]
+        normals[stuck[found]] = again.reshape(-1, count, 4)[found, first[found]]
         return stuck[~found]

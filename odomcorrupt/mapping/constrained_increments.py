@@ -19,10 +19,24 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["FIRST_TRIES", "MotionReader", "Motions", "moved", "must_be_free", "rounds", "swing_of", "without_effects"]
+__all__ = [
+    "FIRST_TRIES",
+    "MotionReader",
+    "Motions",
+    "NoFreePoseError",
+    "moved",
+    "must_be_free",
+    "rounds",
+    "swing_of",
+    "without_effects",
+]
 
 FIRST_TRIES = 12
 """A few tries are mostly enough, and a robot that is stuck takes all."""
+
+
+class NoFreePoseError(MapError):
+    """No try of an increment ended where the map is free."""
 
 
 def rounds(tries: int) -> tuple[int, ...]:

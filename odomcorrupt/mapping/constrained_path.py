@@ -16,6 +16,7 @@ from odomcorrupt.corruption.path import Knots, NoisyPath
 from odomcorrupt.mapping.conditioned import MAX_TRIES
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
+    NoFreePoseError,
     moved,
     must_be_free,
     rounds,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.constrained_increments import Motions
     from odomcorrupt.mapping.free_space import Check, FreeSpace
+    from odomcorrupt.mapping.whole_path import Plan
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["FreePath"]
@@ -41,9 +43,9 @@ _SHORT, _LONG = 4, 1024
 class FreePath:
     """Says where odometry goes within free space; see `FreeRuns` for what is drawn, and how often.
 
+    plan : normals of a path that is free as a whole, which are drawn first; None: the run's own
     increments : how many were driven so far
     redrawn : of these, not free at the first draw
-    blocked : of these, without a free try: the robot stayed where it was, and turned
     astray : odometry poses, without any noise, that are not free themselves
     """
 
@@ -56,14 +58,16 @@ class FreePath:
         run: int = 0,
         check: Check = "endpoint",
         tries: int = MAX_TRIES,
+        plan: Plan | None = None,
     ) -> None:
+        self._plan = plan
         self._space, self._check, self._tries = space, check, tries
         self._swing = swing_of(without_effects(model))
         self._reader = MotionReader(model)
         self._own, self._again = stream(seed, run, "noise"), stream(seed, run, "map")
         self._replay = _Replay()
         self._path = NoisyPath(model, seed, run, normals=self._replay)
-        self.increments = self.redrawn = self.blocked = self.astray = 0
+        self.increments = self.redrawn = self.astray = 0
         self.restart()
 
     def restart(self) -> None:
@@ -76,8 +80,8 @@ class FreePath:
     def account(self) -> str:
         """Return what it took, in one or two sentences."""
         said = f"Map: {self.redrawn} of {self.increments} increments were drawn again"
-        if self.blocked:
-            said += f"; for {self.blocked} none of {self._tries} tries was free: there the robot stayed where it was"
+        if self._plan is not None:
+            said += f"; the whole path is one of {self._plan.particles}, resampled {self._plan.resampled} times"
         if self.astray:
             said += f". The odometry itself is where the map is not free at {self.astray} poses; is --map-pose right?"
         return said if self.astray else f"{said}."
@@ -88,7 +92,7 @@ class FreePath:
         Raises
         ------
         MapError
-            Where the first pose is not free.
+            Where the first pose is not free, or no try of an increment ends where the map is free.
 
         """
         if not len(stamps_ns):
@@ -101,12 +105,14 @@ class FreePath:
         self.increments += len(stamps_ns) - first
         self.astray += int(np.count_nonzero(~self._space.free(clean_xyt[:, :2])))
         normals = self._own.standard_normal((len(stamps_ns), 4))
+        if self._plan is not None:
+            normals = self._plan.at(stamps_ns, normals)
         parts, done = [], 0
         while done < len(stamps_ns):
             rows = slice(done, done + self._ahead)
             part = self._as_far_as_free(stamps_ns[rows], motions, done, normals[rows])
             if not len(part):
-                part = self._one_again(stamps_ns[rows][:1], motions, done, normals[done])
+                part = self._one_again(stamps_ns[rows][:1], motions, done)
             self._pose = part.clean_xyt[-1] + part.error_xyt[-1]
             parts.append(part)
             done += len(part)
@@ -134,8 +140,8 @@ class FreePath:
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> Knots:
-        """Go on one increment whose first draw, normals (4,), is not free."""
+    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> Knots:
+        """Go on one increment whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
         for count in rounds(self._tries):
@@ -151,16 +157,12 @@ class FreePath:
                 if self._space.allows(from_xy[:1], there_xy, self._check)[0]:
                     self._path = trial
                     return knots
-        self.blocked += 1
-        self._replay.rows = normals[None]
-        knots = self._path.feed(stamp_ns, clean_xyt)
-        back_xy = self._pose[:2] - (clean_xyt[0, :2] + knots.error_xyt[0, :2])
-        self._path.push(back_xy)
-        error_xyt = knots.error_xyt + np.append(back_xy, 0.0)
-        return Knots(
-            knots.stamps_ns, knots.clean_xyt, error_xyt, knots.sums, knots.origin_xy, knots.travelled_m, knots.jumps,
-            knots.sideways_m,
-        )  # fmt: skip
+        x, y = self._pose[:2]
+        raise NoFreePoseError(
+            f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
+            "map is free; check --map-pose, --robot-radius and --unknown, or leave out --map. A drive in a file is "
+            "drawn as whole paths, one on a pipe is not"
+        )
 
 
 class _Replay:

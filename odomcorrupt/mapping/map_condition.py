@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 
@@ -15,14 +15,23 @@ from odomcorrupt.mapping.constrained_path import FreePath
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.mapfile import read_map
 from odomcorrupt.mapping.recorded import read_map_from_odom, read_recorded_map
+from odomcorrupt.mapping.whole_path import whole_path
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.preview.forecast import CleanDrive
 
 __all__ = ["MapCondition", "is_map_file", "read_condition"]
+
+
+class _Given(TypedDict):
+    seed: int
+    run: int
+    check: Check
+    tries: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +42,17 @@ class MapCondition:
     check: Check = "endpoint"
     tries: int = 100
 
-    def path(self, model: MotionModel, seed: int, run: int) -> FreePath | None:
-        """Return the path of one run within the free space; None where no noise is drawn, and nothing moves."""
+    def path(self, model: MotionModel, seed: int, run: int, drive: CleanDrive | None = None) -> FreePath | None:
+        """Return the path of one run within the free space; None where no noise is drawn, and nothing moves.
+
+        drive : the odometry, of which whole paths can be drawn; None where it is read only once, as of a pipe
+        """
         if without_effects(model).noise.coefficients.silent:
             return None
-        return FreePath(model, self.space, seed=seed, run=run, check=self.check, tries=self.tries)
+        given: _Given = {"seed": seed, "run": run, "check": self.check, "tries": self.tries}
+        if drive is None:
+            return FreePath(model, self.space, **given)
+        return whole_path(drive.stamps_ns, drive.xyt, model, self.space, **given)
 
     def provenance(self) -> dict[str, str]:
         """Return what an output says of its map: a hash of the blocked cells stands for it, no file is named."""

@@ -11,7 +11,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.mapping.raycast import draw_map
-from odomcorrupt.mapping.wall_thickness import wall_thickness
+from odomcorrupt.mapping.wall_thickness import distance_to_surface, wall_thickness
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -41,6 +41,7 @@ class Survey:
 
     marks_m : (k,) distances travelled
     thickness_m : (k,) how thick the walls are in the map of what was seen up to there
+    off_surface_m : (k,) root mean square distance from the clean map's walls of what was hit since the mark before
     """
 
     name: str
@@ -48,6 +49,7 @@ class Survey:
     grid: Grid
     marks_m: Array
     thickness_m: Array
+    off_surface_m: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +96,19 @@ def place(rays: Rays, path: Trajectory) -> View:
     return View(start, poses[:, :2] + rotate(rays.to_xy, poses[:, 2]))
 
 
-def survey(name: str, path_xyt: Array, view: View, travelled_m: Array, canvas: Canvas, marks: int = 8) -> Survey:
-    """Return the map of a view, and the thickness of its walls as it grew."""
+def survey(
+    name: str, path_xyt: Array, view: View, clean: View, travelled_m: Array, canvas: Canvas, marks: int = 8
+) -> Survey:
+    """Return the map of a view, the thickness of its walls as it grew, and how far its hits are from the clean walls.
+
+    clean : the same rays through the clean odometry
+    """
     ends = np.linspace(0.0, float(travelled_m.max()), marks + 1)[1:]
     thickness = np.array([wall_thickness(view.to_xy[travelled_m <= end]) for end in ends])
-    return Survey(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness)
+    off = distance_to_surface(clean.to_xy, view.to_xy)
+    leg = np.minimum(np.searchsorted(ends, travelled_m), marks - 1)
+    known = np.isfinite(off)
+    count = np.bincount(leg[known], minlength=marks)
+    square = np.bincount(leg[known], off[known] ** 2, minlength=marks)
+    off_surface = np.sqrt(np.divide(square, count, out=np.full(marks, np.nan), where=count > 0))
+    return Survey(name, path_xyt, draw_map(canvas, view.from_xy, view.to_xy), ends, thickness, off_surface)

@@ -18,12 +18,15 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["WINDOW_M", "added_thickness", "wall_thickness"]
+__all__ = ["WINDOW_M", "added_thickness", "distance_to_surface", "wall_thickness"]
 
 WINDOW_M = 1.0
 """Side of the square of neighbours; walls that lie further apart than half of it are two walls."""
 
 MIN_NEIGHBOURS = 8
+
+_FLAT = 0.1
+"""Of the larger variance: where the smaller one is more, the points are no wall and have no normal."""
 
 
 def added_thickness(clean_m: Array, noisy_m: Array) -> Array:
@@ -38,6 +41,40 @@ def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
     Points are binned into cells of `cell_m` and keep their own coordinates in the sums; the window is that of the
     cell, so its edge is rounded to a cell.
     """
+    xx, xy, yy = _covariances(points_xy, cell_m)
+    smaller = _smaller(xx, xy, yy)
+    known = np.isfinite(smaller)
+    return float(np.sqrt(np.maximum(smaller[known], 0.0).mean())) if known.any() else float("nan")
+
+
+def distance_to_surface(clean_xy: Array, noisy_xy: Array, *, cell_m: float = 0.02) -> Array:
+    """Return how far noisy hits are from the walls of the clean map (n,), metres; nan where a clean hit is on no wall.
+
+    The displacement of a hit is taken across the wall that its clean twin is on: shifts along a wall cannot be seen
+    in a map, and a wall that has moved by more than the window is still compared with itself.
+
+    Parameters
+    ----------
+    clean_xy, noisy_xy : (n, 2) ends of the same rays, placed by clean and by noisy odometry, metres
+
+    """
+    xx, xy, yy = _covariances(clean_xy, cell_m)
+    smaller = np.maximum(_smaller(xx, xy, yy), 0.0)
+    along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    shift = noisy_xy - clean_xy
+    across = np.abs(-np.sin(along) * shift[:, 0] + np.cos(along) * shift[:, 1])
+    out: Array = np.where(smaller < _FLAT * (xx + yy - smaller), across, np.nan)
+    return out
+
+
+def _smaller(xx: Array, xy: Array, yy: Array) -> Array:
+    """Return the smaller eigenvalue (n,) of covariances."""
+    out: Array = (xx + yy) / 2.0 - np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
+    return out
+
+
+def _covariances(points_xy: Array, cell_m: float) -> tuple[Array, Array, Array]:
+    """Return xx, xy and yy (n,) of the points in the window around each point; nan where these are too few."""
     low = points_xy.min(axis=0) - 2.0 * cell_m
     # coordinates from the middle: the covariance is a small difference of large sums
     centred = points_xy - points_xy.mean(axis=0)
@@ -48,15 +85,9 @@ def wall_thickness(points_xy: Array, *, cell_m: float = 0.02) -> float:
     x, y = centred.T
     window = _Windows(row, column, shape, half)
     count, sx, sy, sxx, sxy, syy = (window.sums(flat, w) for w in (None, x, y, x * x, x * y, y * y))
-    enough = count >= MIN_NEIGHBOURS
-    if not enough.any():
-        return float("nan")
-    n = count[enough]
-    xx, xy, yy = (
-        s[enough] / n - (a[enough] / n) * (b[enough] / n) for s, a, b in ((sxx, sx, sx), (sxy, sx, sy), (syy, sy, sy))
-    )
-    smaller = (xx + yy) / 2.0 - np.sqrt(((xx - yy) / 2.0) ** 2 + xy**2)
-    return float(np.sqrt(np.maximum(smaller, 0.0).mean()))
+    n = np.where(count >= MIN_NEIGHBOURS, count, np.nan)
+    xx, xy, yy = (s / n - (a / n) * (b / n) for s, a, b in ((sxx, sx, sx), (sxy, sx, sy), (syy, sy, sy)))
+    return xx, xy, yy
 
 
 class _Windows:

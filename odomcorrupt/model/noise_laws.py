@@ -5,6 +5,7 @@ alpha1..4, in metres and radians. What they mean differs between laws, and the n
 
 * `diffusion`: standard deviation after one metre or one radian; variance grows with distance, whatever the rate.
 * `linear` (the article; MRPT): standard deviation of one step = coefficient times motion of that step.
+* `article-code` (the article's listing, literally): as `linear`, with each standard deviation squared.
 * `quadratic` (Probabilistic Robotics ch. 5.4; nav2, amcl diff-corrected): *variance* of one step = coefficient times
   squared motion of that step. `velocity` (ch. 5.3; its alphas in the book's order: trans_trans, trans_rot, rot_trans,
   rot_rot, end_trans, end_rot) and `omni` (amcl omni-corrected, with alpha5) scale the variance likewise.
@@ -97,6 +98,7 @@ class Law:
     split : whether rot1 is measured to the bearing of the step; otherwise the turn is split evenly
     arc : whether rot1 is spread evenly over the translation, and not made before it
     along_travel : whether trans and across are along and across the travel, and not the body's x and y
+    fitted : whether robots are fitted with it; what imitates a listing is not
     """
 
     name: str
@@ -108,6 +110,7 @@ class Law:
     split: bool = False
     arc: bool = False
     along_travel: bool = False
+    fitted: bool = True
 
     def coefficients(self, alphas: Sequence[float]) -> Coefficients:
         """Return the coefficients for alpha1, alpha2, ... in the order of this law's source; at least the first four.
@@ -138,6 +141,12 @@ def _linear(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variance
         np.zeros_like(trans),
         (k.rot_rot * rot2 + k.rot_trans * trans) ** 2,
     )
+
+
+def _article_code(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
+    """Do as the article's listing does: pass sd * sd where a standard deviation is asked for."""
+    v = _linear(k, rot1, trans, rot2)
+    return Variances(v.rot1**2, v.trans**2, v.across**2, v.rot2**2)
 
 
 def _quadratic(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
@@ -214,6 +223,15 @@ LAWS: Mapping[str, Law] = {
             alphas=(*_FOUR, "across_trans"),
             along_travel=True,
         ),
+        Law(
+            "article-code",
+            _article_code,
+            per_step=True,
+            degree=4,
+            source="the article's listing (2018), which draws with sd * sd in the place of sd",
+            split=True,
+            fitted=False,
+        ),
     )
 }
 
@@ -240,6 +258,8 @@ def magnitudes(law: Law, steps: Increments) -> tuple[Array, Array, Array]:
     """Return what a law looks at: how much each step turns, travels and turns again (n,), none negative."""
     if not law.split:
         half = np.abs(steps.dtheta_rad) / 2.0
-        return half, np.hypot(steps.ds_m, steps.dl_m), half
+        travel = np.hypot(steps.ds_m, steps.dl_m)
+        # the book's v dt is the way along the arc, of which the step is the chord
+        return half, travel / np.sinc(half / np.pi) if law.arc else travel, half
     parts = rot_trans_rot(steps)
     return np.abs(parts.rot1_rad), np.abs(parts.trans_m), np.abs(parts.rot2_rad)

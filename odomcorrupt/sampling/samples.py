@@ -39,7 +39,8 @@ class Move:
     shift_xy : (2,) from start to end, metres
     along_xy : (2,) unit vector along which noise on the travel acts: the bearing of the motion, or where that means
         nothing (below `BEARING_MIN_M`) the heading after half the turn
-    swing : share of rot1's error by which the travel is turned: all of it, or half where a law spreads it over an arc
+    swing : share of rot1's error by which the travel is turned: all of it, or half where a law spreads it over an arc.
+        Then the travel is the arc's chord, shorter than the way driven by sin(turn / 2) / (turn / 2)
     steps : the motion as one increment
     """
 
@@ -54,6 +55,20 @@ class Move:
     def turn_rad(self) -> float:
         """The turn, in [-pi, pi)."""
         return float(self.steps.dtheta_rad[0])
+
+    @property
+    def arc(self) -> bool:
+        """Whether the motion is an arc, as under the velocity law, and not turn, drive, turn."""
+        return self.swing < 1.0
+
+    def chord_per_arc(self, turn_rad: Array) -> Array:
+        """Return how long the chord of an arc (n,) is that turns so far, as part of its length; 1 where none is."""
+        return np.sinc(turn_rad / (2.0 * np.pi)) if self.arc else np.ones_like(turn_rad)
+
+    @property
+    def arc_m(self) -> float:
+        """Length of the way driven, positive along `along_xy`."""
+        return float(self.shift_xy @ self.along_xy) / float(self.chord_per_arc(np.array([self.turn_rad]))[0])
 
     @property
     def parts(self) -> RotTransRot:
@@ -129,11 +144,18 @@ def deviations(variances: Variances) -> Array:
 
 
 def with_noise(move: Move, noise: Array) -> Array:
-    """Return end poses (n, 3) of a motion to which errors (n, 4) of rot1, trans, across and rot2 are added."""
+    """Return end poses (n, 3) of a motion to which errors (n, 4) of rot1, trans, across and rot2 are added.
+
+    On an arc rot1 is the error of its turn and trans that of its length: the arc is driven exactly (Probabilistic
+    Robotics, table 5.3), and rot2 turns at its end.
+    """
     rot1, trans, across, rot2 = noise.T
     along = move.along_xy
     left = np.array([-along[1], along[0]])
     travelled = move.shift_xy + trans[:, None] * along + across[:, None] * left
+    if move.arc:
+        chord = (move.arc_m + trans) * move.chord_per_arc(move.turn_rad + rot1)
+        travelled = chord[:, None] * along + across[:, None] * left
     xy = move.start_xyt[:2] + rotate(travelled, move.swing * rot1)
     return np.column_stack((xy, move.start_xyt[2] + move.turn_rad + rot1 + rot2))
 
@@ -146,10 +168,14 @@ def sample_moments(xyt: Array) -> Moments:
 def linearised_moments(move: Move, variances: Variances) -> Moments:
     """Return what a Kalman filter believes: the odometry's end, and its covariance to first order in the noise."""
     along, shift = move.along_xy, move.shift_xy
+    shorter = float(move.chord_per_arc(np.array([move.turn_rad]))[0])
+    # a chord shrinks as its arc turns more
+    half = move.turn_rad / 2.0
+    shrinks = move.arc_m * (np.cos(half) - shorter) / move.turn_rad if move.arc and abs(half) > 1e-6 else 0.0
     jacobian = np.array(
         [
-            [-move.swing * shift[1], along[0], -along[1], 0.0],
-            [move.swing * shift[0], along[1], along[0], 0.0],
+            [-move.swing * shift[1] + shrinks * along[0], shorter * along[0], -along[1], 0.0],
+            [move.swing * shift[0] + shrinks * along[1], shorter * along[1], along[0], 0.0],
             [1.0, 0.0, 0.0, 1.0],
         ]
     )

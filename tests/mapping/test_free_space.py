@@ -8,7 +8,8 @@ from odomcorrupt.mapping.conditioned import move_sampled_in_map
 from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
-from odomcorrupt.model.noise_laws import Variances
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.samples import move_between, move_sampled
 
 WALL = (2.0, -1.0, 2.2, 1.0)
@@ -104,26 +105,35 @@ def test_paths_stay_free_and_do_not_depend_on_their_company():
     np.testing.assert_array_equal(alone.xyt[0], many.xyt[17])
 
 
-def test_robot_before_a_wall_stays_and_it_is_counted():
+def test_runs_before_a_closed_wall_are_refused_and_at_a_gap_all_pass():
     stamps, xyt = drive()
-    space = free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1)
-    paths = free_paths(stamps, xyt, MODEL, space, seed=1, runs=range(5), places=np.array([299]), check="path", tries=20)
-    assert (paths.xyt[:, 0, 0] < 2.0).all()
-    assert (paths.xyt[:, 0, 0] > 1.5).all()
-    assert paths.blocked > 100
-    assert "stayed where it was" in paths.account()
+    given = {"seed": 1, "runs": range(30), "places": np.arange(300), "check": "path", "tries": 3}
+    quiet = MotionModel(Noise("diffusion", Coefficients(0.02, 0.01, 0.01, 0.01)))
+    with pytest.raises(MapError, match="the map and the drive do not fit"):
+        free_paths(stamps, xyt, quiet, free_space(room((2.0, -5.0, 2.2, 5.0)), 0.1), **given)
+    gap = free_space(room((2.0, -5.0, 2.2, 0.0), (2.0, 0.1, 2.2, 5.0)), 0.0)
+    paths = free_paths(stamps, xyt, MODEL, gap, **given)
+    assert paths.resampled > 0
+    assert (paths.xyt[:, -1, 0] > 3.5).all()
+    # copies are copies of whole paths: each passed the gap where it was, and made no leap
+    for path in paths.xyt:
+        assert gap.allows(path[:-1, :2], path[1:, :2], "path").all()
+    assert np.hypot(*np.diff(paths.xyt[..., :2], axis=1).T).max() < 0.2
 
 
 def test_cut_into_batches_changes_no_bit_and_open_space_changes_nothing():
     stamps, xyt = drive()
     xyt[150:] += [3.0, 0.5, 1.0]  # a jump
     narrow = free_space(room((1.0, 0.3, 1.6, 0.5), (1.0, -0.5, 1.6, -0.3)), 0.2)
-    whole = FreeRuns(MODEL, narrow, seed=1, runs=range(3)).feed(stamps, xyt)
+    whole = FreeRuns(MODEL, narrow, seed=1, runs=range(3)).feed(stamps, xyt).xyt
     cut = FreeRuns(MODEL, narrow, seed=1, runs=range(3))
-    parts = [cut.feed(stamps[i : i + 37], xyt[i : i + 37]) for i in range(0, 300, 37)]
+    parts = []
+    for i in range(0, 300, 37):
+        walked = cut.feed(stamps[i : i + 37], xyt[i : i + 37])
+        parts = [*(part[walked.ancestors] for part in parts), walked.xyt]
     np.testing.assert_array_equal(np.concatenate(parts, axis=1), whole)
     assert cut.redrawn > 0
     wide = free_space(room(), 0.2, unknown="free")
-    for run, path in enumerate(FreeRuns(MODEL, wide, seed=1, runs=range(3)).feed(stamps, xyt)):
+    for run, path in enumerate(FreeRuns(MODEL, wide, seed=1, runs=range(3)).feed(stamps, xyt).xyt):
         noisy = xyt + NoisyPath(MODEL, 1, run).feed(stamps, xyt).error_xyt
         np.testing.assert_allclose(path, noisy, atol=1e-12)

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from odomcorrupt.mapping.wall_thickness import MIN_NEIGHBOURS, WINDOW_M, added_thickness, wall_thickness
+from odomcorrupt.mapping.wall_thickness import (
+    MIN_NEIGHBOURS,
+    WINDOW_M,
+    added_thickness,
+    distance_to_surface,
+    wall_thickness,
+)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, 1.2])
@@ -41,3 +47,21 @@ def test_noise_adds_what_it_adds_whatever_was_there():
     clean = np.array([0.03, 0.04, 0.05])
     np.testing.assert_allclose(added_thickness(clean, np.hypot(clean, 0.02)), 0.02)
     assert added_thickness(clean, clean / 2).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_hits_are_measured_across_the_clean_wall_and_grow_with_the_drive():
+    """Walls shifted and turned as a whole keep their thickness; hits off the clean walls show it."""
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0.0, 10.0, 4000)
+    clean = np.concatenate(
+        (np.column_stack((x, np.full(4000, 2.0))), np.column_stack((np.full(4000, 12.0), rng.uniform(-5.0, 0.0, 4000))))
+    ) + rng.normal(scale=0.01, size=(8000, 2))
+    moved = clean + np.array([0.3, 0.4])
+    off = distance_to_surface(clean, moved)
+    known = np.isfinite(off)
+    assert known.mean() > 0.9
+    np.testing.assert_allclose(off[:4000][known[:4000]], 0.4, atol=0.02)
+    np.testing.assert_allclose(off[4000:][known[4000:]], 0.3, atol=0.02)
+    assert wall_thickness(moved) == pytest.approx(wall_thickness(clean), rel=1e-3)
+    blob = rng.normal(scale=0.2, size=(4000, 2))
+    assert np.isfinite(distance_to_surface(blob, blob + 1.0)).mean() < 0.2

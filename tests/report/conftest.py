@@ -12,6 +12,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.validate.compare import compare
@@ -60,3 +61,8 @@ def base_model():
 def comparison(case):
     robot = replace(BASE, effects=(effect_from_values("unequal_wheels", {"curvature": CURVATURE}),))
     return compare([case.recording], {"base.toml": BASE, "robot.toml": robot})
+
+
+@pytest.fixture(scope="session")
+def page(comparison):
+    return report_html(comparison, version="0")

@@ -91,7 +91,7 @@ def test_the_report_is_whole_small_and_says_what_is_missing(told):
     parsed = Balanced()
     parsed.feed(page)
     assert not parsed.open
-    assert "script" not in parsed.tags
+    assert parsed.tags.count("script") == 2  # the data, and the one script that the policy admits
     assert len(page.encode()) <= 3_000_000
     assert all(source.startswith("data:") for source in parsed.sources)
     text = unescape(page)

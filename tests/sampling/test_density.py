@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from odomcorrupt.errors import ModelError
+from odomcorrupt.mapping.free_space import free_space
+from odomcorrupt.mapping.grid import OCCUPIED, Grid
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
-from odomcorrupt.sampling.density import density_on_grid, pose_density, product, table_5_5
+from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
 from odomcorrupt.sampling.examples import EXAMPLES
 from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
 
@@ -54,7 +56,9 @@ def test_pose_density_is_what_samples_follow(move, variances):
 def test_pose_density_integrates_to_one_and_the_product_does_not(move, variances):
     assert density_on_grid(move, variances).integral == pytest.approx(1.0, abs=2e-3)
     length = float(np.hypot(*move.shift_xy))
-    assert density_on_grid(move, variances, reading="product").integral == pytest.approx(move.swing * length, rel=0.02)
+    if not move.arc:
+        grid = density_on_grid(move, variances, density_of=lambda at: product(at, move, variances))
+        assert grid.integral == pytest.approx(length, rel=0.02)
 
 
 def test_product_is_three_densities_written_by_hand():
@@ -74,13 +78,38 @@ def test_product_is_three_densities_written_by_hand():
         assert pose_density(np.array([[x, y, theta]]), FORWARD, variances)[0] == pytest.approx(expected / hat, rel=1e-9)
 
 
-def test_table_5_5_asks_the_law_at_the_hypothesis():
+def test_hypothetical_reading_asks_the_law_at_every_pose():
     noise = Noise("quadratic", Coefficients(0.02, 0.01, 0.02, 0.01))
-    end = FORWARD.end_xyt[None]
-    assert table_5_5(end, FORWARD, noise)[0] == pytest.approx(product(end, FORWARD, move_variances(noise, FORWARD))[0])
-    other = end + np.array([0.3, 0.2, 0.1])
-    hypothesis = move_variances(noise, move_between(FORWARD.start_xyt, other[0]))
-    assert table_5_5(other, FORWARD, noise)[0] == pytest.approx(product(other, FORWARD, hypothesis)[0])
+    poses = FORWARD.end_xyt + np.array([[0.0, 0.0, 0.0], [0.3, 0.2, 0.1], [-0.2, 0.1, -0.4]])
+    expected = [
+        product(pose[None], FORWARD, move_variances(noise, move_between(FORWARD.start_xyt, pose)))[0] for pose in poses
+    ]
+    np.testing.assert_allclose(hypothetical(poses, FORWARD, noise), expected, rtol=1e-9)
+
+
+def test_two_readings_of_the_lecture_at_one_pose():
+    """Table 5.5 of the book worked by hand for the lecture's `balanced`: variances of u, and of the hypothesis."""
+    example = EXAMPLES["balanced"]
+    move = move_between(np.array(example.start_xyt), np.array(example.end_xyt))
+    at = np.array([[0.8, 0.5, math.radians(20.0)]])
+    assert product(at, move, move_variances(example.noise, move))[0] == pytest.approx(0.00101, rel=0.01)
+    assert hypothetical(at, move, example.noise)[0] == pytest.approx(5.4e-5, rel=0.01)
+
+
+def test_density_within_a_map_integrates_to_one_over_what_is_free():
+    cells = np.zeros((60, 60), dtype=np.uint8)
+    cells[:, 45:] = OCCUPIED  # beyond x = 1.5 - 0.6
+    space = free_space(Grid(cells, 0.05, np.array([-1.2, -1.2, 0.0])), 0.0)
+    grid = density_on_grid(*NOISES[0])
+    within, part = within_map(grid, space, FORWARD.start_xyt[:2], "endpoint")
+    assert within.integral == pytest.approx(grid.integral, rel=1e-9)
+    drawn = move_sampled(*NOISES[0], 100_000, np.random.default_rng(5))
+    # half a cell of the grid lies on the wrong side of the wall
+    assert part == pytest.approx(space.free(drawn[:, :2]).mean(), abs=0.02)
+    assert 0.02 < part < 0.98
+    gx, gy = np.meshgrid(within.x_m, within.y_m)
+    free = space.free(np.column_stack((gx.ravel(), gy.ravel()))).reshape(gx.shape)
+    assert (within.density[~free] == 0.0).all()
 
 
 def test_odometry_is_the_likeliest_end_of_a_long_drive_by_the_product():

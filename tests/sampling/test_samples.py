@@ -6,7 +6,7 @@ import pytest
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
-from odomcorrupt.model.noise_laws import LAWS, Coefficients
+from odomcorrupt.model.noise_laws import LAWS, Coefficients, Variances, law_named
 from odomcorrupt.rng import stream
 from odomcorrupt.sampling.examples import EXAMPLES
 from odomcorrupt.sampling.samples import (
@@ -129,3 +129,29 @@ def test_lecture_settings_are_what_they_are_called():
         spreads[name] = math.sqrt(v.trans[0]) / (math.sqrt(v.rot1[0]) * move.parts.trans_m[0])
         assert example.count == 500
     assert spreads["translation-heavy"] > 3 > spreads["balanced"] > 1 / 3 > spreads["rotation-heavy"]
+
+
+def test_velocity_law_drives_the_exact_arc_of_the_book():
+    """Against table 5.3 of Probabilistic Robotics, written out: a quarter of a metre turned by 60 degrees."""
+    turn, radius = np.radians(60.0), 1.0
+    end = np.array([radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn])
+    noise = Noise("velocity", law_named("velocity").coefficients((0.05, 0.02, 0.03, 0.04, 0.01, 0.01)))
+    move = move_between(np.zeros(3), end, arc=True)
+    variances = move_variances(noise, move)
+    v, omega = radius * turn, turn
+    expected = [0.05 * v**2 + 0.02 * omega**2, 0.03 * v**2 + 0.04 * omega**2, 0.01 * v**2 + 0.01 * omega**2]
+    np.testing.assert_allclose(np.concatenate((variances.trans, variances.rot1, variances.rot2)), expected)
+    errors = np.random.default_rng(3).standard_normal((1000, 4)) * np.array([0.3, 0.3, 0.0, 0.1])
+    v_hat, omega_hat = v + errors[:, 1], omega + errors[:, 0]
+    book = np.column_stack(
+        (
+            v_hat / omega_hat * np.sin(omega_hat),
+            v_hat / omega_hat * (1.0 - np.cos(omega_hat)),
+            omega_hat + errors[:, 3],
+        )
+    )
+    np.testing.assert_allclose(with_noise(move, errors), book, atol=1e-9)
+    # what a Kalman filter takes for it agrees where the noise is small
+    small = Variances(*(1e-6 * np.concatenate([[9.0], [4.0], [0.0], [1.0]])[:, None]))
+    drawn = sample_moments(move_sampled(move, small, 400_000, np.random.default_rng(1))).covariance
+    np.testing.assert_allclose(linearised_moments(move, small).covariance, drawn, atol=1e-7)

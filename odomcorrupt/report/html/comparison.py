@@ -6,10 +6,11 @@ from html import escape
 from math import isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.html.page import page, picture, table
+from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
+from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.comparison import PICTURES
 from odomcorrupt.report.text.comparison import falls_sentence, ladder_steps, share_of_worst
-from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, sentence, size
+from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, size
 
 if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
@@ -28,12 +29,13 @@ def report_html(comparison: Comparison, *, version: str) -> str:
         *_words(comparison),
         "<h2>Side by side</h2>",
         ladder_table(comparison),
+        explorer(comparison),
         *(picture(name, p.title, p.caption, p.draw(comparison)) for name, p in PICTURES.items()),
         "<h2>Numbers</h2>",
-        *(_horizon_table(judgement) for judgement in comparison.judgements),
+        *(f'<div data-model="{i}">{_horizon_table(j)}</div>' for i, j in enumerate(comparison.judgements)),
         f'<p class="quiet">{escape(_legend(version))}</p>',
     ]
-    return page(title, body)
+    return page(title, body, script_hash=script_hash())
 
 
 def _models_line(comparison: Comparison) -> str:
@@ -52,18 +54,17 @@ def _words(comparison: Comparison) -> list[str]:
         parts.append(
             f"<p><strong>{escape(falls[0].upper() + falls[1:])}</strong> (position, 10 s after the truth).</p>"
         )
-    for judgement in comparison.judgements:
+    for number, judgement in enumerate(comparison.judgements):
         mark = "verdict rejected" if judgement.verdict.rejected else "verdict"
         parts.append(f"<h3>{escape(judgement.name)}</h3>")
         parts.append(f'<p class="{mark}">{escape(judgement_sentence(judgement))}.</p>')
         if judgement.failures:
-            items = "".join(f"<li>{escape(sentence(f))}</li>" for f in judgement.failures[:MOST])
-            parts.append(f"<ol>{items}</ol>")
+            parts.append(failure_items(judgement, number))
             more = len(judgement.failures) - MOST
             parts += [f'<p class="quiet">And {more} more, less plain; --json has them all.</p>'] if more > 0 else []
         else:
             parts.append("<p>No motion, time, place or moment in which it fails.</p>")
-        parts += [f'<p class="quiet">Note: {escape(note)}.</p>' for note in judgement.notes]
+        parts += [f'<p class="quiet">Note: {prose(note)}.</p>' for note in judgement.notes]
     parts.append(f'<p class="quiet">{escape(SIGNS)}</p>')
     return parts
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.report.html.cards import cards
 from odomcorrupt.report.html.comparison import ladder_table
-from odomcorrupt.report.html.page import page, picture, table
+from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
+from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.candidates import draw_candidates
 from odomcorrupt.report.plots.dependence import draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
@@ -16,7 +17,7 @@ from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
-from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def found_html(story: Story, *, version: str) -> str:
         _next(story),
         f"<h2>{'The error falls' if _falls(ladder) else 'The error'}</h2>",
         ladder_table(ladder),
+        *_left(ladder),
+        explorer(ladder),
         picture("error", "Error against distance", _ERROR, draw_errors(ladder)),
         picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
         picture("residuals", "What the error depends on", _RESIDUALS, draw_residuals(ladder)),
@@ -65,15 +68,15 @@ def found_html(story: Story, *, version: str) -> str:
         caption = f"What to drive: {drive_sentence(advice.best)}. `--drive next.mcap` writes it as /cmd_vel."
         body.append(picture("drive", "The next drive", caption, draw_plan(advice.best)))
     body += [*_detectable(advice), f'<p class="quiet">{escape(_legend(version))}</p>']
-    return page(title, body)
+    return page(title, body, script_hash=script_hash())
 
 
 _ERROR = (
     "Errors after a length of path, windows not overlapping and each started at the truth, of the model before each "
-    "addition, and the band in which nine of ten such measurements lie if the model is right."
+    "addition. Dashed: what the model expects. Bars: 90 % interval of the measured value; grey figures: windows."
 )
 _CANDIDATES = (
-    "Log likelihood that each effect would gain, look by look, less what its parameters gain by chance. Dark blue was "
+    "Log likelihood that each effect would gain, step by step, less what its parameters gain by chance. Dark blue was "
     "added; light blue explains these data as well; grey was refused, and why."
 )
 _RESIDUALS = (
@@ -121,12 +124,21 @@ def _next(story: Story) -> str:
     return f'<div class="next">{command}{listed}{nothing}</div>'
 
 
+def _left(ladder: Comparison) -> list[str]:
+    """Return where the last model still does not fit."""
+    last = len(ladder.judgements) - 1
+    if not ladder.judgements[last].failures:
+        return []
+    return ["<h2>Where the last model still does not fit</h2>", failure_items(ladder.judgements[last], last),
+            f'<p class="quiet">{escape(SIGNS)}</p>']  # fmt: skip
+
+
 def _falls(ladder: Comparison) -> bool:
     return agreement_of(ladder).verdict == "better"
 
 
 def _items(sentences: Iterable[str]) -> str:
-    return "".join(f"<li>{escape(s)}.</li>" for s in sentences)
+    return "".join(f"<li>{prose(s)}.</li>" for s in sentences)
 
 
 def _detectable(advice: Advice) -> list[str]:

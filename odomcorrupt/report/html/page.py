@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["embedded", "page", "picture", "table"]
+__all__ = ["embedded", "page", "picture", "prose", "table"]
 
 _HEAVY = 600_000
 """A drawing of more bytes than this is taken as pixels, where these are fewer: the page stays below 3 MB."""
@@ -22,15 +22,19 @@ _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """What the browser is allowed to load: nothing but the page itself."""
 
 
-def page(title: str, body: Sequence[str]) -> str:
-    """Return a whole page around elements that stand below each other."""
+def page(title: str, body: Sequence[str], *, script_hash: str = "") -> str:
+    """Return a whole page around elements that stand below each other.
+
+    script_hash : of the one inline script that the browser may run; "" where there is none
+    """
+    policy = f"{_POLICY}; script-src '{script_hash}'" if script_hash else _POLICY
     return "\n".join(
         [
             "<!DOCTYPE html>",
             '<html lang="en">',
             "<head>",
             '<meta charset="utf-8">',
-            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">',
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(title)}</title>",
             '<link rel="icon" href="data:,">',
@@ -45,10 +49,18 @@ def page(title: str, body: Sequence[str]) -> str:
     )
 
 
+def prose(text: str) -> str:
+    """Return a sentence as HTML; what stands between backticks is code."""
+    parts = escape(text).split("`")
+    if len(parts) % 2 == 0:
+        return escape(text)
+    return "".join(f"<code>{part}</code>" if i % 2 else part for i, part in enumerate(parts))
+
+
 def picture(name: str, title: str, caption: str, figure: Figure) -> str:
     """Return a heading with a figure below it, named for links."""
     return (
-        f'<h2>{escape(title)}</h2><figure id="{name}"><figcaption>{escape(caption)}</figcaption>'
+        f'<h2>{escape(title)}</h2><figure id="{name}"><figcaption>{prose(caption)}</figcaption>'
         f'<img src="{embedded(figure)}" alt="{escape(title)}: {escape(caption)}"></figure>'
     )
 

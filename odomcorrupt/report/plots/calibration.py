@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from odomcorrupt.report.plots.figure import BLACK, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, drawing, new_figure, short_name
 from odomcorrupt.report.plots.model_sequence import COLOURS, MARKERS
 
 if TYPE_CHECKING:
@@ -28,10 +28,18 @@ def draw_nees(comparison: Comparison) -> Figure:
         for i, judgement in enumerate(comparison.judgements):
             colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
             # side by side, or their bars cover each other
-            distance = np.array([h.distance_m for h in judgement.horizons]) * 1.06 ** (2 * i - count + 1)
+            distance = np.array([h.distance_m for h in judgement.horizons]) * min(1.06, 1.3 ** (1.0 / count)) ** (
+                2 * i - count + 1
+            )
             low, high = np.array([h.nees_bounds for h in judgement.horizons]).reshape(-1, 2).T
-            left.vlines(distance, low, high, color=colour, linewidth=7, alpha=0.25)
-            style = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.2, "label": judgement.name}
+            left.vlines(distance, low, high, color=colour, linewidth=7 if count <= 3 else 4, alpha=0.25)
+            style = {
+                "color": colour,
+                "marker": marker,
+                "markersize": 5.5,
+                "linewidth": 1.2,
+                "label": short_name(judgement.name),
+            }
             left.plot(distance, [h.nees for h in judgement.horizons], **style)
             inside = [100.0 * float(np.nanmean(h.coverage_90)) for h in judgement.horizons]
             right.plot(distance, inside, **style)
@@ -48,7 +56,7 @@ def draw_nees(comparison: Comparison) -> Figure:
         )
         for axes in (left, right):
             _distances(axes, [h.distance_m for h in max((j.horizons for j in comparison.judgements), key=len)])
-        figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=9)
+        figure.legend(*left.get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
     return figure
 
 
@@ -71,9 +79,11 @@ def draw_pit(comparison: Comparison) -> Figure:
             axes.fill_between(band.at, band.low, band.high, color="0.85", label="95 % of right models stay inside")
             for judgement, colour in zip(comparison.judgements, COLOURS, strict=False):
                 pit = judgement.pits[channel]
-                axes.step(pit.at, pit.difference, where="mid", color=colour, linewidth=1.4, label=judgement.name)
+                axes.step(
+                    pit.at, pit.difference, where="mid", color=colour, linewidth=1.4, label=short_name(judgement.name)
+                )
             axes.axhline(0.0, color=BLACK, linewidth=0.8)
             axes.set(title=channel, xlabel="predicted probability", xlim=(0.0, 1.0))
         panels[0].set_ylabel("measured minus predicted")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, fontsize=9)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
     return figure

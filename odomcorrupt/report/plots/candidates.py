@@ -1,4 +1,4 @@
-"""The picture of the candidates: how many nats each would gain, look by look, and which were refused."""
+"""The picture of the candidates: how many nats each would gain, step by step, and which were refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["draw_candidates", "evidence_nats"]
 
 _MOST = 7
-_LOOKS = 4
+_STEPS = 6
 _GREY = "0.78"
 _TICKS = ((0.0, 3.0, 10.0, 100.0, 1e3, 1e4, 1e5), ("0", "3", "10", "100", "1000", "10 000", "100 000"))
 _LINEAR = 3.0
@@ -33,9 +33,9 @@ def evidence_nats(candidate: Candidate) -> float:
 
 
 def draw_candidates(learned: Learned) -> Figure:
-    """Draw the best candidates of the first looks and of the last one, on one scale."""
-    looks = list(enumerate(learned.rounds, start=1))
-    shown = looks if len(looks) <= _LOOKS else [*looks[: _LOOKS - 1], looks[-1]]
+    """Draw the best candidates of the first steps and of the last one, on one scale."""
+    steps = list(enumerate(learned.rounds, start=1))
+    shown = steps if len(steps) <= _STEPS else [*steps[: _STEPS - 1], steps[-1]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
     most = max((evidence_nats(c) for _, look in shown for c in look.candidates), default=1.0)
@@ -43,7 +43,8 @@ def draw_candidates(learned: Learned) -> Figure:
         figure = new_figure(11.0 if columns == 2 else 8.0, 0.5 + 2.6 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, (number, look) in zip(panels, shown, strict=False):
-            _bars(axes, number, look)
+            left_out = f" (steps {_STEPS} to {number - 1} not drawn)" if number > len(shown) else ""
+            _bars(axes, f"step {number} of {len(steps)}{left_out}", look)
             axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.4)
             axes.set_xticks(*_TICKS)
             axes.set_xlim(0.0, 12.0 * max(most, 10.0))
@@ -52,7 +53,7 @@ def draw_candidates(learned: Learned) -> Figure:
     return figure
 
 
-def _bars(axes: Axes, number: int, look: Step) -> None:
+def _bars(axes: Axes, title: str, look: Step) -> None:
     ranked = sorted(look.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
     nats = [evidence_nats(c) for c in ranked]
     colours = [_colour(c, look) for c in ranked]
@@ -65,7 +66,7 @@ def _bars(axes: Axes, number: int, look: Step) -> None:
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("evidence (nats)")
     outcome = f"added {look.added}" if look.added else "nothing more to add"
-    axes.set_title(f"look {number}: {outcome}")
+    axes.set_title(f"{title}: {outcome}")
 
 
 def _colour(candidate: Candidate, look: Step) -> str:

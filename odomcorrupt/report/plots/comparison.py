@@ -37,8 +37,8 @@ PICTURES: Mapping[str, Picture] = {
     ),
     "error": Picture(
         "Error against distance",
-        "Errors after a length of path, windows not overlapping and each started at the truth, and the band in which "
-        "nine of ten such measurements lie if the model is right.",
+        "Errors after a length of path, windows not overlapping and each started at the truth. Dashed: what the model "
+        "expects. Bars: 90 % interval of the measured value; grey figures: how many windows it is measured on.",
         draw_errors,
     ),
     "nees": Picture(

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-__all__ = ["BLACK", "BLUE", "GREEN", "ORANGE", "RED", "SKY", "YELLOW", "drawing", "new_figure", "rendered"]
+__all__ = [
+    "BLACK",
+    "BLUE",
+    "GREEN",
+    "ORANGE",
+    "RED",
+    "SKY",
+    "YELLOW",
+    "drawing",
+    "new_figure",
+    "remove_unused",
+    "rendered",
+    "short_name",
+    "shown_models",
+]
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, RED, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
@@ -27,6 +41,10 @@ _STYLE: dict[Any, Any] = {
     "legend.frameon": False,
     "svg.hashsalt": "odomcorrupt",
 }
+
+
+_MOST_PANELS = 4
+_T = TypeVar("_T")
 
 
 @contextmanager
@@ -52,3 +70,28 @@ def rendered(figure: Figure, kind: str) -> bytes:
     with drawing():
         figure.savefig(out, format=kind, dpi=150, metadata=nothing[kind])
     return out.getvalue()
+
+
+def short_name(name: str, most: int = 34) -> str:
+    """Return a name as long as a legend can hold; of a longer one the middle is left out."""
+    if len(name) <= most:
+        return name
+    half = (most - 1) // 2
+    return f"{name[:half]}…{name[-half:]}"
+
+
+def shown_models(models: Sequence[_T]) -> list[_T]:
+    """Return the models that get a panel each: all of four, else the first, which the others improve, and the last."""
+    if len(models) <= _MOST_PANELS:
+        return list(models)
+    return [models[0], *models[1 - _MOST_PANELS :]]
+
+
+def remove_unused(panels: Any, used: int) -> None:
+    """Remove the panels (rows, columns) behind the used ones; what stands above them gets the tick labels they had."""
+    columns = panels.shape[1]
+    for number, axes in enumerate(panels.flat):
+        if number >= used:
+            axes.remove()
+        elif number + columns >= used:
+            axes.tick_params(labelbottom=True)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
-from odomcorrupt.report.plots.figure import BLACK, RED, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, RED, drawing, new_figure, remove_unused, short_name, shown_models
 from odomcorrupt.report.text.lack_of_fit import MOST
 from odomcorrupt.study.estimate.windows import distance_windows, window_errors
 
@@ -28,12 +28,11 @@ _LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 _FEWEST = 12
 _TOP = 4.0
 """Squared errors this many times as large as expected have the darkest colour."""
-_MOST_PANELS = 4
 
 
 def draw_failure_map(comparison: Comparison) -> Figure:
     """Draw a panel for each model."""
-    shown = comparison.judgements[-_MOST_PANELS:]
+    shown = shown_models(comparison.judgements)
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
     length_m = _length(comparison)
@@ -41,8 +40,7 @@ def draw_failure_map(comparison: Comparison) -> Figure:
         figure = new_figure(9.0, 0.9 + (4.4 if columns == 2 else 6.0) * rows)
         figure.set_layout_engine("compressed")
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes in panels.flat[len(shown) :]:
-            axes.remove()
+        remove_unused(panels, len(shown))
         lines = None
         for axes, judgement in zip(panels.flat, shown, strict=False):
             lines = _panel(axes, judgement, length_m)
@@ -82,7 +80,7 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
             _mark(axes, piece, failure, number)
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="box")
-    axes.set(xlabel="x (m)", ylabel="y (m)", title=judgement.name)
+    axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(judgement.name))
     axes.grid(visible=True, color="0.93")
     axes.set_axisbelow(True)
     return lines

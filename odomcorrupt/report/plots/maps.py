@@ -28,7 +28,7 @@ PATHS = (BLUE, RED, GREEN)
 
 
 def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added by noise") -> Figure:
-    """Draw maps side by side on the same canvas, and below how thick their walls are after so many metres."""
+    """Draw maps side by side on the same canvas; below how far hits left the walls, and how thick these are."""
     left, right, bottom, top = surveys[0].grid.extent
     width = 11.0
     panel = float(np.clip(width / len(surveys) * (top - bottom) / (right - left), 2.5, 7.0))
@@ -44,7 +44,9 @@ def draw_surveys(surveys: Sequence[Survey], window_m: float, added: str = "added
             axes.set_title(f"{survey.name}\nwalls {thick:.1f} cm thick", color=PATHS[i])
             axes.set(xlabel="x (m)", ylabel="y (m)" if i == 0 else "", xlim=(left, right), ylim=(bottom, top))
             axes.locator_params(axis="x", nbins=5)
-        _thickness(figure.add_subplot(places[1, :]), surveys, window_m, added)
+        below = places[1, :].subgridspec(1, 2)
+        _off_surface(figure.add_subplot(below[0, 0]), surveys)
+        _thickness(figure.add_subplot(below[0, 1]), surveys, window_m, added)
     return figure
 
 
@@ -75,6 +77,21 @@ def draw_free_space(axes: Axes, space: FreeSpace) -> None:
         image.set_transform(Affine2D().rotate_around(x, y, yaw) + to_odom + axes.transData)
 
 
+def _off_surface(axes: Axes, surveys: Sequence[Survey]) -> None:
+    """Draw how far hits are from the clean map's walls, part by part of the drive."""
+    for colour, survey in zip(PATHS[1:], surveys[1:], strict=False):
+        middle = survey.marks_m - survey.marks_m[0] / 2.0
+        axes.bar(
+            middle, 100.0 * survey.off_surface_m, width=0.9 * survey.marks_m[0], color=colour, alpha=0.8,
+            label=survey.name,
+        )  # fmt: skip
+    axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
+    axes.set_title(f"hits off the walls of: {surveys[0].name} (RMS)")
+    axes.grid(visible=True, axis="y", color="0.92")
+    axes.set_axisbelow(True)
+    axes.legend(loc="upper left", fontsize=9)
+
+
 def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float, added: str) -> None:
     for colour, style, survey in zip(PATHS, ("-", "-", (0, (1, 2))), surveys, strict=False):
         axes.plot(
@@ -83,7 +100,7 @@ def _thickness(axes: Axes, surveys: Sequence[Survey], window_m: float, added: st
         )  # fmt: skip
     added_m = added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)
     axes.plot(surveys[0].marks_m, 100.0 * added_m, "s--", color=BLACK, markersize=4, label=added)
-    axes.set(xlabel="distance travelled (m)", ylabel="wall thickness (cm)", ylim=(0.0, None), xlim=(0.0, None))
-    axes.set_title(f"root of the mean plane variance (Razlaw et al. 2015), window {window_m:g} m")
+    axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
+    axes.set_title(f"wall thickness (Razlaw et al. 2015), window {window_m:g} m")
     axes.grid(visible=True, color="0.92")
-    axes.legend(loc="lower right", ncols=len(surveys) + 1)
+    axes.legend(loc="lower right", ncols=2, fontsize=9)

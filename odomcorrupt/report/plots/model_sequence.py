@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from scipy.stats import chi2
 
-from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered
+from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered, short_name
 from odomcorrupt.report.text.comparison import ladder_steps
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_ladder"]
+__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_ladder", "rms_interval"]
 
 COLOURS = (RED, BLUE, GREEN, ORANGE, "#CC79A7", SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P")
@@ -33,25 +34,35 @@ def draw_ladder(comparison: Comparison, path: Path) -> None:
 
 
 def draw_errors(comparison: Comparison) -> Figure:
-    """Draw measured errors against distance with each model's expectation, and the 10 s error of each step below."""
+    """Draw measured errors against distance with each model's expectation, and the 10 s error of each step below.
+
+    Vertical bars are 90 % intervals of the measured values; grey figures on top count the last model's windows.
+    """
     with drawing():
-        figure = new_figure(9.0, 5.6 + 0.28 * len(comparison.judgements))
-        parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 1.1 + 0.28 * len(comparison.judgements)))
+        figure = new_figure(9.0, 5.9 + 0.28 * len(comparison.judgements))
+        parts: Any = figure.subfigures(2, 1, height_ratios=(3.9, 1.1 + 0.28 * len(comparison.judgements)))
         above, below = parts
         headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
         wanted = (("position", "m", _position), ("yaw", "deg", _yaw))[: 2 if headed else 1]
         panels = above.subplots(1, len(wanted), squeeze=False)[0]
         for axes, (what, unit, pick) in zip(panels, wanted, strict=True):
-            for judgement, colour, marker in zip(comparison.judgements, COLOURS, MARKERS, strict=False):
-                _curve(axes, judgement, pick(judgement), {"color": colour, "marker": marker})
+            count = len(comparison.judgements)
+            for i, judgement in enumerate(comparison.judgements):
+                style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+                _curve(axes, judgement, pick(judgement), style, 1.025 ** (2 * i - count + 1))
             axes.set(xscale="log", yscale="log", xlabel="path driven (m)", title=f"{what} error, RMS ({unit})")
+            axes.set_ylim(top=1.35 * axes.get_ylim()[1])
+            _counts(axes, comparison.judgements[-1])
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
                 axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
                 axis.set_minor_formatter(NullFormatter())
             axes.grid(visible=True, which="major", color="0.9")
             axes.set_axisbelow(True)
-        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2, fontsize=9)
+        # what the two kinds of lines mean is said once, not of every model
+        panels[0].plot([], [], color="0.4", marker="|", markersize=9, linewidth=1.3, label="measured, 90 % interval")
+        panels[0].plot([], [], color="0.4", linewidth=1.3, linestyle=(0, (4, 3)), label="expected by the model")
+        above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=3, fontsize=9)
         _bars(below.subplots(), comparison)
     return figure
 
@@ -66,16 +77,34 @@ def _yaw(judgement: Judgement) -> Array:
     return degrees
 
 
-def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str]) -> None:
+def rms_interval(measured: float, windows: int, part: float = 0.9) -> tuple[float, float]:
+    """Return the central interval of a root mean square that was measured over so many independent windows."""
+    tail = (1.0 - part) / 2.0
+    square = windows * measured**2
+    return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
+
+
+def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str], shift: float) -> None:
+    """Draw what was measured with its 90 % interval, and what the model expects as a dashed line."""
     distance = np.array([h.distance_m for h in judgement.curve])
-    measured, expected = both[:, 0], both[:, 1]
-    # a mean of N squares scatters by chance: the band is where 90 % of measured errors of a right model lie
-    spread = 1.645 / np.sqrt(2.0 * np.array([h.windows for h in judgement.curve]))
-    low, high = expected * np.maximum(1.0 - spread, 0.05), expected * (1.0 + spread)
-    axes.fill_between(
-        distance, low, high, color=style["color"], alpha=0.2, linewidth=0, label=f"{judgement.name} expects (90 % band)"
-    )
-    axes.plot(distance, measured, linewidth=1.4, markersize=4.5, label=f"{judgement.name}: measured", **style)  # type: ignore[arg-type]
+    windows = [h.windows for h in judgement.curve]
+    measured, expected = both.T
+    ends = np.array([rms_interval(m, n) for m, n in zip(measured, windows, strict=True)]).reshape(-1, 2)
+    axes.vlines(distance * shift, *ends.T, color=style["color"], linewidth=1.1, alpha=0.8)
+    axes.plot(distance * shift, measured, linewidth=1.3, markersize=4.5, label=short_name(judgement.name), **style)  # type: ignore[arg-type]
+    axes.plot(distance, expected, linewidth=1.3, linestyle=(0, (4, 3)), color=style["color"])
+
+
+def _counts(axes: Axes, judgement: Judgement) -> None:
+    """Write the number of windows above the points, of as many lengths of path as there is room for."""
+    last = 0.0
+    for h in judgement.curve:
+        if h.distance_m >= 1.7 * last:
+            axes.annotate(
+                str(h.windows), (h.distance_m, 1.0), xycoords=("data", "axes fraction"), ha="center", va="top",
+                fontsize=7.5, color="0.4",
+            )  # fmt: skip
+            last = h.distance_m
 
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
@@ -84,7 +113,7 @@ def _bars(axes: Axes, comparison: Comparison) -> None:
     if not steps:
         axes.set_axis_off()
         return
-    names, millimetres = [name for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
+    names, millimetres = [short_name(name) for name, _, _ in steps], np.array([error for _, error, _ in steps]) * 1e3
     own = {judgement.name: colour for judgement, colour in zip(comparison.judgements, COLOURS * 9, strict=False)}
     colours = ["0.65" if judgement is None else own[judgement.name] for _, _, judgement in steps]
     bars = axes.barh(np.arange(len(names)), millimetres, color=colours, height=0.7)

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.report.plots.figure import BLACK, BLUE, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.figure import (
+    BLACK,
+    BLUE,
+    RED,
+    SKY,
+    drawing,
+    new_figure,
+    remove_unused,
+    short_name,
+    shown_models,
+)
 from odomcorrupt.study.validate.predictive_check import replay
 
 if TYPE_CHECKING:
@@ -20,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["draw_paths", "paths_of"]
 
 RUNS = 100
-_MOST_PANELS = 4
 _MARKS = 20
 _SHOWN_M = 100.0
 """Path drawn at most, metres: beyond it lines hide lines. What is said of places holds for all of it."""
@@ -34,7 +43,7 @@ def paths_of(judgement: Judgement) -> Replay:
 
 def draw_paths(comparison: Comparison) -> Figure:
     """Draw a panel for each model."""
-    shown = comparison.judgements[-_MOST_PANELS:]
+    shown = shown_models(comparison.judgements)
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
     with drawing():
@@ -42,13 +51,14 @@ def draw_paths(comparison: Comparison) -> Figure:
         # panels side by side without a gap, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
         panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        for axes in panels.flat[len(shown) :]:
-            axes.remove()
+        remove_unused(panels, len(shown))
         for axes, judgement in zip(panels.flat, shown, strict=False):
             try:
-                _panel(axes, paths_of(judgement), judgement.name)
+                _panel(axes, paths_of(judgement), short_name(judgement.name))
             except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
-                axes.set_title(f"{judgement.name}\nno odometry of this drive obeys it: no runs to show", fontsize=10)
+                axes.set_title(
+                    f"{short_name(judgement.name)}\nno odometry of this drive obeys it: no runs to show", fontsize=10
+                )
         handles, labels = panels.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="upper left", ncols=4, fontsize=9)
     return figure

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.report.plots.figure import drawing, new_figure
+from odomcorrupt.report.plots.figure import drawing, new_figure, short_name
 from odomcorrupt.report.plots.model_sequence import COLOURS, MARKERS
 from odomcorrupt.study.validate.error_rates import CHANNELS, joint_rates, node_motion, unit_columns
 
@@ -41,14 +41,19 @@ def draw_residuals(comparison: Comparison) -> Figure:
     first = shown[0][0].pieces
     labels = [driver.label for driver in _drivers(first[0])]
     edges = [_edges(np.concatenate([_drivers(piece)[d].values for piece in first])) for d in range(len(labels))]
+    drawn: list[list[Array]] = [[] for _ in range(count)]
     with drawing():
         figure = new_figure(12.0, 1.0 + 2.1 * count)
         panels = figure.subplots(count, len(labels), sharey="row", sharex="col", squeeze=False)
         for which, (judgement, number) in enumerate(shown):
             for d in range(len(labels)):
                 for c in range(count):
-                    _points(panels[c, d], _rates(judgement.pieces, d, c, edges[d]), edges[d], judgement, number, which)
+                    rates = _rates(judgement.pieces, d, c, edges[d])
+                    shift = (which - (len(shown) - 1) / 2.0) * 0.22
+                    _points(panels[c, d], rates, edges[d], judgement, number, shift)
+                    drawn[c].append(rates)
         for c in range(count):
+            _limit(panels[c], np.concatenate(drawn[c], axis=1))
             panels[c, 0].set_ylabel(f"{CHANNELS[c]} ({_UNITS[c]})")
             for axes in panels[c]:
                 axes.axhline(0.0, color="0.3", linewidth=0.8, zorder=1)
@@ -64,9 +69,9 @@ def draw_residuals(comparison: Comparison) -> Figure:
 
 
 def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
-    """Return the first and the last model, with their numbers: more would hide each other."""
+    """Return all of three models, else the first and the last, with their numbers: more would hide each other."""
     numbered = [(judgement, i) for i, judgement in enumerate(comparison.judgements)]
-    return numbered if len(numbered) <= 2 else [numbered[0], numbered[-1]]
+    return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
 
 
 def _drivers(piece: Evaluation) -> list[Driver]:
@@ -105,13 +110,38 @@ def _rates(pieces: Sequence[Evaluation], driver: int, channel: int, edges: Array
     return both
 
 
-def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, which: int) -> None:
+def _points(axes: Axes, rates: Array, edges: Array, judgement: Judgement, number: int, shift: float) -> None:
     mean, chance = rates
-    centre = (edges[:-1] + edges[1:]) / 2.0 + (0.22 * which - 0.11) * (edges[1] - edges[0])
+    centre = (edges[:-1] + edges[1:]) / 2.0 + shift * (edges[1] - edges[0])
     # a bin that hardly holds a metre would set the scale for all
     firm = chance < 6.0 * np.nanmedian(chance)
     axes.errorbar(
         centre[firm], mean[firm], 2.0 * chance[firm], fmt=MARKERS[number % len(MARKERS)],
-        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + which,
-        label=f"{judgement.name} (bars: two standard deviations)",
+        color=COLOURS[number % len(COLOURS)], markersize=4, linewidth=1.1, zorder=2 + shift,
+        label=f"{short_name(judgement.name)} (bars: two standard deviations)",
     )  # fmt: skip
+
+
+def _limit(row: Sequence[Axes], rates: Array) -> None:
+    """Scale a row by the bins that are known well; triangles at the border stand for bins beyond it.
+
+    rates : (2, n) of all bins in the row
+    """
+    mean, chance = rates[:, np.isfinite(rates).all(axis=0)]
+    if not len(mean):
+        return
+    well = chance <= 2.0 * np.median(chance)
+    most = 1.3 * float((np.abs(mean) + 2.0 * chance)[well].max())
+    if most > float((np.abs(mean) + 2.0 * chance).max()):
+        return
+    for axes in row:
+        axes.set_ylim(-most, most)
+        for bars in axes.containers:
+            line = bars[0]
+            x, y = np.asarray(line.get_xdata()), np.asarray(line.get_ydata())
+            for sign, marker in ((1.0, "^"), (-1.0, "v")):
+                beyond = sign * y > most
+                axes.plot(
+                    x[beyond], np.full(beyond.sum(), 0.96 * sign * most), marker, color=line.get_color(), markersize=6,
+                    markerfacecolor="white",
+                )  # fmt: skip

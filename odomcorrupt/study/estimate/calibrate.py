@@ -119,7 +119,7 @@ def fit_every_law(
 
     A law that depends on the step is applied to the odometry's own steps.
     """
-    first, *others = LAWS
+    first, *others = (name for name, law in LAWS.items() if law.fitted)
     results = {first: fit_robot(recordings, effects, law_name=first, start=start)}
     same = [*results[first].fit.effects, *(e for e in effects if e.kind == "noise")]
     for name in others:

@@ -1,0 +1,244 @@
+"""The interactive part of a report: path, residuals and errors as JSON for a small script inside the page.
+
+The script (`explorer.js`) draws with SVG, loads nothing and changes nothing that is read without it.
+"""
+
+from __future__ import annotations
+
+import json
+from base64 import b64encode
+from dataclasses import dataclass
+from hashlib import sha256
+from html import escape
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.report.plots.model_sequence import rms_interval
+from odomcorrupt.report.text.lack_of_fit import MOST, sentence
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.validate.calibration import HORIZONS_M
+from odomcorrupt.study.validate.error_rates import CHANNELS, node_motion
+from odomcorrupt.study.validate.predictive_check import replay
+from odomcorrupt.study.validate.strata import all_patterns
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.evaluation import Evaluation
+    from odomcorrupt.study.validate.lack_of_fit import Failure
+
+__all__ = ["explorer", "failure_items", "script_hash"]
+
+_MOST_PIECES = 8
+"""Stretches that can be chosen, the longest ones."""
+_POINTS = 7000
+"""Of all stretches under all models together: what keeps the page below 3 MB."""
+_RUNS, _RUN_POINTS, _RUN_STRETCHES = 20, 200, 8
+"""Runs of a model drawn around the truth, points of each, and how many pairs of model and stretch get them."""
+
+
+def explorer(comparison: Comparison) -> str:
+    """Return the section of the page: an empty frame, its data and its script."""
+    content = json.dumps(_content(comparison), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return (
+        '<h2>Explore</h2><noscript><p class="quiet">With scripts switched on, path, residuals and errors can be '
+        "explored here; everything below is complete without.</p></noscript>"
+        '<div id="explorer" hidden></div>'
+        f'<script type="application/json" id="explorer-data">{content}</script>'
+        f"<script>{_script()}</script>"
+    )
+
+
+def script_hash() -> str:
+    """Return the hash by which the page's policy admits the one script it carries."""
+    return f"sha256-{b64encode(sha256(_script().encode()).digest()).decode()}"
+
+
+def failure_items(judgement: Judgement, number: int) -> str:
+    """Return a model's lacks of fit as a list; the script shows each of them on path and residuals."""
+    items = (
+        f'<li data-look="{number},{i}">{escape(sentence(failure))}</li>'
+        for i, failure in enumerate(judgement.failures[:MOST])
+    )
+    return f"<ol>{''.join(items)}</ol>"
+
+
+def _script() -> str:
+    return files("odomcorrupt.report.html").joinpath("explorer.js").read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """One stretch, and the intervals (k,) of it that are shown.
+
+    number : its place among a judgement's pieces
+    reference : it under the first model, which gives times, truth and odometry
+    start : (k,) first of the intervals that each shown point stands for
+    """
+
+    number: int
+    reference: Evaluation
+    start: NDArray[np.int64]
+
+    @property
+    def times_s(self) -> Array:
+        nodes = self.reference.problem.nodes
+        times: Array = nodes.start_s[self.start]
+        return times
+
+    @property
+    def truth_xyt(self) -> Array:
+        poses: Array = self.reference.problem.nodes.truth_xyt[self.start]
+        return poses
+
+
+def _content(comparison: Comparison) -> dict[str, Any]:
+    stretches = _stretches(comparison)
+    lengths = sorted({h.distance_m for j in comparison.judgements for h in j.horizons})
+    with_runs = _RUN_STRETCHES // len(comparison.judgements) or 1
+    return {
+        "lengths": lengths,
+        "pieces": [_stretch(stretch, comparison) for stretch in stretches],
+        "models": [_model(judgement, stretches, with_runs) for judgement in comparison.judgements],
+    }
+
+
+def _stretches(comparison: Comparison) -> list[_Stretch]:
+    """Return the longest stretches, the longest first, each with as many points as the page can hold."""
+    pieces = comparison.judgements[0].pieces
+    longest = sorted(range(len(pieces)), key=lambda i: -float(pieces[i].node_metres.sum()))[:_MOST_PIECES]
+    most = max(_POINTS // (len(longest) * (1 + len(comparison.judgements))), 50)
+    found = []
+    for number in longest:
+        count = len(pieces[number].problem.nodes)
+        start = np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+        found.append(_Stretch(number, pieces[number], start))
+    return found
+
+
+def _stretch(stretch: _Stretch, comparison: Comparison) -> dict[str, Any]:
+    """Return times, truth and recorded odometry of a stretch; odometry in the truth's frame, from its first pose."""
+    piece, start = stretch.reference, stretch.start
+    motion = node_motion(piece.problem)
+    driven = np.concatenate(([0.0], np.cumsum(piece.node_metres)[:-1]))
+    linked = piece.problem.nodes.linked
+    breaks = [i for i in range(1, len(start)) if not linked[start[i - 1] + 1 : start[i] + 1].all()]
+    recorded = undo(piece.recording, piece.model.setup.effects).odometry
+    return {
+        "name": piece.recording.name if len(comparison.recordings) > 1 else f"from {stretch.times_s[0]:.0f} s",
+        "length_m": round(float(piece.node_metres.sum())),
+        "t": _rounded(stretch.times_s, 2),
+        "d": _rounded(driven[start], 2),
+        "v": _rounded(motion.v[start], 3),
+        "w": _rounded(motion.omega[start], 4),
+        "gaps": breaks,
+        "truth": _poses(stretch.truth_xyt),
+        "measured": _poses(_in_truth(stretch, recorded.at(stretch.times_s, piece.recording.origin_ns))),
+    }
+
+
+def _in_truth(stretch: _Stretch, poses: Array) -> Array:
+    """Return poses (k, 3) of an odometry as they are when its first one is the truth's."""
+    moved: Array = compose(stretch.truth_xyt[0], between(poses[0], poses))
+    return moved
+
+
+def _model(judgement: Judgement, stretches: list[_Stretch], with_runs: int) -> dict[str, Any]:
+    return {
+        "name": judgement.name,
+        "pieces": [
+            _under_model(judgement.pieces[stretch.number], stretch, runs=i < with_runs)
+            for i, stretch in enumerate(stretches)
+        ],
+        "horizons": [
+            {
+                "length": h.distance_m, "windows": h.windows, "measured": h.position_measured,
+                "expected": h.position_expected, "nees": h.nees, "low": low, "high": high,
+            }
+            for h in judgement.horizons if h.distance_m in HORIZONS_M
+            for low, high in [rms_interval(h.position_measured, h.windows)]
+        ],
+        "failures": [_failure(failure, judgement, stretches) for failure in judgement.failures[:MOST]],
+    }  # fmt: skip
+
+
+def _under_model(piece: Evaluation, stretch: _Stretch, *, runs: bool) -> dict[str, Any]:
+    """Return odometry without the model's effects, residuals summed along the drive, and runs of the model."""
+    nodes, times_s = piece.problem.nodes, stretch.times_s
+    left = piece.left.odometry.at(times_s, piece.recording.origin_ns)
+    until = np.searchsorted(nodes.end_s, times_s + 1e-6)
+    summed = np.concatenate((np.zeros((1, 3)), np.cumsum(nodes.residual, axis=0)))[until]
+    count = 3 if piece.headed else 2
+    size = np.sqrt(np.mean(piece.innovations.reshape(-1, 3)[:, :count] ** 2, axis=1))
+    first = np.minimum(until, len(size) - 1)
+    # of the intervals that a point stands for, the one that fits worst
+    ends = np.append(first[1:], len(size))
+    worst = [float(size[a : max(b, a + 1)].max()) for a, b in zip(first, ends, strict=True)]
+    yaw = _rounded(np.degrees(summed[:, 2]), 3) if piece.headed else [None] * len(times_s)
+    return {
+        "corrected": _poses(_in_truth(stretch, left)),
+        "residuals": [_rounded(summed[:, 0], 4), _rounded(summed[:, 1], 4), yaw, _rounded(np.array(worst), 2)],
+        "runs": _runs(piece) if runs else [],
+    }
+
+
+def _runs(piece: Evaluation) -> list[list[list[float]]]:
+    try:
+        paths = replay(piece, runs=_RUNS)
+    except EffectError:  # effects that no odometry of this drive obeys have no runs
+        return []
+    kept = np.unique(np.linspace(0, len(paths.truth_xyt) - 1, _RUN_POINTS).astype(np.int64))
+    return [[_rounded(run[kept, 0], 3), _rounded(run[kept, 1], 3)] for run in paths.runs_xyt]
+
+
+def _failure(failure: Failure, judgement: Judgement, stretches: list[_Stretch]) -> dict[str, Any]:
+    """Return where a lack of fit holds: spans (stretch, first point, last point), of a drift the length of path."""
+    spans = []
+    for i, stretch in enumerate(stretches):
+        piece = judgement.pieces[stretch.number]
+        if failure.recording in ("", piece.recording.name):
+            spans += [[i, a, b] for a, b in _spans(_holds(failure, piece, stretch))]
+    length = float(failure.where.split()[1]) if failure.kind == "drift" else None
+    place = [round(value, 3) for value in failure.place] if failure.place is not None else None
+    return {"channel": CHANNELS.index(failure.channel), "spans": spans, "place": place, "length": length}
+
+
+def _holds(failure: Failure, piece: Evaluation, stretch: _Stretch) -> NDArray[np.bool_]:
+    """Return at which points (k,) of a stretch a lack of fit holds; a drift builds up everywhere and is at none."""
+    nodes = piece.problem.nodes
+    if failure.kind == "drift":
+        return np.zeros(len(stretch.start), dtype=np.bool_)
+    if failure.span_s is not None:
+        inside = (nodes.end_s > failure.span_s[0]) & (nodes.start_s < failure.span_s[1])
+    elif failure.place is not None:
+        x, y, radius = failure.place
+        inside = np.hypot(nodes.truth_xyt[:, 0] - x, nodes.truth_xyt[:, 1] - y) < radius
+    else:
+        masks = [p.mask > 0.0 for p in all_patterns(node_motion(piece.problem)) if p.where == failure.where]
+        inside = masks[0] if masks else np.zeros(len(nodes), dtype=np.bool_)
+    # a point stands for all intervals until the next one
+    owner = np.searchsorted(stretch.times_s, nodes.start_s + 1e-6) - 1
+    found = np.zeros(len(stretch.start), dtype=np.bool_)
+    found[np.clip(owner[inside], 0, len(found) - 1)] = True
+    return found
+
+
+def _spans(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first and last index of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(np.int8), [0]))))
+    return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _poses(xyt: Array) -> dict[str, list[float]]:
+    return {"x": _rounded(xyt[:, 0], 3), "y": _rounded(xyt[:, 1], 3), "yaw": _rounded(xyt[:, 2], 4)}
+
+
+def _rounded(values: Array, places: int) -> list[float]:
+    rounded: list[float] = np.round(values, places).tolist()
+    return rounded
