@@ -109,7 +109,7 @@ def evil_bag(path):
     return path
 
 
-@pytest.mark.parametrize("more", [[], ["--json"]])
+@pytest.mark.parametrize("more", [["-v"], ["--json"]])
 def test_control_characters_of_names_are_shown_escaped(more, tmp_path):
     _, out, said = called(["info", str(evil_bag(tmp_path / "in.mcap")), *more])
     both = out + said

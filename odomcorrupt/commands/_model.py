@@ -84,7 +84,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--law",
             metavar="NAME",
             shell_complete=_complete_laws,
-            help="What A1... mean: diffusion, linear, quadratic, velocity, omni. [default: diffusion]",
+            help="What A1... mean: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
         ),
         click.option(
             "--alpha",

@@ -26,7 +26,7 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
     renamed.write_bytes(source.read_bytes())
     with open_reader(renamed) as reader:
         assert reader.kind == kind
-    out = copy(renamed, tmp_path / "out.data")
+    out = copy(renamed, tmp_path / "out")
     with open_reader(out) as reader:
         assert reader.kind == kind
     with open_reader(None, io.BytesIO(source.read_bytes())) as reader:

@@ -233,7 +233,9 @@ def test_a_file_becomes_a_file_when_its_name_says_so(tmp_path):
     for source in (OFFICE, OFFICE_DB):
         out = copy(source, tmp_path / f"{source.name}.out.db3", shift)
         assert out.is_file()
-        np.testing.assert_array_equal(positions(copy(out, tmp_path / f"{source.name} out")), positions(OFFICE) + SHIFT)
+        np.testing.assert_array_equal(
+            positions(copy(out, tmp_path / f"{source.stem} of {len(source.suffix)}")), positions(OFFICE) + SHIFT
+        )
 
 
 def test_a_recording_with_a_live_log_is_read_whole(tmp_path):

@@ -16,6 +16,7 @@ LAW_COEFFICIENTS = {
     "quadratic": Coefficients(0.01, 0.02, 0.01, 0.005),
     "velocity": Coefficients(0.02, 0.03, 0.01, 0.01, end_trans=0.01, end_rot=0.02),
     "omni": Coefficients(0.02, 0.03, 0.03, 0.005, across_trans=0.01),
+    "article-code": Coefficients(3.0, 2.0, 2.0, 1.0),
 }
 
 
@@ -52,6 +53,8 @@ def fold(angle):
 def textbook_sigmas(law, k, rot1, trans, rot2):
     """Standard deviations of rot1, trans, rot2, written out from the article, the lecture and design notes."""
     r1, d, r2 = abs(rot1), abs(trans), abs(rot2)
+    if law == "article-code":
+        return tuple(sigma * sigma for sigma in textbook_sigmas("linear", k, rot1, trans, rot2))
     if law == "linear":
         return (
             k.rot_rot * r1 + k.rot_trans * d,

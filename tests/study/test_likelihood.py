@@ -42,7 +42,7 @@ def test_banded_likelihood_equals_the_dense_normal(law):
     assert banded == pytest.approx(dense, abs=1e-8 * abs(dense))
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", [name for name, law in LAWS.items() if law.fitted])
 def test_polarised_pieces_are_the_law(law):
     problem = short_problem()
     k = np.array([0.05, 0.02, 0.07, 0.03, 0.004, 0.01, 0.02])
