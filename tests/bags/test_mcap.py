@@ -253,6 +253,7 @@ def test_a_chunk_that_lies_is_an_error_before_memory_is_taken(tmp_path, codec, w
                 pass
 
 
+@pytest.mark.slow
 def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
     rng = np.random.default_rng(8)
     data = OFFICE_MCAP.read_bytes()

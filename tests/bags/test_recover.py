@@ -80,6 +80,7 @@ def test_a_damaged_chunk_of_a_ros1_bag_is_left_out_and_the_others_stay(tmp_path)
     assert len(saved) > 0.9 * len(everything)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])
 def test_any_damage_leaves_a_readable_bag_of_true_messages(source, tmp_path):
     rng = np.random.default_rng(11)

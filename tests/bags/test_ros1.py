@@ -232,6 +232,7 @@ def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
         assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
     rng = np.random.default_rng(8)
     data = OFFICE_BAG.read_bytes()

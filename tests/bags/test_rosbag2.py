@@ -325,6 +325,7 @@ def test_a_file_cut_anywhere_is_an_error_and_leaves_nothing(tmp_path):
     assert damaged_copies_fail(OFFICE_DB, tmp_path, offsets, ".db3") == []
 
 
+@pytest.mark.slow
 def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
     rng = np.random.default_rng(8)
     data = OFFICE_DB.read_bytes()

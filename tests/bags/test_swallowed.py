@@ -100,6 +100,7 @@ def test_an_index_that_lies_about_its_length_costs_no_message(index, tmp_path):
     assert mcap_messages(tmp_path / "out.mcap") == mcap_messages(tmp_path / "whole.mcap")
 
 
+@pytest.mark.slow
 def test_a_length_that_ends_between_two_messages_of_the_next_chunk_of_a_ros1_bag(tmp_path):
     whole = copy(OFFICE_BAG, tmp_path / "whole.bag", compression="none")
     data = whole.read_bytes()

@@ -34,6 +34,7 @@ def chosen(which, coefficients=WEAK):
     return model(coefficients=coefficients, effects=[effect_from_values(name, values)], track_m=track)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", RANDOM)
 def test_covariance_is_calibrated_about_the_mean_of_the_runs(which):
     t, poses = office(10.0, 40.0)

@@ -65,6 +65,7 @@ def test_walls_thicken_with_distance_through_noisy_odometry_and_stay_crisp_throu
     assert grown[2] > clean[2]
 
 
+@pytest.mark.slow
 @needs_olin
 def test_turtlebot_recorded_as_sqlite_is_mapped(tmp_path):
     out = tmp_path / "olin.png"

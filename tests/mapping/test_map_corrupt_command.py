@@ -23,6 +23,7 @@ OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
 
 
+@pytest.mark.slow
 def test_no_pose_is_written_into_a_wall_and_without_the_map_some_are(tmp_path, capsys):
     cases = (
         (SHARED / "real" / "rob521_gazebo.mcap", MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
@@ -123,6 +124,7 @@ def test_pipe_needs_a_map_file_and_a_pose(corridor, tmp_path, capsys, monkeypatc
         assert "INPUT is a pipe and read once" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_batch_in_a_map_makes_the_bytes_of_its_own_single_commands(corridor, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = [*ALPHA, "--seed", "7", "--map", str(corridor), "--map-pose", "0,0,0", "--robot-radius", "0"]

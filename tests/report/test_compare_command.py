@@ -42,6 +42,7 @@ def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_as
     assert grows["measured"] > grows["expected"] > 0.0
 
 
+@pytest.mark.slow
 def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
     report, error, where = tmp_path / "out.html", tmp_path / "error.png", tmp_path / "map.svg"
     wanted = (case.robot, "--report", report, "--plot", error, "--plot", f"map={where}")

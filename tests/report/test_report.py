@@ -104,6 +104,7 @@ def test_a_model_that_no_odometry_obeys_has_a_panel_that_says_so(comparison):
     assert "90 % region" in titles[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PICTURES)
 def test_every_picture_is_the_same_file_every_time(comparison, name):
     first = rendered(PICTURES[name].draw(comparison), "svg")
@@ -111,6 +112,7 @@ def test_every_picture_is_the_same_file_every_time(comparison, name):
     assert len(first) < 1_000_000
 
 
+@pytest.mark.slow
 def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, base_model):
     blind = case.recording.truth.xyt.copy()
     blind[:, 2] = np.nan

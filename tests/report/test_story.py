@@ -179,6 +179,7 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     )
 
 
+@pytest.mark.slow
 def test_the_page_shows_everything_at_once_and_stays_whole(rich, ladder):
     page = found_html(Story(rich, ladder, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
     parsed = Balanced()

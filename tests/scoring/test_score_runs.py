@@ -112,6 +112,7 @@ def test_a_sweep_is_one_report(tmp_path):
     assert high > 2.0 * low
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_baseline_and_turns_red_against_it(batch, estimates, tmp_path, capsys):
     words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
     base, page, picture = (tmp_path / name for name in ("last.json", "page.html", "score.png"))

@@ -78,6 +78,7 @@ def learned_from(cause, route, **options):
     return learn([as_recording(simulate(3, cause, route=route, duration_s=route.duration_s, **options))])
 
 
+@pytest.mark.slow
 def test_spins_do_not_settle_what_only_a_heading_from_the_wheels_would_show():
     """On a straight, the wheels and a gyro give the same heading: advice that hangs on which of them is no good."""
     route = steadily(0.5, 0.0, 150.0)

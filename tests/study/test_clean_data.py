@@ -46,6 +46,7 @@ def test_every_estimate_is_zero_within_its_error_on_clean_data(source):
         assert z.max() < 4.5, f"{name}: {z}"
 
 
+@pytest.mark.slow
 def test_time_offsets_of_clean_recordings_are_left_alone():
     learned = learn([wheels(1)])
     assert learned.clocks.free == ((False, False),)

@@ -190,6 +190,7 @@ def wandering_gain(seed: int):
     return recording(steps, noisy_path(turned, PLANTED, seed), seed=seed)
 
 
+@pytest.mark.slow
 def test_a_gain_that_wanders_belongs_to_what_the_model_expects():
     effect = effect_from_values("gauss_markov", {"sigma": 0.08, "tau": 5.0, "channel": "yaw"})
     nees, log_likelihood = {}, {}

@@ -48,6 +48,7 @@ def test_notes_name_the_random_effects_that_are_not_counted_and_no_others(run):
     assert "gauss_markov" not in note
 
 
+@pytest.mark.slow
 def test_a_truth_of_positions_alone_shows_the_fall_that_headings_would_show():
     """Headings made of the odometry are no measurement: a model refitted on half a drive must not be fitted to them."""
     steps = wander(5, 240.0)

@@ -41,6 +41,7 @@ def test_an_expression_of_numbers_alone_is_held_while_everything_else_is_fitted(
     assert len(fitted.standard_errors) == 0
 
 
+@pytest.mark.slow
 def test_every_basis_function_says_in_its_expression_what_it_computes():
     _, fitted = _fitted(73, None)
     (motion,) = fitted.problem.motions

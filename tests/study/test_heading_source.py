@@ -36,6 +36,7 @@ def test_with_a_gyro_the_error_along_is_the_same_and_none_is_in_the_heading(name
     assert not gyro[:, 2].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("source", "word"), [("gyro", "gyro"), ("encoders", "wheels")])
 def test_a_scale_of_the_wheels_is_named_whatever_gives_the_heading(source, word):
     run = as_recording(simulate(91, "wheel_scale", parameters={"e": 0.02}, duration_s=300.0, yaw_from=source))
@@ -45,6 +46,7 @@ def test_a_scale_of_the_wheels_is_named_whatever_gives_the_heading(source, word)
     assert effect.e == pytest.approx(0.02, rel=0.15)
 
 
+@pytest.mark.slow
 def test_two_causes_that_share_the_heading_are_not_taken_for_a_gyro():
     # the wheels' scale and the track turn the robot together; a gyro and a track could say the same with other numbers
     causes = {"wheel_scale": {"e": 0.02}, "wheelbase": {"e": -0.02}}
@@ -55,6 +57,7 @@ def test_two_causes_that_share_the_heading_are_not_taken_for_a_gyro():
     assert found["wheelbase"].e == pytest.approx(-0.02, rel=0.15)
 
 
+@pytest.mark.slow
 def test_where_a_gyro_drifts_the_wheels_have_no_say_in_the_heading():
     # the residuals have two stories: wheels turn the robot and a track undoes it, or the gyro has a scale of its own
     causes = {"wheel_scale": {"e": 0.01}, "gyro_scale": {"e": 0.012}, "gyro_bias": {"bias": 0.002}}

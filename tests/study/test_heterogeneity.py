@@ -26,6 +26,7 @@ def run(seed, *, scale=0.0, bias=0.0):
     return replace(recording(driven, noisy_path(told, NOISE, seed), truth_mm=1.0, seed=seed), track_m=0.4)
 
 
+@pytest.mark.slow
 def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
     # breaks where what is constant in each recording is left to the slow noise that it looks like
     learned = learn([run(801), run(802, scale=-0.012)])
@@ -37,12 +38,14 @@ def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
     assert "in drive 802. Something was changed between them" in text
 
 
+@pytest.mark.slow
 def test_a_gyro_that_was_switched_on_anew_is_said():
     learned = learn([run(803, bias=0.004), run(804, bias=-0.004)])
     assert learned.disagreements[0].effect == "gyro_bias"
     assert learned.disagreements[0].values == pytest.approx((0.004, -0.004), abs=0.001)
 
 
+@pytest.mark.slow
 def test_recordings_of_one_robot_agree():
     assert learn([run(seed, scale=0.01) for seed in (805, 806)]).disagreements == ()
 

@@ -17,6 +17,7 @@ from odomcorrupt.study.select.stepwise import learn
 CURVATURE = -0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 3])
 def test_a_far_marker_on_a_robot_that_bends_is_where_it_is_and_nothing_besides(yaw):
     # breaks where the lever is multiplied by the odometry's turn: lever times bend are then a scale and a mounting

@@ -32,6 +32,7 @@ def corrupted(model, drive, run=0):
     return NoisyPath(model, 5, run).feed(drive.odometry.stamps_ns, drive.odometry.xyt).error_xyt
 
 
+@pytest.mark.slow
 def test_a_law_that_would_take_all_of_a_motion_away_is_held_within_half_of_it(drive):
     model = MotionModel(
         NOISE, (user_effect("slips", LAW, {"k": -4.0}), effect_from_values("slip_burst", {"rate": 0.2}))
@@ -55,6 +56,7 @@ def test_what_no_form_of_makes_usable_is_left_out_and_said(drive):
     assert "left out" in found.changes[0]
 
 
+@pytest.mark.slow
 def test_a_number_beyond_its_bounds_is_written_within_them_and_named(drive):
     wanders = replace(effect_from_values("gauss_markov", {"sigma": 0.3}), sigma=0.8)
     found = proved(MotionModel(NOISE, (wanders,)), [drive])

@@ -45,6 +45,7 @@ def test_noise_alone_is_noise_alone(strength, seed):
     assert k.trans_trans == pytest.approx(put.trans_trans, rel=0.15)
 
 
+@pytest.mark.slow
 def test_an_effect_comes_back_with_its_size():
     learned = learn([corrupted("usual", [effect_from_values("wheelbase", {"e": -0.03})])])
     assert (learned.added, learned.unknown, learned.noise) == (("wheelbase",), (), ())

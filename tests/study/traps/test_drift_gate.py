@@ -10,6 +10,7 @@ from odomcorrupt.study.select.stepwise import learn
 MIXED = {"mount_yaw": {"yaw": -0.02}, "unequal_wheels": {"curvature": -0.01}}
 
 
+@pytest.mark.slow
 def test_two_causes_that_make_up_for_each_other_on_the_path_are_both_named():
     # breaks where the gate looks at one cause alone: a turned marker hides a bend, and alone nearly doubles the error
     run = simulate(9102, tuple(MIXED), duration_s=300.0, route="loops", parameters=MIXED)

@@ -32,6 +32,7 @@ def test_1_a_truth_by_satellites_raises_no_false_alarm(seed):
     assert learned.noise == ()
 
 
+@pytest.mark.slow
 def test_1_a_strong_cause_is_named_beneath_a_truth_by_satellites():
     # breaks where the truth's noise is so large in the model that everything hides in it
     run = as_recording(simulate(40, "wheelbase", truth="rtk", parameters={"e": 0.06}))
@@ -89,6 +90,7 @@ def test_4_a_deterministic_cause_is_not_called_noise_and_noise_no_cause(seed):
     assert [gain.effect.name for gain in wobbling.noise] == ["gauss_markov"]
 
 
+@pytest.mark.slow
 def test_5_a_strong_cause_leaves_no_ghost_of_second_order():
     # breaks where the second look is linear in what the first one found: 3 degrees are 0.14 % of scale
     turned = as_recording(simulate(51, "mount_yaw", duration_s=300.0, parameters={"yaw": np.radians(3.0)}))

@@ -121,6 +121,7 @@ def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
     assert next(i for i in intervals if i.name == "trans_rot").low == 0.0
 
 
+@pytest.mark.slow
 def test_9_noise_is_fitted_again_after_every_addition():
     # breaks where the second look keeps noise that the first cause has inflated
     run = as_recording(simulate(33, "wheelbase", duration_s=300.0, parameters={"e": 0.05}))
