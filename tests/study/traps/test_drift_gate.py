@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
