@@ -76,6 +76,7 @@ def test_the_same_drive_promises_the_same_spread_at_every_message_rate(law, step
         assert travel[rate] == pytest.approx(travel[50.0], rel=0.005)
 
 
+@pytest.mark.slow
 @RATE_FREE
 def test_the_same_drive_spreads_the_same_at_every_message_rate(law, step):
     chosen = model(law, step=step)

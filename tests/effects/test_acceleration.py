@@ -111,6 +111,7 @@ def rough(rate_hz):
     return stamps, poses + 1e-3 * np.sqrt(1.0 / rate_hz) * trembling
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [10.0, 50.0, 200.0])
 @pytest.mark.parametrize("law", LAWS)
 def test_laws_of_acceleration_are_put_in_and_taken_out_and_the_other_way_round(law, rate_hz):

@@ -175,6 +175,7 @@ def test_a_large_chunk_is_in_memory_once(tmp_path):
     assert peak_mb(READ, str(path)) < 240
 
 
+@pytest.mark.slow
 def test_a_large_message_of_a_database_is_in_memory_once_or_not_at_all(tmp_path):
     path = tmp_path / "in.db3"
     with closing(sqlite3.connect(path)) as connection, connection:

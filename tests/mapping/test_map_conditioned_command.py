@@ -28,6 +28,7 @@ def ends(path):
         return np.array([[float(row["x_m"]), float(row["y_m"])] for row in csv.DictReader(file)])
 
 
+@pytest.mark.slow
 @needs_shared
 @pytest.mark.parametrize(
     ("bag", "yaml", "pose"),

@@ -75,6 +75,7 @@ def feed(monkeypatch, path):
     monkeypatch.setattr(sys, "stdin", Pipe())
 
 
+@pytest.mark.slow
 def test_file_and_pipe_give_the_same_bytes_and_the_map_is_noted_in_them(corridor, tmp_path, capsys, monkeypatch):
     words = ["--seed", "7", *ALPHA, "--odom-topic", "/odom", "--map", str(corridor), "--map-pose", "0,0,0"]
     assert run([str(OFFICE), str(tmp_path / "a.mcap"), *words, "--robot-radius", "0"]) == 0

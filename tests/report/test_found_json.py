@@ -103,6 +103,7 @@ def test_the_report_is_whole_small_and_says_what_is_missing(told):
     assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", page)).lower().split()
 
 
+@pytest.mark.slow
 def test_a_real_browser_shows_the_report(told, tmp_path):
     page = tmp_path / "found.html"
     page.write_bytes(told[1]["report"].read_bytes())

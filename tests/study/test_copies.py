@@ -11,6 +11,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.study.select.stepwise import learn
 
 
+@pytest.mark.slow
 def test_a_track_that_is_wrong_is_not_doubted_for_turns_that_hardly_turn():
     # breaks where "yaw += omega * k * where(abs(omega) > 0.06, 1, 0)" counts as another cause than the track
     seed = 903

@@ -52,6 +52,7 @@ def office():
     return simulate(21, None, duration_s=160.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("resets_s", "pieces"),
     [

@@ -21,6 +21,7 @@ def drive():
     return Increments(along.ds_m, 0.3 * np.sin(0.4 * pace) / RATE_HZ, along.dtheta_rad)
 
 
+@pytest.mark.slow
 def test_rollers_that_slip_have_a_name_and_the_right_size(drive):
     # the odometry says more than was driven: the truth is e = -6 % of it shorter
     told = accumulate(np.zeros(3), Increments(drive.ds_m, drive.dl_m / 0.94, drive.dtheta_rad))

@@ -26,6 +26,7 @@ def slipping(steps, own):
     return Increments((right + left) / 2.0, steps.dl_m, (right - left) / TRACK_M)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("own", "contact"), [(0.0, "axle"), (1.0, "wheels")])
 def test_slip_has_its_name_size_and_contact_and_leaves_no_clock(own, contact):
     # breaks where clocks are found beside a slip of the body alone: what it does not explain became an offset of 4 ms
