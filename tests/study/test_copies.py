@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from wandering import recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
