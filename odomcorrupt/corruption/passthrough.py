@@ -6,7 +6,6 @@ import sys
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, BinaryIO
 
-from odomcorrupt.bags.open import kind_of
 from odomcorrupt.bags.output import Output
 
 if TYPE_CHECKING:
@@ -14,23 +13,23 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Block
+    from odomcorrupt.bags.open import Form
 
 __all__ = ["TeeReader", "may_stay", "write_as_it_was"]
 
 _PIECE_BYTES = 1 << 16
 
 
-def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> bool:
+def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
     """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
-    if source is not None and source.is_dir():
+    if (source is not None and source.is_dir()) or getattr(reader, "mode", "none") != "none":
         return False
     if source is not None and reader.kind == "sqlite3":
         from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
 
         if has_log(source):
             return False
-    one_file = target is None or reader.kind != "sqlite3" or bool(target.suffix)
-    return one_file and kind_of(target, reader) == reader.kind
+    return not form.directory and form.kind == reader.kind
 
 
 class TeeReader:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader, open_writer, target_of
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.convert.message_types import Generation
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
@@ -36,6 +38,9 @@ class Container:
     overwrite : replace an existing output
     compression, level : of the output, None for those of the input
     recover : read the intact parts of a damaged input
+    ros : generation of ROS of the output's messages, where its format leaves a choice
+    storage : "mcap" or "sqlite3", of an output that is a directory
+    exclude : topics left out
     threads : number of threads; None: one per core, at most four
     """
 
@@ -43,12 +48,19 @@ class Container:
     compression: str | None = None
     level: int | None = None
     recover: bool = False
+    ros: Generation | None = None
+    storage: str | None = None
+    exclude: tuple[str, ...] = ()
     threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
         """Whether an output without changes may be a byte copy of the input."""
-        return self.compression is None and self.level is None and not self.recover
+        return self.compression is None and self.level is None and not self.recover and not self.exclude
+
+    def target(self, path: Path | None, reader: BagReader) -> Target:
+        """Return an output, with a reader of the input that yields the messages as the output has them."""
+        return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +79,7 @@ class Outcome:
     placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
     stayed : TF edges that are not moved, "parent -> child"
     faults : counts of unusable odometry poses
+    remarks : what the output's message types cannot hold, in sentences
     """
 
     model: MotionModel
@@ -88,6 +101,7 @@ class Outcome:
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
+    remarks: tuple[str, ...] = ()
 
 
 def corrupt_bag(
@@ -127,8 +141,10 @@ def corrupt_bag(
     threads = default_threads() if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
-        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as raw,
     ):
+        output = container.target(target, raw)
+        reader = output.reader
         transform.driver.prepare(reader, reader.name)
         writer = open_writer(
             target,
@@ -137,8 +153,9 @@ def corrupt_bag(
             compression=container.compression,
             level=container.level,
             workers=workers,
+            form=output.form,
         )
-        if silent and not adds and container.as_it_was and may_stay(source, target, reader):
+        if silent and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
@@ -177,6 +194,7 @@ def corrupt_bag(
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
         faults=transform.driver.faults,
+        remarks=output.remarks,
     )
 
 

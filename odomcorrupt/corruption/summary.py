@@ -210,6 +210,7 @@ def oddities(outcome: Outcome) -> list[str]:
         for edge in sorted(outcome.changes.static)
     ]
     said += [f"Lost: {loss}." for loss in outcome.losses]
+    said += [f"{remark}." for remark in outcome.remarks]
     drift = outcome.drift
     said += holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
     if outcome.zero_stamps:

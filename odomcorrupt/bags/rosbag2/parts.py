@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import cast, get_args
 
 from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
+from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode
 from odomcorrupt.bags.rosbag2.metadata import read_info
 from odomcorrupt.errors import BagError
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["BagFiles", "find_files"]
 
@@ -22,10 +21,12 @@ class BagFiles:
 
     files : in the order of recording
     metadata : text of metadata.yaml, or None without one
+    mode : what of the bag is compressed
     """
 
     files: list[Path]
     metadata: str | None
+    mode: Mode = "none"
 
 
 def find_files(directory: Path) -> BagFiles:
@@ -34,12 +35,12 @@ def find_files(directory: Path) -> BagFiles:
     Raises
     ------
     BagError
-        If there are none, they are compressed as files or message by message, one is listed twice, or they do not
-        belong to one recording.
+        If there are none, they are compressed in an unknown way, one is listed twice, or they do not belong to one
+        recording.
 
     """
     metadata = directory / "metadata.yaml"
-    found = _listed(directory, metadata) if metadata.exists() else BagFiles(_named(directory), None)
+    found = _listed(directory, metadata) if metadata.exists() else _named(directory)
     seen: dict[tuple[int, int], str] = {}
     for file in found.files:
         if not file.is_file():
@@ -58,24 +59,32 @@ def _listed(directory: Path, metadata: Path) -> BagFiles:
     """Return the files that a metadata.yaml lists."""
     info = read_info(metadata)
     mode = str(info.get("compression_mode") or "none").lower()
-    if mode != "none":
+    mode = "none" if mode == "storage" else mode
+    packed = str(info.get("compression_format") or "zstd").lower()
+    if mode not in get_args(Mode) or (mode != "none" and packed != "zstd"):
         raise BagError(
-            f"{directory}: is compressed {mode} by {mode} ({info.get('compression_format')}); `ros2 bag convert` "
-            "can undo that"
+            f"{directory}: is compressed {mode} by {mode} ({packed}), zstd is known; `ros2 bag convert` can undo that"
         )
     # Old versions put the directory's own name before the files'.
     files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
     missing = [file.name for file in files if not file.exists()]
     if missing or not files:
         raise BagError(f"{metadata}: lists {', '.join(missing) or 'no file'}, which is not there; restore it")
-    return BagFiles(files, read_text(metadata))
+    return BagFiles(files, read_text(metadata), cast("Mode", mode))
 
 
-def _named(directory: Path) -> list[Path]:
+def _named(directory: Path) -> BagFiles:
     """Return the files of a directory without metadata.yaml, whose names must be those of one recording."""
     visible = [path for path in directory.iterdir() if not path.name.startswith(".")]
     names = sorted(visible, key=lambda path: [int(x) if x.isdecimal() else x for x in _PARTS.split(path.name)])
     files = [path for path in names if path.suffix in (".db3", ".mcap")]
+    packed = [path for path in names if path.suffix in SUFFIXES and Path(path.stem).suffix in (".db3", ".mcap")]
+    if files and packed:
+        raise BagError(
+            f"{directory}: has no metadata.yaml, and holds {files[0].name} beside {packed[0].name}; name one of them"
+        )
+    if packed:
+        files = packed
     if files:
         if not _is_one_recording(files):
             held = ", ".join(path.name for path in files[:_SHOWN]) + (", ..." if len(files) > _SHOWN else "")
@@ -83,10 +92,7 @@ def _named(directory: Path) -> list[Path]:
                 f"{directory}: has no metadata.yaml, and holds {len(files)} bags that are not evidently parts of one "
                 f"recording ({held}); name one of them"
             )
-        return files
-    packed = [path.name for path in names if path.suffix in (".zstd", ".zst")]
-    if packed:
-        raise BagError(f"{directory}: {packed[0]} is compressed as a whole; decompress it first (`zstd -d`)")
+        return BagFiles(files, None, "file" if packed else "none")
     ros1 = [path.name for path in names if path.suffix == ".bag"]
     more = f"; it holds {ros1[0]}, name that" if ros1 else ""
     raise BagError(f"{directory}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files){more}")
@@ -96,7 +102,7 @@ def _is_one_recording(files: list[Path]) -> bool:
     """Return whether names differ only in their last, consecutive number, as in a bag split by rosbag2."""
     if len(files) == 1:
         return True
-    parts = [_COUNTED.fullmatch(path.name) for path in files]
+    parts = [_COUNTED.fullmatch(path.stem if path.suffix in SUFFIXES else path.name) for path in files]
     names = {(part["stem"], part["suffix"]) for part in parts if part}
     numbers = [int(part["number"]) for part in parts if part]
     return all(parts) and len(names) == 1 and numbers == list(range(numbers[0], numbers[0] + len(files)))

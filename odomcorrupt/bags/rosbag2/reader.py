@@ -11,6 +11,7 @@ from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
 from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.mcap.reader import McapReader
+from odomcorrupt.bags.rosbag2.compression import UnpackedFiles, UnpackedMessages
 from odomcorrupt.bags.rosbag2.parts import BagFiles, find_files
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import Source
@@ -22,14 +23,18 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from odomcorrupt.bags.definition import Definition
+    from odomcorrupt.bags.rosbag2.compression import Mode
 
-__all__ = ["Rosbag2Reader", "open_part"]
+__all__ = ["Part", "Rosbag2Reader", "open_part"]
+
+Part = SqliteReader | McapReader | UnpackedMessages
 
 
 class Rosbag2Reader:
     """A directory, or a single sqlite3 file.
 
     metadata : text of metadata.yaml, or None without one
+    mode : what of the bag is compressed; `parts` read it decompressed
     parts : readers of the files
     numbers : for each file, the bag's channel id by the file's channel id
     """
@@ -38,23 +43,33 @@ class Rosbag2Reader:
 
     def __init__(self, path: Path, *, recover: bool = False, threads: int = 1) -> None:
         self.name = str(path)
-        found = find_files(path) if path.is_dir() else BagFiles([path], None)
+        found = find_files(path) if path.is_dir() else BagFiles([path], None, _mode_of(path))
         self.directory = path if path.is_dir() else None
         self.metadata = found.metadata
+        self.mode = found.mode
         self.paths = [path, *found.files]
-        self.parts: list[SqliteReader | McapReader] = []
+        self.parts: list[Part] = []
+        self._unpacked: UnpackedFiles | None = None
         with ExitStack() as opened:
-            for file in found.files:
-                self.parts.append(open_part(file, recover=recover, threads=threads))
-                opened.push(self.parts[-1])
+            files = found.files
+            if self.mode == "file":
+                self._unpacked = UnpackedFiles(files, recover=recover)
+                opened.callback(self._unpacked.close)
+                files = self._unpacked.files
+            for file in files:
+                part: Part = open_part(file, recover=recover, threads=threads)
+                opened.push(part)
+                if self.mode == "none" and isinstance(part, SqliteReader) and part.packed:
+                    self.mode = "message"
+                self.parts.append(UnpackedMessages(part, recover=recover) if self.mode == "message" else part)
             self.kind: Kind = self.parts[0].kind
             if any(part.kind != self.kind for part in self.parts):
                 raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
-            opened.pop_all()
+            self._opened = opened.pop_all()
         self._reading = 0
         self.channels: Mapping[int, Channel] = self.parts[0].channels
         self.numbers: list[dict[int, int]] = []
-        self._origins: dict[int, tuple[SqliteReader | McapReader, Channel]] = {}
+        self._origins: dict[int, tuple[Part, Channel]] = {}
         self._number()
 
     def definition(self, channel: Channel) -> Definition:
@@ -65,7 +80,8 @@ class Rosbag2Reader:
     @property
     def losses(self) -> list[str]:
         """Parts of the files that could not be read, one sentence each."""
-        return [loss for part in self.parts for loss in part.losses]
+        packed = [] if self._unpacked is None else self._unpacked.losses
+        return [*packed, *(loss for part in self.parts for loss in part.losses)]
 
     @property
     def count(self) -> int:
@@ -76,7 +92,7 @@ class Rosbag2Reader:
     def part_read(self) -> float | None:
         """Part of the files read in this pass, 0 to 1, with equal weights; None where unknown."""
         now = self.parts[self._reading]
-        part = now.part_read if isinstance(now, McapReader) else None
+        part = None if isinstance(now, SqliteReader) else now.part_read
         return None if part is None else (self._reading + part) / len(self.parts)
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
@@ -118,8 +134,13 @@ class Rosbag2Reader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for part in self.parts:
-            part.__exit__(kind, error, trace)
+        self._opened.close()
+
+
+def _mode_of(path: Path) -> Mode:
+    """Return how a single file is compressed, by its first bytes."""
+    with Source.of_file(path) as source:
+        return "file" if source.sniff(len(magic.ZSTD)) == magic.ZSTD else "none"
 
 
 def open_part(path: Path, *, recover: bool = False, threads: int = 1) -> SqliteReader | McapReader:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
-from odomcorrupt.bags.rosbag2.database import Topic, read_only, read_topics, reported
+from odomcorrupt.bags.rosbag2.database import Topic, has_packed_messages, read_only, read_topics, reported
 from odomcorrupt.bags.rosbag2.salvage import salvaged_rows, whole_pages
 from odomcorrupt.errors import BagError
 
@@ -54,6 +54,7 @@ class SqliteReader:
 
     readable : the file, or the whole pages of a truncated one
     damaged : whether sqlite3's integrity check fails; with recovery only
+    packed : whether messages are compressed one by one
     losses : parts that could not be read, one sentence each, with recovery
     lost_rows : row ids of messages reported as lost
     count : number of messages of the last pass
@@ -75,6 +76,7 @@ class SqliteReader:
         try:
             with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
                 topics = read_topics(connection, path)
+                self.packed = has_packed_messages(connection)
                 self.damaged = recover and not _sound(connection)
         except BaseException:
             self.__exit__(None, None, None)
