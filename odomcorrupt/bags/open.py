@@ -274,6 +274,8 @@ def open_writer(
         form = form_of(path, reader)
     kind = form.kind
     rosbag2 = _as_rosbag2(reader)
+    if form.directory or kind == "sqlite3":
+        _require_generation(path, reader)
     _require_compression(form, rosbag2, compression, level)
     if path is None or str(path) == "-":
         output = Output(None, stream or sys.stdout.buffer)
@@ -308,6 +310,15 @@ def open_writer(
     if isinstance(part, SqliteReader):
         return SqliteWriter(path, part, overwrite=overwrite)
     return NewSqliteWriter(path, reader, overwrite=overwrite)
+
+
+def _require_generation(path: Path | None, reader: BagReader) -> None:
+    """Raise BagError for messages that are not of ROS 2."""
+    for channel in reader.channels.values():
+        if channel.encoding != "cdr":
+            raise BagError(
+                f"{path}: {channel.topic} has {channel.encoding} messages, a ROS 2 bag holds cdr ones; convert them"
+            )
 
 
 def _require_compression(form: Form, rosbag2: Rosbag2Reader | None, compression: str | None, level: int | None) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,16 +13,16 @@ from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.batching.manifest import BatchError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.corruption.run import Container
+    from odomcorrupt.corruption.run import Container as BagContainer
 
 __all__ = ["assemble"]
 
 
-def assemble(overlay: Path, source: Path, target: Path, container: Container) -> int:
+def assemble(overlay: Path, source: Path, target: Path, container: BagContainer) -> int:
     """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
 
     Raises
@@ -32,23 +32,51 @@ def assemble(overlay: Path, source: Path, target: Path, container: Container) ->
 
     """
     with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
-        writer = open_writer(
-            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
-        )
+        output = container.target(target, reader)
         topics = {(one.topic, one.msgtype) for one in changed.channels.values()}
         wanted = {one.id for one in reader.channels.values() if (one.topic, one.msgtype) in topics}
         if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
             raise BatchError(f"{overlay}: has topics that {source} has not; name the input it was made from")
         stream = _Messages(changed, overlay)
-        count = 0
+        merged = _Merged(reader, wanted, stream, source)
+        if output.reader is not reader:
+            # what is converted is the merged bag
+            output = container.target(target, merged)
+        writer = open_writer(
+            target,
+            output.reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            form=output.form,
+        )
         with writer:
-            for block in reader.blocks():
-                count += _replace(block, reader, wanted, stream, source)
+            for block in (merged if output.reader is reader else output.reader).blocks():
                 writer.write(block)
             stream.require_end(source)
             if stream.provenance is not None:
                 writer.provenance("odomcorrupt", stream.provenance)
-    return count
+    return merged.replaced
+
+
+class _Merged:
+    """The original with the overlay's messages in place of its own; otherwise equal to its reader.
+
+    replaced : number of replaced messages
+    """
+
+    def __init__(self, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> None:
+        self._reader, self._wanted, self._stream, self._source = reader, wanted, stream, source
+        self.replaced = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks with the overlay's messages."""
+        for block in self._reader.blocks(only):
+            self.replaced += _replace(block, self._reader, self._wanted, self._stream, self._source)
+            yield block
 
 
 def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
@@ -42,6 +42,9 @@ __all__ = ["Failure", "attempt", "make"]
 
 CLEAN = "clean.tum"
 """The path without any noise, beside the runs."""
+
+_OVERLAY = Form("mcap", directory=False, ros=None)
+"""An overlay holds the messages as the input has them."""
 
 _STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 
@@ -97,8 +100,9 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
         with ExitStack() as stack:
             threads = default_threads() if job.container.threads is None else job.container.threads
             workers = stack.enter_context(Workers(threads))
-            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
-            records = _make(task, room, whole, stack, reader, part(reader), workers)
+            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
+            records = _make(task, room, whole, stack, output, part(output.reader), workers)
         contents = [content_of(room / record["file"]) for record in records]
         note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
         for record in records:
@@ -112,7 +116,7 @@ def _make(
     room: Path,
     whole: set[int],
     stack: ExitStack,
-    reader: BagReader,
+    output: Target,
     part: BagReader,
     workers: Workers,
 ) -> list[dict[str, Any]]:
@@ -120,9 +124,9 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     shared = SharedTransform(job.options)
-    shared.driver.prepare(reader, reader.name)
+    shared.driver.prepare(output.reader, output.reader.name)
     rests = Rests()
-    runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
+    runs = [_begin(job, run, output, rests, workers) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -162,7 +166,7 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
+def _begin(job: Job, run: int, output: Target, rests: Rests, workers: Workers) -> _Run:
     model = job.model_of(run)
     within = None if job.condition is None else job.condition.path(model, job.seed, run)
     if job.output == "trajectories":
@@ -170,12 +174,12 @@ def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers
         return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
     strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
-        return _Run(strand, OverlaySink(job, run, reader), patches=True)
+        return _Run(strand, OverlaySink(job, run, output.reader), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader, workers)
+    sink = SplitSink(job, run, output, rests) if job.split else FullSink(job, run, output, workers)
     frame = job.options.new_odom_frame
-    edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
+    edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
 
 

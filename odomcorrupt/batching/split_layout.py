@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.bags.block import Message
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Place, Portion
     from odomcorrupt.batching.sinks import Added
@@ -118,10 +119,17 @@ def _without(block: Block, place: Place) -> Block:
 class SplitSink(BagSink):
     """A whole bag with the changed messages in chunks of their own."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader, rests: Rests) -> None:
+    def __init__(self, job: Job, run: int, output: Target, rests: Rests) -> None:
         c = job.container
-        path = job.path_of(run)
-        super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
+        writer = open_writer(
+            job.path_of(run),
+            output.reader,
+            overwrite=True,
+            compression=c.compression,
+            level=c.level,
+            form=output.form,
+        )
+        super().__init__(job, run, writer)
         self._rests = rests
 
     def __enter__(self) -> Self:

@@ -91,6 +91,9 @@ def convert_type(msgtype: str, definition: Definition, ros: Generation) -> Messa
     """
     other: Generation = 1 if ros == 2 else 2
     new = _RENAMED.get(msgtype, msgtype) if ros == 2 else msgtype
+    if not _NAME.fullmatch(msgtype):
+        # code is generated under this name
+        raise BagError(f"{msgtype[:80]!r} is no name of a message type")
     try:
         given = _parsed(msgtype, definition)
         source = _closure(msgtype, {**_common(other), **given})
@@ -152,8 +155,6 @@ def _reason(error: BaseException) -> str:
 
 def _parsed(msgtype: str, definition: Definition) -> dict[str, Fields]:
     """Return the types of a bag's definition text; none where there is no text."""
-    if not _NAME.fullmatch(msgtype):
-        raise ValueError("this is no name of a message type")
     if "/action/" in msgtype or "/srv/" in msgtype:
         raise ValueError("services and actions have no counterpart")
     text = definition.text.decode(errors="replace")
