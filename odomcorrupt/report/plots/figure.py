@@ -78,9 +78,11 @@ def rendered(figure: Figure, kind: str) -> bytes:
             figure.set_layout_engine("none")
         figure.dpi = _DPI
         if kind == "svg":
-            FigureCanvasSVG(figure).print_svg(out, metadata=nothing[kind])
+            svg: Any = FigureCanvasSVG(figure)
+            svg.print_svg(out, metadata=nothing[kind])
         elif kind == "png":
-            FigureCanvasAgg(figure).print_png(out, metadata=nothing[kind])
+            png: Any = FigureCanvasAgg(figure)
+            png.print_png(out, metadata=nothing[kind])
         else:
             figure.savefig(out, format=kind, dpi=_DPI, metadata=nothing[kind])
     return out.getvalue()
