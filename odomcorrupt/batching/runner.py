@@ -27,6 +27,7 @@ from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.preview.forecast import read_clean_drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.progress import ProgressCallback
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.preview.forecast import CleanDrive
 
 __all__ = ["Failure", "attempt", "make"]
 
@@ -125,8 +127,8 @@ def _make(
     home = task.job.directory
     shared = SharedTransform(job.options)
     shared.driver.prepare(output.reader, output.reader.name)
-    rests = Rests()
-    runs = [_begin(job, run, output, rests, workers) for run in task.runs]
+    rests, drive = Rests(), _drive(job)
+    runs = [_begin(job, run, output, (rests, workers), drive) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -166,9 +168,17 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, output: Target, rests: Rests, workers: Workers) -> _Run:
-    model = job.model_of(run)
-    within = None if job.condition is None else job.condition.path(model, job.seed, run)
+def _drive(job: Job) -> CleanDrive | None:
+    """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
+    if job.condition is None:
+        return None
+    with open_reader(job.source, recover=job.container.recover) as reader:
+        return read_clean_drive(reader, job.model, job.options)
+
+
+def _begin(job: Job, run: int, output: Target, shared: tuple[Rests, Workers], drive: CleanDrive | None) -> _Run:
+    model, (rests, workers) = job.model_of(run), shared
+    within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
         return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
