@@ -99,7 +99,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.api.corruption import Batch
+    from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.plan import require_odometry, run_batch
     from odomcorrupt.commands._eta import Rate
@@ -138,7 +138,7 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
-    from odomcorrupt.api.corruption import split_options
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)

@@ -59,8 +59,8 @@ def command(
 
     Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
     """
+    from odomcorrupt.api.comparison import compare
     from odomcorrupt.api.model import Model
-    from odomcorrupt.api.study import compare
 
     paths, names = split_arguments(arguments)
     if not names:

@@ -55,7 +55,7 @@ def command(
     It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
     Random effects cannot be undone, but for lost increments; the summary names them.
     """
-    from odomcorrupt.api.corruption import correct
+    from odomcorrupt.api.correction import correct
 
     target = chosen_output(output, output_option)
     if input_ == "-":

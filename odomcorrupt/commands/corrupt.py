@@ -44,7 +44,8 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.api.corruption import corrupt, options_of
+    from odomcorrupt.api.bag_options import options_of
+    from odomcorrupt.api.corruption import corrupt
     from odomcorrupt.memory import keep_freed_memory
 
     target = chosen_output(output, output_option)

@@ -58,7 +58,7 @@ def command(
 
     Without --validate, the models are cross-validated on halves of the recordings themselves.
     """
-    from odomcorrupt.api.study import learn
+    from odomcorrupt.api.learning import learn
 
     paths, models = split_arguments(recordings)
     if models:
