@@ -48,8 +48,8 @@ def plant(recording: Recording, effect: Effect) -> Recording:
         Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), effects=(effect,), track_m=recording.track_m
     )
     odometry = recording.odometry
-    knots = NoisyPath(model, 0).feed(odometry.stamps_ns, odometry.xyt)
-    return replace(recording, odometry=Trajectory(odometry.stamps_ns, odometry.xyt + knots.error_xyt))
+    samples = NoisyPath(model, 0).feed(odometry.stamps_ns, odometry.xyt)
+    return replace(recording, odometry=Trajectory(odometry.stamps_ns, odometry.xyt + samples.error_xyt))
 
 
 def planted(case: Case, folder: Path) -> dict[str, Any]:

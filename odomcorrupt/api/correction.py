@@ -42,12 +42,12 @@ class Correction(Result):
     @property
     def drift(self) -> Drift:
         """By how much the odometry was moved (drawn), and what the noise is still expected to do (expected)."""
-        return self.outcome.drift
+        return self.outcome.run.drift
 
     @property
     def losses(self) -> tuple[str, ...]:
         """What could not be read of a damaged input, in sentences."""
-        return self.outcome.losses
+        return self.outcome.run.losses
 
     def summary(self) -> Summary:
         """Return what was taken out, how far that moved the odometry, and what remains."""
@@ -74,10 +74,10 @@ class Correction(Result):
                     "output": self.target,
                     "taken_out": [effect.name for effect in outcome.effects.undone],
                     "left": [effect.name for effect in outcome.effects.left],
-                    "odometry": outcome.driver,
-                    "moved": {**outcome.changes.odometry, **outcome.changes.edges},
-                    "drift": asdict(outcome.drift),
-                    "losses": list(outcome.losses),
+                    "odometry": outcome.run.odometry,
+                    "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
+                    "drift": asdict(outcome.run.drift),
+                    "losses": list(outcome.run.losses),
                 }
             )
         )
@@ -92,7 +92,7 @@ class Correction(Result):
         from odomcorrupt.report.plots.corruption import draw_corruption
         from odomcorrupt.trajectories.reader import read_drive
 
-        before, after = (read_drive(Path(path), self.outcome.driver) for path in (self.source, self.target))
+        before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))
         return draw_corruption(before.xyt, after.xyt, Path(self.target).name, names=("measured", "corrected"))
 
 

@@ -109,7 +109,7 @@ class Corruption(Result):
                     "run": outcome.run,
                     "law": outcome.model.noise.law_name,
                     "parameters": self.model.parameters,
-                    "odometry": outcome.driver,
+                    "odometry": outcome.odometry,
                     "odom_frame": outcome.frames.odom,
                     "base_frame": outcome.frames.base,
                     "moved": self.moved,
@@ -140,7 +140,7 @@ class Corruption(Result):
 
         if "-" in (self.source, self.target):
             raise OdomCorruptError("a picture of a corruption: reads both bags again, which a pipe cannot give")
-        clean, noisy = (read_drive(Path(path), self.outcome.driver) for path in (self.source, self.target))
+        clean, noisy = (read_drive(Path(path), self.outcome.odometry) for path in (self.source, self.target))
         return draw_corruption(clean.xyt, noisy.xyt, f"{Path(self.target).name}: seed {self.seed}, run {self.run}")
 
 
@@ -217,7 +217,7 @@ def corrupt(
         container=container,
         watch=watcher,
         path=path,
-        told={} if condition is None else condition.provenance(),
+        metadata={} if condition is None else condition.provenance(),
     )
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))

@@ -172,7 +172,7 @@ def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.container.recover) as reader:
-            Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
+            Transform(job.model_of(0), job.seed, 0, job.options).odometry.prepare(reader, reader.name)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.corruption.additions import CorrectionEdge
     from odomcorrupt.corruption.drift import PathWatcher
-    from odomcorrupt.corruption.path import Knots, PathSource
+    from odomcorrupt.corruption.path import PathSamples, PathSource
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
@@ -43,22 +43,22 @@ class MarkMeter:
         self.marks: list[tuple[float, float, float, float]] = []
         self._last: tuple[float, float, float, float] | None = None
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Process the next part of the path."""
-        if not len(knots):
+        if not len(samples):
             return
-        while len(self.marks) < len(MARKS_M) and knots.travelled_m[-1] >= MARKS_M[len(self.marks)]:
+        while len(self.marks) < len(MARKS_M) and samples.travelled_m[-1] >= MARKS_M[len(self.marks)]:
             mark_m = MARKS_M[len(self.marks)]
-            self.marks.append((mark_m, *_error(knots, int(np.searchsorted(knots.travelled_m, mark_m)))))
-        self._last = (float(knots.travelled_m[-1]), *_error(knots, len(knots) - 1))
+            self.marks.append((mark_m, *_error(samples, int(np.searchsorted(samples.travelled_m, mark_m)))))
+        self._last = (float(samples.travelled_m[-1]), *_error(samples, len(samples) - 1))
 
     def result(self) -> list[tuple[float, float, float, float]]:
         """Return the errors at the marks, the last of them at the end."""
         return [*self.marks, *([self._last] if self._last is not None else [])]
 
 
-def _error(knots: Knots, i: int) -> tuple[float, float, float]:
-    x, y, turn = knots.error_xyt[i].tolist()
+def _error(samples: PathSamples, i: int) -> tuple[float, float, float]:
+    x, y, turn = samples.error_xyt[i].tolist()
     return x, y, turn
 
 
@@ -96,13 +96,13 @@ class RunState:
                 self._path.restart()
                 self._curve.restart()
             else:
-                knots = self._path.feed(part.stamps_ns, part.xyt)
-                self._curve.extend(knots, part.time_ns)
+                samples = self._path.feed(part.stamps_ns, part.xyt)
+                self._curve.extend(samples, part.time_ns)
             for watcher in self._watchers:
                 if part is None:
                     watcher.restart()
                 else:
-                    watcher.add(knots)
+                    watcher.add(samples)
 
     def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
         """Return, for each block of a portion, the transforms with this run's correction."""

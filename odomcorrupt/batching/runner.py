@@ -120,7 +120,7 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     shared = SharedTransform(job.options)
-    shared.driver.prepare(reader, reader.name)
+    shared.odometry.prepare(reader, reader.name)
     rests = Rests()
     runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
     every = list(runs)
@@ -147,9 +147,9 @@ def _make(
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
     """Return the transforms that a run adds to each block; None where it adds none."""
-    if one.edge is None or shared.driver.frames is None:
+    if one.edge is None or shared.odometry.frames is None:
         return None
-    return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
+    return one.strand.edges(portion, one.edge, shared.odometry.frames.odom)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 if TYPE_CHECKING:
     from odomcorrupt.bags.block import Block
     from odomcorrupt.corruption.patch import Target
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.corruption.reorder import Arrivals
     from odomcorrupt.corruption.transform import Options, _Held
 
@@ -61,7 +61,7 @@ class SharedTransform(Transform):
         """Record a restart of time."""
         self.growth.append(None)
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Do nothing: there is no path."""
 
     def _extend(self, ordered: Arrivals) -> None:
@@ -72,5 +72,5 @@ class SharedTransform(Transform):
     def _patch(self, held: _Held) -> Block:
         self.taken = [] if self._first_ns is None else self._targets(held)
         if self.truth is not None:
-            self.truth.add(held.block, [target for target in self.taken if self.driver.is_odometry(target.channel)])
+            self.truth.add(held.block, [target for target in self.taken if self.odometry.is_odometry(target.channel)])
         return held.block

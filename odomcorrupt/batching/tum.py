@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.batching.patch_batch import Portion
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
@@ -64,22 +64,22 @@ class TumSink:
         self._output = Output(path, overwrite=True)
         self._clean = model is None
         self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and acts(e))
-        self._waiting: list[Knots] = []
+        self._waiting: list[PathSamples] = []
 
     def restart(self) -> None:
         """Do nothing: a TUM file has no stretches."""
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Take the next part of the path."""
-        self._waiting.append(knots)
+        self._waiting.append(samples)
 
     def put(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
         """Write the path so far."""
-        for knots in self._waiting:
-            xyt = knots.clean_xyt if self._clean else knots.clean_xyt + knots.error_xyt
-            t_s = (knots.stamps_ns - portion.first_ns) * np.float64(1e-9)
-            shift_s = sum((effect.stamp_shift_s(t_s) for effect in self._clocks), start=np.zeros(len(knots)))
-            stamps_ns = knots.stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
+        for samples in self._waiting:
+            xyt = samples.clean_xyt if self._clean else samples.clean_xyt + samples.error_xyt
+            t_s = (samples.stamps_ns - portion.first_ns) * np.float64(1e-9)
+            shift_s = sum((effect.stamp_shift_s(t_s) for effect in self._clocks), start=np.zeros(len(samples)))
+            stamps_ns = samples.stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
             self._output.write(format_tum(stamps_ns, xyt))
         self._waiting.clear()
 

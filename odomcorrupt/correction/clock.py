@@ -16,17 +16,17 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["ClockPutRight", "true_stamps"]
+__all__ = ["ClockInverse", "true_stamps"]
 
 ROUNDS = 60
 """A clock is at most a tenth too fast, so each round gains a digit."""
 
 
 @dataclass(frozen=True, slots=True)
-class ClockPutRight(Effect):
+class ClockInverse(Effect):
     """The opposite of clock effects: it shifts a stamp back by as much as they shifted it."""
 
-    name: ClassVar[str] = "clock_put_right"
+    name: ClassVar[str] = "clock_inverse"
     kind: ClassVar[Kind] = "setup"
     summary: ClassVar[str] = "stamps put back"
     clock: ClassVar[bool] = True
@@ -58,7 +58,7 @@ class ClockPutRight(Effect):
 
 def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns: int) -> NDArray[np.int64]:
     """Return stamps (n,) as they were before the clocks were wrong; first_ns is the first that the clocks wrote."""
-    right = ClockPutRight(tuple(clocks))
+    right = ClockInverse(tuple(clocks))
     if not right.acts:
         return stamps_ns
     shift_s = right.stamp_shift_s((stamps_ns - first_ns) * np.float64(1e-9))

@@ -9,7 +9,7 @@ import numpy as np
 from odomcorrupt.correction.clock import true_stamps
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
-from odomcorrupt.corruption.path import Knots
+from odomcorrupt.corruption.path import PathSamples
 from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
 from odomcorrupt.errors import BagError
 from odomcorrupt.geometry.se2 import compose, inverse
@@ -23,49 +23,49 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
-__all__ = ["CorrectedPath", "MeasuredPath", "corrected_knots"]
+__all__ = ["CorrectedPath", "MeasuredPath", "corrected_samples"]
 
 
 class MeasuredPath:
     """Watches the measured odometry go by; a restart of time begins a new stretch."""
 
     def __init__(self) -> None:
-        self._parts: list[list[Knots]] = [[]]
+        self._parts: list[list[PathSamples]] = [[]]
 
     def restart(self) -> None:
         """Begin a new stretch."""
         self._parts.append([])
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Take the next part of the path."""
-        if len(knots):
-            self._parts[-1].append(knots)
+        if len(samples):
+            self._parts[-1].append(samples)
 
-    def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[Knots | None]:
+    def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[PathSamples | None]:
         """Return each stretch corrected; None for one in which nothing was measured.
 
         start_xyt : (3,) where the first pose lies in the frame whose places effects read; None: where it says
         """
-        stretches: list[Knots | None] = []
+        stretches: list[PathSamples | None] = []
         frame_xyt: Array | None = None
         first_ns: int | None = None
         for parts in self._parts:
             if not parts:
                 stretches.append(None)
                 continue
-            stamps_ns = np.concatenate([knots.stamps_ns for knots in parts])
+            stamps_ns = np.concatenate([samples.stamps_ns for samples in parts])
             first_ns = int(stamps_ns[0]) if first_ns is None else first_ns
-            xyt = np.concatenate([knots.clean_xyt for knots in parts])
+            xyt = np.concatenate([samples.clean_xyt for samples in parts])
             if start_xyt is not None and frame_xyt is None:
                 frame_xyt = compose(start_xyt, inverse(xyt[0]))
-            stretches.append(corrected_knots(model, stamps_ns, xyt, first_ns=first_ns, frame_xyt=frame_xyt))
+            stretches.append(corrected_samples(model, stamps_ns, xyt, first_ns=first_ns, frame_xyt=frame_xyt))
         return stretches
 
 
 class CorrectedPath:
     """Hands out corrected stretches to whoever feeds it the measured poses that they were made from."""
 
-    def __init__(self, stretches: Sequence[Knots | None]) -> None:
+    def __init__(self, stretches: Sequence[PathSamples | None]) -> None:
         self._stretches = stretches
         self._number = self._next = 0
 
@@ -74,7 +74,7 @@ class CorrectedPath:
         self._number += 1
         self._next = 0
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return the corrected path at the next n measured poses.
 
         Raises
@@ -89,20 +89,20 @@ class CorrectedPath:
             raise BagError("the odometry changed while it was being corrected; wait until the bag is complete")
         self._next = rows.stop
         first = rows.start == 0  # what counts once per stretch
-        return Knots(
+        return PathSamples(
             stamps_ns, clean_xyt, whole.error_xyt[rows], whole.sums[:, rows], whole.origin_xy,
             whole.travelled_m[rows], whole.jumps if first else 0, whole.sideways_m if first else 0.0,
         )  # fmt: skip
 
 
-def corrected_knots(
+def corrected_samples(
     model: MotionModel,
     stamps_ns: NDArray[np.int64],
     measured_xyt: Array,
     *,
     first_ns: int,
     frame_xyt: Array | None = None,
-) -> Knots:
+) -> PathSamples:
     """Return the corrected path of one stretch of n poses, with the sums that the noise's covariances need.
 
     Parameters
@@ -125,7 +125,7 @@ def corrected_knots(
     sums = _sums(model.noise, undone, measured_xyt + undone.error_xyt, origin_xy)
     world = np.diff(measured_xyt[:, :2], axis=0)
     travelled_m = np.concatenate(([0.0], np.cumsum(np.where(undone.jump, 0.0, np.hypot(world[:, 0], world[:, 1])))))
-    return Knots(
+    return PathSamples(
         stamps_ns, measured_xyt, undone.error_xyt, sums, origin_xy, travelled_m,
         int(np.count_nonzero(undone.jump)), float(np.abs(undone.driven.dl_m).sum()),
     )  # fmt: skip

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import odomcorrupt
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.correction.clock import ClockPutRight
+from odomcorrupt.correction.clock import ClockInverse
 from odomcorrupt.correction.path import CorrectedPath, MeasuredPath
-from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 
@@ -20,10 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.corruption.patch import Changes
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.targets import Frames
+    from odomcorrupt.corruption.run import Container, Outcome
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
@@ -31,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["SILENT", "Corrected", "Effects", "correct_bag", "split_effects"]
 
 SILENT = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
-"""Moves nothing: to read the odometry with."""
+"""Model that moves nothing, to read the odometry with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +50,16 @@ def split_effects(model: MotionModel) -> Effects:
 class Corrected:
     """What a correction did.
 
-    strayed : effects that read places, and took the odom frame's for the truth's because nothing else was said
-    drift : drawn values tell how far the odometry was moved, expected ones what the noise still does to it
-    restarts, late, leaps, unusable : as in corruption
-    losses : what could not be read of a damaged input, in sentences
+    model : the model that was corrected for
+    effects : those taken out, and those left
+    unplaced : effects of place whose frame was taken to be the odom frame because no start was given
+    run : what was moved; drawn values of its drift say how far, expected ones what the noise still does
     """
 
     model: MotionModel
     effects: Effects
-    strayed: tuple[Effect, ...]
-    driver: str
-    frames: Frames
-    changes: Changes
-    drift: Drift
-    restarts: int
-    late: int
-    leaps: int
-    unusable: int
-    losses: tuple[str, ...]
+    unplaced: tuple[Effect, ...]
+    run: Outcome
 
 
 def correct_bag(
@@ -101,30 +88,15 @@ def correct_bag(
     """
     effects = split_effects(model)
     if not effects.undone:
-        copied = corrupt_bag(
-            source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch
-        )  # fmt: skip
-        return Corrected(
-            model=model,
-            effects=effects,
-            strayed=(),
-            driver=copied.driver,
-            frames=copied.frames,
-            changes=copied.changes,
-            drift=copied.drift,
-            restarts=copied.restarts,
-            late=copied.late,
-            leaps=copied.leaps,
-            unusable=copied.unusable,
-            losses=copied.losses,
-        )
+        copied = corrupt_bag(source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch)
+        return Corrected(model=model, effects=effects, unplaced=(), run=copied)
     path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
-    moving = replace(model, effects=(*still, ClockPutRight(clocks)))
+    moving = replace(model, effects=(*still, ClockInverse(clocks)))
     transform = Transform(moving, 0, 0, options, path=path)
     with open_reader(source, recover=container.recover) as reader:
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )
@@ -133,37 +105,17 @@ def correct_bag(
                 writer.write(block)
                 watch(block)
             transform.require_frame()
-            writer.provenance("odomcorrupt_correct", _provenance(model))
-        losses = tuple(reader.losses)
-    strayed = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
-    drift, frames = transform.drift.result(), transform.driver.frames
-    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-    assert frames is not None  # noqa: S101 - as above
-    return Corrected(
-        model=model,
-        effects=effects,
-        strayed=strayed,
-        driver=transform.driver.name,
-        frames=frames,
-        changes=transform.changes,
-        drift=drift,
-        restarts=transform.order.restarts,
-        late=transform.order.late,
-        leaps=transform.order.leaps,
-        unusable=transform.unusable,
-        losses=losses,
-    )
+            writer.provenance("odomcorrupt_correct", provenance(model))
+        outcome = outcome_of(transform, reader, model, seed=0, run=0)
+    unplaced = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
+    return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
 
 
 def _measured(source: Path, options: Options, container: Container) -> MeasuredPath:
-    """Read the odometry, in the very order in which it will be met again."""
+    """Read the odometry, in the order in which it will be read again."""
     transform, measured = Transform(SILENT, 0, 0, options), MeasuredPath()
     transform.watchers.append(measured)
     with open_reader(source, recover=container.recover) as reader:
         for _ in transform.blocks(reader, reader.name):
             pass
     return measured
-
-
-def _provenance(model: MotionModel) -> dict[str, str]:
-    return {"version": odomcorrupt.__version__, "model": format_model(model)}

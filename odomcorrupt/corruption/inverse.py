@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.covariance import wanders
+from odomcorrupt.corruption.covariance import has_random_part
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import accelerations
@@ -71,7 +71,7 @@ class Drive:
 class EffectInverse:
     """The effects of a model acting on a stream of increments; their states pass from call to call.
 
-    wandering : the effects that draw something whose variance they state
+    random : the effects that draw something whose variance they state
     gains : what these drew from in the last call of `error`
     """
 
@@ -93,7 +93,7 @@ class EffectInverse:
         self._recording = [pair for pair in started if pair[0].layer == "record"]
         self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
-        self.wandering = tuple(effect for effect, _ in motion + self._recording if wanders(effect, model.track_m))
+        self.random = tuple(effect for effect, _ in motion + self._recording if has_random_part(effect, model.track_m))
         self.gains: tuple[Gain, ...] = ()
         self.restart()
 
@@ -133,7 +133,7 @@ class EffectInverse:
 
     def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
-        if not (self._stages or self.wandering) or n == 0:
+        if not (self._stages or self.random) or n == 0:
             return np.zeros((n, 3))
         dt, track_m = drive.dt_s[:, None], self._track_m
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
@@ -152,9 +152,9 @@ class EffectInverse:
             stages.append(list(zip((effect for effect, _ in stage), states, strict=True)))
             gone = gone + f
         self._stages = stages
-        if self.wandering:
+        if self.random:
             true = _motion(clean, drive, faster, distance[1:], track_m)
-            self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
+            self.gains = tuple(gain for effect in self.random for gain in effect.gains(true))
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])
         return -gone * dt

@@ -15,7 +15,7 @@ from odomcorrupt.corruption.targets import (
     ODOMETRY,
     TRANSFORMS,
     Frames,
-    find_driver,
+    find_odometry,
     plain,
     resolve_frames,
     side_of,
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
 
-__all__ = ["Driver", "stamps_or_log_ns"]
+__all__ = ["OdometrySource", "stamps_or_log_ns"]
 
 
-class Driver:
+class OdometrySource:
     """Odometry source of a bag: finds its topic and reads its poses.
 
     topic : its topic, as requested until the first message; None for any TF topic
@@ -90,7 +90,7 @@ class Driver:
         if self._odom_frame is not None and self._base_frame is not None and self._only_transforms(channels):
             self._use_edge()
         else:
-            self.topic = find_driver(channels, self._asked, name)
+            self.topic = find_odometry(channels, self._asked, name)
 
     def _only_transforms(self, channels: Iterable[Channel]) -> bool:
         readable = [c for c in channels if c.encoding in ENCODINGS]

@@ -10,7 +10,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, scatter, scatter_columns, scatter_stamps_ns
 from odomcorrupt.corruption.correction import Correction
-from odomcorrupt.corruption.covariance import pose_covariance, wanders
+from odomcorrupt.corruption.covariance import has_random_part, pose_covariance
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, finite_rows, from_left, from_right
 from odomcorrupt.corruption.targets import ODOMETRY, plain
@@ -74,7 +74,7 @@ class Patcher:
         self._moves = not model.noise.coefficients.silent or any(acts(e) for e in model.effects if not e.clock)
         self._restores = any(e.restorable for e in model.effects)
         self._twist = not keep_twist
-        drawn = any(wanders(e, model.track_m) for e in model.effects)
+        drawn = any(has_random_part(e, model.track_m) for e in model.effects)
         self._covariance = not keep_covariance and (drawn or not model.noise.coefficients.silent)
         self._twists: dict[str, TopicTwist] = {}
 
@@ -135,7 +135,7 @@ class Patcher:
         for target, _ in parts:
             own = back[start : start + len(target.stamps_ns)]
             start += len(own)
-            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.stood[own])
+            part = TwistChange(change.known[own], change.added[own], change.covariance[own], change.stationary[own])
             self._patch_twist(block, target, part)
 
     def _patch_twist(self, block: Block, target: Target, change: TwistChange) -> None:
@@ -144,7 +144,7 @@ class Patcher:
         if moved.any():
             twist = gather(block, target.layout, target.item, "twist")
             if self._restores:
-                moved &= ~(change.stood & _has_already(twist[:, PLANAR], added))
+                moved &= ~(change.stationary & _has_already(twist[:, PLANAR], added))
             rows = slice(None) if moved.all() else np.flatnonzero(moved)
             for column, place in enumerate(PLANAR):
                 twist[rows, place] += added[rows, column]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from odomcorrupt.corruption.covariance import SUMS, WANDER, NoiseSteps, Wander, sum_terms
+from odomcorrupt.corruption.covariance import RANDOM_SUMS, SUMS, NoiseSteps, RandomEffectCovariance, sum_terms
 from odomcorrupt.corruption.inverse import Drive, EffectInverse
 from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
 from odomcorrupt.geometry.increments import Increments
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "Knots", "NoisyPath", "Normals", "PathSource"]
+__all__ = ["JUMP_MIN_S", "JUMP_SPEED", "NoisyPath", "Normals", "PathSamples", "PathSource"]
 
 JUMP_SPEED = 20.0
 """A clean pose that moves faster than this, m/s, was set and not driven: no noise is drawn across it."""
@@ -35,7 +35,7 @@ JUMP_MIN_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Knots:
+class PathSamples:
     """Samples of a path at n stamps, clean and noisy.
 
     stamps_ns : (n,) header stamps
@@ -76,7 +76,7 @@ class PathSource(Protocol):
     def restart(self) -> None:
         """Begin a new path."""
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return clean and noisy samples at the next n stamps, from clean poses (n, 3)."""
 
 
@@ -97,22 +97,22 @@ class NoisyPath:
         self._noise, self._law = model.noise, model.noise.law
         self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
         self._effects = EffectInverse(model, seed, run)
-        self._wander = Wander()
+        self._random_covariance = RandomEffectCovariance()
         self.restart()
 
     def restart(self) -> None:
         """Begin a new path, whose first pose is unchanged."""
         self._effects.restart()
-        self._wander.restart()
+        self._random_covariance.restart()
         self._growth = StepGrowth()
         self._last: tuple[int, Array] | None = None
         self._first_ns = 0
         self._error = np.zeros(3)
-        self._sums = np.zeros((SUMS + (WANDER if self._effects.wandering else 0), 1))
+        self._sums = np.zeros((SUMS + (RANDOM_SUMS if self._effects.random else 0), 1))
         self._travelled_m = 0.0
         self._origin = np.zeros(2)
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return clean and noisy samples at the next n stamps.
 
         Parameters
@@ -129,7 +129,9 @@ class NoisyPath:
             self._last = (int(stamps_ns[0]), clean_xyt[0])
         if n == 0 or self._last is None:
             nothing, none = np.zeros((0, 3)), np.zeros(0)
-            return Knots(stamps_ns, clean_xyt, nothing, self._sums[:, :0], self._origin, none, jumps=0, sideways_m=0.0)
+            return PathSamples(
+                stamps_ns, clean_xyt, nothing, self._sums[:, :0], self._origin, none, jumps=0, sideways_m=0.0
+            )
         before_ns, before_xyt = self._last
         poses: Array = np.concatenate((before_xyt[None], clean_xyt))
         dt_s = np.diff(stamps_ns, prepend=before_ns) * np.float64(1e-9)
@@ -177,7 +179,7 @@ class NoisyPath:
         self._last = (int(stamps_ns[-1]), clean_xyt[-1].copy())
         self._error, self._sums, self._growth = error[-1], sums[:, -1:], grown.growth
         self._travelled_m = float(travelled[-1])
-        return Knots(
+        return PathSamples(
             stamps_ns, clean_xyt, error[1:], sums[:, 1:], self._origin, travelled[1:],
             int(np.count_nonzero(jump)), float(np.abs(steps.dl_m).sum()),
         )  # fmt: skip
@@ -185,10 +187,10 @@ class NoisyPath:
     def _sum_terms(self, stepped: NoiseSteps, driven_s: Array) -> Array:
         """Return the terms that n intervals add to the running sums, of the noise and of random effects."""
         terms = sum_terms(stepped)
-        if not self._effects.wandering:
+        if not self._effects.random:
             return terms
         middle_xy = (stepped.start_xy + stepped.end_xy) / 2.0
-        grown = self._wander.grow(self._effects.gains, driven_s, middle_xy, stepped.travel_rad)
+        grown = self._random_covariance.grow(self._effects.gains, driven_s, middle_xy, stepped.travel_rad)
         terms[9:] += grown.body
         return np.concatenate((terms, grown.path))
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Container", "Outcome", "corrupt_bag"]
+__all__ = ["Container", "Outcome", "corrupt_bag", "outcome_of", "provenance"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +55,7 @@ class Container:
 class Outcome:
     """Result of one run.
 
+    odometry : name of the odometry source
     channels : those that carried messages
     restarts : number of jumps back in time
     late : odometry messages too late to be put in order
@@ -72,7 +73,7 @@ class Outcome:
     model: MotionModel
     seed: int
     run: int
-    driver: str
+    odometry: str
     frames: Frames
     changes: Changes
     drift: Drift
@@ -101,14 +102,14 @@ def corrupt_bag(
     container: Container,
     watch: Callable[[Block], None] = lambda _: None,
     path: PathSource | None = None,
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
     source, target : bags; None is a pipe
     watch : called with every block written
     path : corrupted path, instead of the noisy path that the model draws
-    told : further metadata for the output, besides model, seed, run and version
+    metadata : further metadata for the output, besides model, seed, run and version
 
     Raises
     ------
@@ -129,7 +130,7 @@ def corrupt_bag(
         Workers(threads) as workers,
         open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
     ):
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target,
             reader,
@@ -150,33 +151,36 @@ def corrupt_bag(
                     watch(block)
                 transform.require_frame()
                 if not silent:
-                    writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
-        drift = transform.drift.result()
-        assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-        frames = transform.driver.frames
-        assert frames is not None  # noqa: S101 - as above
-        losses = tuple(reader.losses)
-        channels = tuple(reader.channels[number] for number in sorted(transform.seen))
+                    writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
+        return outcome_of(transform, reader, model, seed=seed, run=run)
+
+
+def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
+    """Return the result of a transform that has read a bag to its end."""
+    drift = transform.drift.result()
+    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+    frames = transform.odometry.frames
+    assert frames is not None  # noqa: S101 - as above
     return Outcome(
         model=model,
         seed=seed,
         run=run,
-        driver=transform.driver.name,
+        odometry=transform.odometry.name,
         frames=frames,
         changes=transform.changes,
         drift=drift,
-        channels=channels,
+        channels=tuple(reader.channels[number] for number in sorted(transform.seen)),
         restarts=transform.order.restarts,
         late=transform.order.late,
         leaps=transform.order.leaps,
         unusable=transform.unusable,
         added=_added(transform),
-        losses=losses,
+        losses=tuple(reader.losses),
         swapped=transform.order.swapped,
-        zero_stamps=transform.driver.zero_stamps,
+        zero_stamps=transform.odometry.zero_stamps,
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
-        faults=transform.driver.faults,
+        faults=transform.odometry.faults,
     )
 
 
@@ -184,10 +188,12 @@ def _added(transform: Transform) -> Mapping[str, int]:
     added = {}
     if transform.truth is not None:
         added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
-    if transform.edge is not None and transform.driver.frames is not None:
-        added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
+    if transform.edge is not None and transform.odometry.frames is not None:
+        added[f"transforms {transform.edge.frame} -> {transform.odometry.frames.odom}"] = transform.edge.count
     return added
 
 
-def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:
-    return {"version": odomcorrupt.__version__, "seed": str(seed), "run": str(run), "model": format_model(model)}
+def provenance(model: MotionModel, **numbers: int) -> dict[str, str]:
+    """Return what is noted in an output: version, model, and numbers such as seed and run."""
+    texts = {name: str(number) for name, number in numbers.items()}
+    return {"version": odomcorrupt.__version__, **texts, "model": format_model(model)}

@@ -19,7 +19,7 @@ __all__ = [
     "TRANSFORMS",
     "Frames",
     "Side",
-    "find_driver",
+    "find_odometry",
     "localisation_side_of",
     "plain",
     "resolve_frames",
@@ -58,7 +58,7 @@ def says_truth(topic: str) -> bool:
     return bool(_TRUTH.search(topic.lower()))
 
 
-def find_driver(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
+def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
     """Return the topic of the odometry source.
 
     Raises

@@ -29,13 +29,13 @@ class TwistChange:
     known : (n,) whether the message has a predecessor at another stamp; others are not changed
     added : (n, 3) noisy minus clean, forward and leftward m/s, yaw rad/s, in the body at mid heading
     covariance : (n, 3, 3) of these
-    stood : (n,) whether the clean pose equals that of the message before
+    stationary : (n,) whether the clean pose equals that of the message before
     """
 
     known: NDArray[np.bool_]
     added: Array
     covariance: Array
-    stood: NDArray[np.bool_]
+    stationary: NDArray[np.bool_]
 
 
 class TopicTwist:
@@ -51,7 +51,7 @@ class TopicTwist:
         self._stretch = stretch
         self._stamps_ns: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._clean, self._correction, self._sums = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 0))
-        self._known, self._added, self._covariance, self._stood = False, np.zeros(3), np.zeros((3, 3)), False
+        self._known, self._added, self._covariance, self._stationary = False, np.zeros(3), np.zeros((3, 3)), False
 
     def change(self, stamps_ns: NDArray[np.int64], clean_xyt: Array, at: Correction) -> TwistChange:
         """Return the changes of the twists of the next n messages.
@@ -81,7 +81,7 @@ class TopicTwist:
             rows = slice(int(start), int(stop))
             part = self._within_stretch(stamps_ns[rows], clean_xyt[rows], at.xyt[rows], at.sums[:, rows])
             out.known[rows], out.added[rows], out.covariance[rows] = part.known, part.added, part.covariance
-            out.stood[rows] = part.stood
+            out.stationary[rows] = part.stationary
         return out
 
     def _within_stretch(
@@ -107,23 +107,23 @@ class TopicTwist:
         known = np.concatenate(([self._known], np.arange(count) >= fresh))
         added = np.zeros((len(known), 3))
         covariance = np.zeros((len(known), 3, 3))
-        stood = np.concatenate(([self._stood], np.zeros(count, dtype=bool)))
+        stationary = np.concatenate(([self._stationary], np.zeros(count, dtype=bool)))
         added[0], covariance[0] = self._added, self._covariance
         added[1 + fresh :] = _body_difference(clean, correction) / dt_s[:, None]
         covariance[1 + fresh :] = twist_covariance(np.diff(every_sum, axis=1), dt_s)
-        stood[1 + fresh :] = np.abs(np.diff(clean, axis=0)).max(axis=1) < STILL
+        stationary[1 + fresh :] = np.abs(np.diff(clean, axis=0)).max(axis=1) < STILL
 
         self._stamps_ns, self._clean, self._correction = at_ns[-1:], clean[-1:], correction[-1:]
         self._sums = every_sum[:, -1:]
         self._known, self._added, self._covariance = bool(known[-1]), added[-1], covariance[-1]
-        self._stood = bool(stood[-1])
+        self._stationary = bool(stationary[-1])
         if isinstance(ahead, slice):
-            return TwistChange(known[1:], added[1:], covariance[1:], stood[1:])
+            return TwistChange(known[1:], added[1:], covariance[1:], stationary[1:])
         latest = np.zeros(len(stamps_ns), dtype=np.int64)
         latest[ahead] = np.arange(1, count + 1)
         latest = np.maximum.accumulate(latest)
         known = known[latest] & (stamps_ns != reach[:-1])
-        return TwistChange(known, added[latest], covariance[latest], stood[latest])
+        return TwistChange(known, added[latest], covariance[latest], stationary[latest])
 
 
 def _body_difference(clean_xyt: Array, correction_xyt: Array) -> Array:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.path import Knots, NoisyPath
+from odomcorrupt.corruption.path import NoisyPath, PathSamples
 from odomcorrupt.mapping.conditioned import MAX_TRIES
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
@@ -86,7 +86,7 @@ class FreePath:
             said += f". The odometry itself is where the map is not free at {self.astray} poses; is --map-pose right?"
         return said if self.astray else f"{said}."
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return the path at the next n poses; see `NoisyPath.feed`.
 
         Raises
@@ -118,14 +118,14 @@ class FreePath:
             done += len(part)
         return _joined(parts)
 
-    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> Knots:
+    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
         """Draw increments ahead, and go on those that come before the first one that is not free."""
         count = len(stamps_ns)
         clean_xyt = motions.clean_xyt[at + 1 : at + 1 + count]
         trial = copy.copy(self._path)
         self._replay.rows = normals
-        knots = trial.feed(stamps_ns, clean_xyt)
-        noisy_xy = clean_xyt[:, :2] + knots.error_xyt[:, :2]
+        samples = trial.feed(stamps_ns, clean_xyt)
+        noisy_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
         from_xy = np.concatenate((self._pose[None, :2], noisy_xy[:-1]))
         good = self._space.allows(from_xy, noisy_xy, self._check)
         good |= (motions.jump | motions.rest)[at : at + count]
@@ -134,13 +134,13 @@ class FreePath:
         if good.all():
             self._path = trial
             self._ahead = min(2 * self._ahead, _LONG)
-            return knots
+            return samples
         free = int(np.argmin(good))
         self._ahead = _SHORT
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> Knots:
+    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
         """Go on one increment whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
@@ -151,12 +151,12 @@ class FreePath:
             for number in np.flatnonzero(self._space.allows(from_xy, candidates[:, :2], self._check)):
                 trial = copy.copy(self._path)
                 self._replay.rows = again[number : number + 1]
-                knots = trial.feed(stamp_ns, clean_xyt)
+                samples = trial.feed(stamp_ns, clean_xyt)
                 # on the edge of a cell the last bit decides, and the path's own counts
-                there_xy = clean_xyt[:, :2] + knots.error_xyt[:, :2]
+                there_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
                 if self._space.allows(from_xy[:1], there_xy, self._check)[0]:
                     self._path = trial
-                    return knots
+                    return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
             f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
@@ -176,10 +176,10 @@ class _Replay:
         return self.rows.reshape(size)
 
 
-def _joined(parts: list[Knots]) -> Knots:
+def _joined(parts: list[PathSamples]) -> PathSamples:
     if len(parts) == 1:
         return parts[0]
-    return Knots(
+    return PathSamples(
         np.concatenate([part.stamps_ns for part in parts]),
         np.concatenate([part.clean_xyt for part in parts]),
         np.concatenate([part.error_xyt for part in parts]),

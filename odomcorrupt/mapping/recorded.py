@@ -8,7 +8,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.odometry_source import Driver
+from odomcorrupt.corruption.odometry_source import OdometrySource
 from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.errors import MapError, TopicError
 from odomcorrupt.mapping.frames import FrameTree
@@ -81,13 +81,13 @@ def read_odom_frame(path: Path, options: Options, *, recover: bool = False) -> s
         Where no odometry is there.
 
     """
-    driver = Driver(options.odom_topic, options.odom_frame, options.base_frame)
+    source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame)
     with open_reader(path, recover=recover) as reader:
-        driver.prepare(reader, reader.name)
+        source.prepare(reader, reader.name)
         for block in reader.blocks():
             channels = [reader.channels[int(number)] for number in np.unique(block.table["channel"])]
             wanted = [c for c in channels if c.encoding in ENCODINGS and c.msgtype in (ODOMETRY, *TRANSFORMS)]
-            driver.read(block, [(c, layout) for c in wanted for layout in locate(block, c)], block.table["log_ns"])
-            if driver.frames is not None:
-                return driver.frames.odom
-        raise TopicError(f"{reader.name}: {driver.name} has no message with a pose{driver.elsewhere}")
+            source.read(block, [(c, layout) for c in wanted for layout in locate(block, c)], block.table["log_ns"])
+            if source.frames is not None:
+                return source.frames.odom
+        raise TopicError(f"{reader.name}: {source.name} has no message with a pose{source.elsewhere}")

@@ -24,7 +24,7 @@ from odomcorrupt.rng import stream
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
@@ -117,8 +117,8 @@ def whole_path(
 
     """
     try:
-        knots = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)
-        _refuse_held_back(knots)
+        samples = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)
+        _refuse_held_back(samples)
     except NoFreePoseError:
         plan = plan_path(stamps_ns, clean_xyt, model, space, seed=seed, run=run, check=check, tries=tries)
         trial = FreePath(model, space, seed=seed, run=run, check=check, tries=tries, plan=plan)
@@ -127,10 +127,10 @@ def whole_path(
     return FreePath(model, space, seed=seed, run=run, check=check, tries=tries)
 
 
-def _refuse_held_back(knots: Knots) -> None:
+def _refuse_held_back(samples: PathSamples) -> None:
     """Raise NoFreePoseError where a path ends further from the odometry than its noise leads."""
     meter = DriftMeter()
-    meter.add(knots)
+    meter.add(samples)
     drift = meter.result()
     if drift is not None and drift.end_drawn_m > _TOO_FAR * drift.end_expected_m > 0.0:
         raise NoFreePoseError(

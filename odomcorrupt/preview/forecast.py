@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Block
-    from odomcorrupt.corruption.path import Knots, PathSource
+    from odomcorrupt.corruption.path import PathSamples, PathSource
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
@@ -79,13 +79,13 @@ class Forecast:
 
 class _Stretches:
     def __init__(self) -> None:
-        self.parts: list[list[Knots]] = [[]]
+        self.parts: list[list[PathSamples]] = [[]]
 
     def restart(self) -> None:
         self.parts.append([])
 
-    def add(self, knots: Knots) -> None:
-        self.parts[-1].append(knots)
+    def add(self, samples: PathSamples) -> None:
+        self.parts[-1].append(samples)
 
 
 def read_clean_drive(
@@ -106,9 +106,9 @@ def read_clean_drive(
         watch(block)
     longest = max((parts for parts in stretches.parts if parts), key=lambda parts: float(parts[-1].travelled_m[-1]))
     return CleanDrive(
-        transform.driver.name,
-        np.concatenate([knots.stamps_ns for knots in longest]),
-        np.concatenate([knots.clean_xyt for knots in longest]),
+        transform.odometry.name,
+        np.concatenate([samples.stamps_ns for samples in longest]),
+        np.concatenate([samples.clean_xyt for samples in longest]),
     )
 
 

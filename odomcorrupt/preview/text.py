@@ -7,7 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message
+from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.report.text.summary import Line, Summary
 
 if TYPE_CHECKING:
@@ -38,17 +38,11 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: s
     name : name of the bag
     """
     end = outlook.rows[-1]
-    said = (
-        f"{end.position_rms_m:.3g} m, {math.degrees(end.heading_rms_rad):.3g} deg RMS after {outlook.distance_m:.4g} m"
-    )
+    said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"
     lines = [Line("DRIFT", f"{said}; 9 of 10 below {end.position_90_m:.3g} m")]
     middle = [row for row in outlook.rows[:-1] if row.after_m >= 1.0][-2:]
     lines += [
-        Line(
-            f"at {row.after_m:g} m",
-            f"{row.position_rms_m:.3g} m, {math.degrees(row.heading_rms_rad):.3g} deg RMS",
-        )
-        for row in middle
+        Line(f"at {row.after_m:g} m", f"{size_words(row.position_rms_m, row.heading_rms_rad)} RMS") for row in middle
     ]
     lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
     lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name} of {name}"))
@@ -75,7 +69,7 @@ def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int)
         line = f"{after:>9}   {row.position_rms_m:8.3g} m   {row.position_90_m:11.3g} m"
         line += f"   {math.degrees(row.heading_rms_rad):7.3g} deg"
         if _systematic(model):
-            line += f"   {row.position_mean_m:.3g} m, {math.degrees(row.heading_mean_rad):.3g} deg"
+            line += f"   {size_words(row.position_mean_m, row.heading_mean_rad)}"
         lines.append(line)
     said = _rate(outlook, model) + holonomic_words(model, outlook.sideways_m, outlook.distance_m)
     return "\n".join([*lines, *([""] if said else []), *said])

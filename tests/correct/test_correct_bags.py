@@ -112,8 +112,8 @@ def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys)
     assert run(["correct", "-v", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
     said = capsys.readouterr().err
     assert "Taken out: wheel_scale (e 0.02)." in said
-    assert "gauss_markov cannot be undone: it wandered at random" in said
-    assert "quantization cannot be undone: what fell between two ticks" in said
+    assert "gauss_markov cannot be undone: its random course was not recorded" in said
+    assert "quantization cannot be undone: travel below the encoder's resolution" in said
     assert "[setup]" in said
     assert "lever_arm" in said
     assert run(["correct", "-v", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
@@ -160,7 +160,7 @@ def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
     start = rows_of(source, "/odom").xyt[0]
     assert run(["correct", "-v", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
-    assert "slope: acts by place or heading" in capsys.readouterr().err
+    assert "slope: depends on position or heading" in capsys.readouterr().err
     same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
     for name, option in (("same", same), ("turned", turned)):
         assert run(["correct", "-v", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0
@@ -177,7 +177,7 @@ def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_pa
     for name, noise, said in (("noisy", ["--model", str(model)], True), ("silent", [], False)):
         out = tmp_path / f"{name}.mcap"
         assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
-        assert ("in a long drive that is another place" in capsys.readouterr().err) is said
+        assert ("taken out in the wrong place" in capsys.readouterr().err) is said
 
 
 @pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])

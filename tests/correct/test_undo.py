@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from odomcorrupt.correction.clock import ClockPutRight, true_stamps
-from odomcorrupt.correction.path import CorrectedPath, corrected_knots
+from odomcorrupt.correction.clock import ClockInverse, true_stamps
+from odomcorrupt.correction.path import CorrectedPath, corrected_samples
 from odomcorrupt.correction.undo import undo_effects
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
@@ -48,7 +48,7 @@ def usual(name):
 def there_and_back(chosen, stamps_ns, clean):
     """Return how far corruption moved the poses, and how far correction leaves them from where they were."""
     wrong = clean + NoisyPath(chosen, 1).feed(stamps_ns, clean).error_xyt
-    back = wrong + corrected_knots(chosen, stamps_ns, wrong, first_ns=int(stamps_ns[0])).error_xyt
+    back = wrong + corrected_samples(chosen, stamps_ns, wrong, first_ns=int(stamps_ns[0])).error_xyt
     return np.abs(wrong - clean).max(), np.abs(back - clean).max()
 
 
@@ -103,8 +103,8 @@ def test_messages_with_the_same_stamp_keep_what_they_moved():
 
 def test_random_effects_are_passed_by_to_the_bit():
     stamps_ns, clean = drive(10.0)
-    knots = corrected_knots(model(usual("gauss_markov"), usual("quantization")), stamps_ns, clean, first_ns=0)
-    assert not knots.error_xyt.any()
+    samples = corrected_samples(model(usual("gauss_markov"), usual("quantization")), stamps_ns, clean, first_ns=0)
+    assert not samples.error_xyt.any()
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-4, -0.1, 0.1])
@@ -114,7 +114,7 @@ def test_clocks_are_put_right_to_the_nanosecond(rate):
     t_s = (was_ns - was_ns[0]) * 1e-9
     wrong_ns = was_ns + np.rint(sum(clock.stamp_shift_s(t_s) for clock in clocks) * 1e9).astype(np.int64)
     assert np.abs(true_stamps(clocks, wrong_ns, int(wrong_ns[0])) - was_ns).max() <= 1
-    assert not ClockPutRight((replace(clocks[0], offset=0.0),)).acts
+    assert not ClockInverse((replace(clocks[0], offset=0.0),)).acts
 
 
 def test_covariances_are_those_of_the_noise_along_the_corrected_path():
@@ -122,16 +122,16 @@ def test_covariances_are_those_of_the_noise_along_the_corrected_path():
     stamps_ns, clean = drive()
     effects = (usual("unequal_wheels"), usual("wheelbase"))
     wrong = clean + NoisyPath(model(*effects), 1).feed(stamps_ns, clean).error_xyt
-    knots = corrected_knots(model(*effects, noise=noise), stamps_ns, wrong, first_ns=int(stamps_ns[0]))
+    samples = corrected_samples(model(*effects, noise=noise), stamps_ns, wrong, first_ns=int(stamps_ns[0]))
     ends = np.array([NoisyPath(model(noise=noise), seed).feed(stamps_ns, clean).error_xyt[-1] for seed in range(600)])
-    corrected = (wrong + knots.error_xyt)[-1:, :2] - knots.origin_xy
-    forecast = pose_covariance(knots.sums[:, -1:], corrected.T)[0]
+    corrected = (wrong + samples.error_xyt)[-1:, :2] - samples.origin_xy
+    forecast = pose_covariance(samples.sums[:, -1:], corrected.T)[0]
     np.testing.assert_allclose(np.diag(forecast), ends.var(axis=0), rtol=0.25)
 
 
 def test_another_odometry_in_the_second_pass_is_refused():
     stamps_ns, clean = drive(5.0)
-    path = CorrectedPath([corrected_knots(model(usual("wheel_scale")), stamps_ns, clean, first_ns=0)])
+    path = CorrectedPath([corrected_samples(model(usual("wheel_scale")), stamps_ns, clean, first_ns=0)])
     assert len(path.feed(stamps_ns[:10], clean[:10])) == 10
     with pytest.raises(BagError, match="changed while"):
         path.feed(stamps_ns[11:], clean[11:])

@@ -169,7 +169,7 @@ def test_a_bag_of_transforms_alone_drifts_like_its_odometry_would(turned, comple
     noisy = planar(out, TF, edge(poses[0])[:2])
     expected = planar(run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)])[0], ODOM)
     assert_same(inverse(noisy) if turned else noisy, expected)
-    assert transform.driver.name == "TF odom -> base_link"
+    assert transform.odometry.name == "TF odom -> base_link"
 
 
 def test_a_bag_of_transforms_alone_needs_its_frames_and_an_edge_between_them():

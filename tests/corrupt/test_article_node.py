@@ -38,9 +38,9 @@ def test_subtraction_publishes_noisy_minus_clean_and_correction_the_rigid_motion
     drive = read_drive(OFFICE, "/odom")
     np.testing.assert_array_equal(found["subtraction"][0], drive.stamps_ns)
     model = MotionModel(Noise("article-code", Coefficients(9.0, 9.0, 9.0, 9.0)))
-    knots = NoisyPath(model, 4).feed(drive.stamps_ns, drive.xyt)
-    np.testing.assert_allclose(found["subtraction"][1][:, :2], knots.error_xyt[:, :2], atol=1e-9)
-    np.testing.assert_allclose(found["correction"][1][:, :2], knots.correction_xyt[:, :2], atol=1e-9)
+    samples = NoisyPath(model, 4).feed(drive.stamps_ns, drive.xyt)
+    np.testing.assert_allclose(found["subtraction"][1][:, :2], samples.error_xyt[:, :2], atol=1e-9)
+    np.testing.assert_allclose(found["correction"][1][:, :2], samples.correction_xyt[:, :2], atol=1e-9)
     assert np.abs(found["subtraction"][1] - found["correction"][1]).max() > 1e-3
 
 

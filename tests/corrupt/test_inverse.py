@@ -34,9 +34,9 @@ def drive_of(t, poses):
 
 def test_correcting_what_was_corrupted_gives_the_clean_drive_back():
     t, poses = office(50.0, 40.0)
-    knots = NoisyPath(silent(STRONG, track_m=0.5), 1).feed(t, poses)
-    odometry = poses + knots.error_xyt
-    assert np.abs(knots.error_xyt[-1]).max() > 0.5
+    samples = NoisyPath(silent(STRONG, track_m=0.5), 1).feed(t, poses)
+    odometry = poses + samples.error_xyt
+    assert np.abs(samples.error_xyt[-1]).max() > 0.5
     back = corrected_increments(STRONG, motion_of((t - t[0]) * 1e-9, odometry, track_m=0.5))
     clean = increments(poses)
     for part in ("ds_m", "dl_m", "dtheta_rad"):
@@ -47,19 +47,19 @@ def test_a_scale_of_one_percent_is_inverted_exactly_and_not_to_first_order():
     t, poses = office(50.0, 8.0)
     poses[:, 1:] = 0.0
     poses[:, 0] = np.linspace(0.0, 50.0, len(t))
-    knots = NoisyPath(silent([effect_from_values("wheel_scale", {"e": 0.01})]), 1).feed(t, poses)
-    assert (poses + knots.error_xyt)[-1, 0] == pytest.approx(50.0 / 1.01, abs=1e-8)
+    samples = NoisyPath(silent([effect_from_values("wheel_scale", {"e": 0.01})]), 1).feed(t, poses)
+    assert (poses + samples.error_xyt)[-1, 0] == pytest.approx(50.0 / 1.01, abs=1e-8)
 
 
 def test_a_gyro_bias_turns_a_parked_robot_and_nothing_else_moves():
     t, poses = office(50.0, 20.0)
-    knots = NoisyPath(silent([effect_from_values("gyro_bias", {"bias": 0.01})]), 1).feed(t, poses * 0.0)
-    assert knots.error_xyt[-1] == pytest.approx([0.0, 0.0, 0.01 * 20.0], abs=1e-9)
+    samples = NoisyPath(silent([effect_from_values("gyro_bias", {"bias": 0.01})]), 1).feed(t, poses * 0.0)
+    assert samples.error_xyt[-1] == pytest.approx([0.0, 0.0, 0.01 * 20.0], abs=1e-9)
 
 
 def test_clock_effects_do_not_bend_the_path():
-    knots = NoisyPath(silent([effect_from_values("time_offset", {"offset": 0.1})]), 1).feed(*office())
-    assert not knots.error_xyt.any()
+    samples = NoisyPath(silent([effect_from_values("time_offset", {"offset": 0.1})]), 1).feed(*office())
+    assert not samples.error_xyt.any()
 
 
 @pytest.mark.filterwarnings("error")
@@ -119,7 +119,7 @@ class Runaway(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class Wander(Effect):
+class RandomEffectCovariance(Effect):
     """A random walk of the yaw rate that draws from its own stream: it has a state and randomness."""
 
     name: ClassVar[str] = "wander"
@@ -139,12 +139,12 @@ class Wander(Effect):
 
 def test_an_effect_that_draws_is_the_same_however_the_path_is_cut():
     t, poses = office(50.0, 20.0)
-    chosen = silent([Wander(0.01, 0.2), Wander(0.02, 0.0)])
+    chosen = silent([RandomEffectCovariance(0.01, 0.2), RandomEffectCovariance(0.02, 0.0)])
     whole = NoisyPath(chosen, 4).feed(t, poses)
     path = NoisyPath(chosen, 4)
     pieces = [path.feed(t[i : i + 37], poses[i : i + 37]) for i in range(0, len(t), 37)]
     assert np.array_equal(np.concatenate([p.error_xyt for p in pieces]), whole.error_xyt)
-    twin = replace(chosen, effects=(Wander(0.01, 0.2),))
+    twin = replace(chosen, effects=(RandomEffectCovariance(0.01, 0.2),))
     assert not np.array_equal(NoisyPath(twin, 4).feed(t, poses).error_xyt, whole.error_xyt)
 
 

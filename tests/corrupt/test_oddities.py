@@ -28,7 +28,7 @@ SAID = {
         "/tf_static holds odom -> base_link: published once for all time, it cannot follow the correction.",
         "Time jumped back 1 times: each stretch was corrected by itself.",
         "The pose jumped 1 times: the correction was held across.",
-        "1 odometry stamps lie far ahead of their neighbours': not looked at.",
+        "1 odometry stamps lie far ahead of their neighbours': not used to correct.",
         "1 odometry poses are not numbers: left alone.",
     ),
 }

@@ -68,9 +68,9 @@ RATE_FREE = pytest.mark.parametrize(
 @RATE_FREE
 def test_the_same_drive_promises_the_same_spread_at_every_message_rate(law, step):
     chosen = model(law, step=step)
-    knots = {rate: NoisyPath(chosen, 1).feed(*office(rate, 40.0)) for rate in (4.0, 10.0, 50.0, 200.0)}
-    heading = {rate: k.sums[0, -1] for rate, k in knots.items()}
-    travel = {rate: k.sums[6, -1] + k.sums[8, -1] for rate, k in knots.items()}
+    samples = {rate: NoisyPath(chosen, 1).feed(*office(rate, 40.0)) for rate in (4.0, 10.0, 50.0, 200.0)}
+    heading = {rate: k.sums[0, -1] for rate, k in samples.items()}
+    travel = {rate: k.sums[6, -1] + k.sums[8, -1] for rate, k in samples.items()}
     for rate in (4.0, 10.0, 200.0):
         assert heading[rate] == pytest.approx(heading[50.0], rel=0.005)
         assert travel[rate] == pytest.approx(travel[50.0], rel=0.005)
@@ -96,8 +96,8 @@ def test_three_metres_backwards_arrive_three_metres_behind(law, rate):
     n = round(10 * rate) + 1
     poses = np.zeros((n, 3))
     poses[:, 0] = np.linspace(0.0, -3.0, n)
-    knots = NoisyPath(model(law, Coefficients(1e-6, 1e-6, 1e-6, 1e-6)), 1).feed(stamps(n, rate), poses)
-    noisy = knots.clean_xyt + knots.error_xyt
+    samples = NoisyPath(model(law, Coefficients(1e-6, 1e-6, 1e-6, 1e-6)), 1).feed(stamps(n, rate), poses)
+    noisy = samples.clean_xyt + samples.error_xyt
     assert noisy[-1] == pytest.approx([-3.0, 0.0, 0.0], abs=0.02)
     assert np.all(np.diff(noisy[:, 0]) < 0.0)
 
@@ -106,33 +106,33 @@ def test_a_parked_robot_with_ten_micrometres_of_jitter_does_not_spin():
     rng = np.random.default_rng(2)
     poses = np.column_stack((rng.normal(0, 1e-5, (3000, 2)), np.full(3000, 0.7)))
     for law in LAWS:
-        knots = NoisyPath(model(law), 1).feed(stamps(3000, 50.0), poses)
-        assert np.abs(knots.error_xyt[:, 2]).max() < 0.03
-        assert np.abs(knots.error_xyt[:, :2]).max() < 0.05
+        samples = NoisyPath(model(law), 1).feed(stamps(3000, 50.0), poses)
+        assert np.abs(samples.error_xyt[:, 2]).max() < 0.03
+        assert np.abs(samples.error_xyt[:, :2]).max() < 0.05
 
 
 def test_standstill_changes_nothing_to_the_bit():
     poses = np.tile([12.3, -4.5, 2.0], (500, 1))
     for law in LAWS:
-        knots = NoisyPath(model(law), 1).feed(stamps(500, 50.0), poses)
-        assert not knots.error_xyt.any()
-        assert not knots.correction_xyt.any()
+        samples = NoisyPath(model(law), 1).feed(stamps(500, 50.0), poses)
+        assert not samples.error_xyt.any()
+        assert not samples.correction_xyt.any()
 
 
 def test_silent_models_and_effects_at_identity_change_nothing_to_the_bit():
     at_identity = (effect_from_values("wheel_scale", {"e": 0.0}), effect_from_values("gyro_bias", {}))
-    knots = NoisyPath(silent(at_identity), 1).feed(*office())
-    assert not knots.error_xyt.any()
-    assert not knots.correction_xyt.any()
+    samples = NoisyPath(silent(at_identity), 1).feed(*office())
+    assert not samples.error_xyt.any()
+    assert not samples.correction_xyt.any()
 
 
 def test_noise_before_a_stop_is_held_during_it():
     t, poses = office(50.0, 10.0)
-    knots = NoisyPath(model(), 1).feed(t, poses)
+    samples = NoisyPath(model(), 1).feed(t, poses)
     stopped = slice(402, 500)
-    assert np.ptp(knots.clean_xyt[stopped], axis=0) == pytest.approx(0.0)
-    assert not np.ptp(knots.error_xyt[stopped], axis=0).any()
-    assert knots.error_xyt[-1].all()
+    assert np.ptp(samples.clean_xyt[stopped], axis=0) == pytest.approx(0.0)
+    assert not np.ptp(samples.error_xyt[stopped], axis=0).any()
+    assert samples.error_xyt[-1].all()
 
 
 def test_the_first_pose_is_unchanged():
@@ -142,8 +142,8 @@ def test_the_first_pose_is_unchanged():
 def test_correction_takes_clean_poses_to_noisy_ones():
     t, poses = office()
     poses += [400.0, -700.0, 9.0]
-    knots = NoisyPath(model(), 1).feed(t, poses)
-    assert compose(knots.correction_xyt, poses) == pytest.approx(poses + knots.error_xyt, abs=1e-9)
+    samples = NoisyPath(model(), 1).feed(t, poses)
+    assert compose(samples.correction_xyt, poses) == pytest.approx(poses + samples.error_xyt, abs=1e-9)
 
 
 def test_streams_of_runs_and_seeds_differ_and_repeat():
@@ -158,19 +158,19 @@ def test_a_jump_of_the_pose_is_counted_and_holds_the_correction():
     t, poses = office(50.0, 20.0)
     jumped = poses.copy()
     jumped[600:] = compose(np.array([30.0, 5.0, 1.0]), jumped[600:])
-    knots = NoisyPath(model(), 1).feed(t, jumped)
-    assert knots.jumps == 1
-    assert knots.correction_xyt[600] == pytest.approx(knots.correction_xyt[599], abs=1e-12)
-    assert np.array_equal(knots.sums[:, 600], knots.sums[:, 599])
-    assert knots.travelled_m[600] == knots.travelled_m[599]
+    samples = NoisyPath(model(), 1).feed(t, jumped)
+    assert samples.jumps == 1
+    assert samples.correction_xyt[600] == pytest.approx(samples.correction_xyt[599], abs=1e-12)
+    assert np.array_equal(samples.sums[:, 600], samples.sums[:, 599])
+    assert samples.travelled_m[600] == samples.travelled_m[599]
 
 
 def test_two_messages_of_one_stamp_are_no_jump_and_no_division_by_zero():
     t, poses = office(50.0, 10.0)
     t[100] = t[101]
-    knots = NoisyPath(model(effects=EFFECTS), 1).feed(t, poses)
-    assert knots.jumps == 0
-    assert np.isfinite(knots.error_xyt).all()
+    samples = NoisyPath(model(effects=EFFECTS), 1).feed(t, poses)
+    assert samples.jumps == 0
+    assert np.isfinite(samples.error_xyt).all()
 
 
 def test_headings_may_wrap():
@@ -190,11 +190,11 @@ def test_covariance_is_calibrated_while_headings_are_well_known(law, step):
     places, runs = np.array([40, 130, 200, 400]), 600
     nees = np.empty((runs, len(places)))
     for run in range(runs):
-        knots = NoisyPath(chosen, 11, run).feed(t, poses)
-        noisy = knots.clean_xyt[places, :2] + knots.error_xyt[places, :2] - knots.origin_xy
-        P = pose_covariance(knots.sums[:, places], noisy.T)
+        samples = NoisyPath(chosen, 11, run).feed(t, poses)
+        noisy = samples.clean_xyt[places, :2] + samples.error_xyt[places, :2] - samples.origin_xy
+        P = pose_covariance(samples.sums[:, places], noisy.T)
         assert np.sqrt(P[:, 2, 2]).max() < 0.2
-        e = knots.error_xyt[places]
+        e = samples.error_xyt[places]
         nees[run] = np.einsum("ni,ni->n", e, np.linalg.solve(P, e[:, :, None])[:, :, 0])
     assert nees.mean(axis=0) / 3.0 == pytest.approx(np.ones(len(places)), abs=0.12)
 
@@ -204,10 +204,10 @@ def test_sideways_noise_is_calibrated_too():
     t, poses = office(10.0, 20.0)
     nees = []
     for run in range(600):
-        knots = NoisyPath(chosen, 12, run).feed(t, poses)
-        e = knots.error_xyt[-1]
-        noisy = knots.clean_xyt[-1:, :2] + e[:2] - knots.origin_xy
-        nees.append(e @ np.linalg.solve(pose_covariance(knots.sums[:, -1:], noisy.T)[0], e))
+        samples = NoisyPath(chosen, 12, run).feed(t, poses)
+        e = samples.error_xyt[-1]
+        noisy = samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy
+        nees.append(e @ np.linalg.solve(pose_covariance(samples.sums[:, -1:], noisy.T)[0], e))
     assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.1)
 
 
@@ -239,9 +239,9 @@ def test_covariance_of_arcs_and_strafing_is_calibrated(law):
     t, poses = strafing() if law == "omni" else office(4.0, 40.0)
     nees = []
     for run in range(500):
-        knots = NoisyPath(model(law, k), 13, run).feed(t, poses)
-        e = knots.error_xyt[-1]
-        P = pose_covariance(knots.sums[:, -1:], (knots.clean_xyt[-1:, :2] + e[:2] - knots.origin_xy).T)[0]
+        samples = NoisyPath(model(law, k), 13, run).feed(t, poses)
+        e = samples.error_xyt[-1]
+        P = pose_covariance(samples.sums[:, -1:], (samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy).T)[0]
         assert np.sqrt(P[2, 2]) < 0.2
         nees.append(e @ np.linalg.solve(P, e))
     assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.12)

@@ -69,10 +69,10 @@ def test_silent_models_leave_every_byte():
 
 def test_odometry_follows_the_noisy_path_of_its_seed():
     out, transform = run(robot(*DRIVE))
-    knots = NoisyPath(model(), 1).feed(*DRIVE)
+    samples = NoisyPath(model(), 1).feed(*DRIVE)
     stamps, noisy = poses_of(out)
     assert np.array_equal(stamps, DRIVE[0])
-    assert_same_poses(noisy, knots.clean_xyt + knots.error_xyt)
+    assert_same_poses(noisy, samples.clean_xyt + samples.error_xyt)
     assert transform.changes.odometry == {"/odom": 301}
     assert transform.changes.edges == {"odom -> base_link": 301}
 
@@ -331,7 +331,7 @@ def test_stamps_of_zero_are_read_as_log_times_and_stay_zero():
     bare = [(ODOM, int(s), odometry(0, p)) for s, p in zip(t, poses, strict=True)]
     shift = (effect_from_values("time_offset", {"offset": 0.1}),)
     out, transform = run(bare, model(effects=shift))
-    assert transform.driver.zero_stamps == len(t)
+    assert transform.odometry.zero_stamps == len(t)
     assert np.array_equal(poses_of(out)[1], poses_of(run(stamped)[0])[1])
     assert not poses_of(out)[0].any()
 
@@ -448,8 +448,8 @@ def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
 
 def test_covariances_in_messages_are_those_of_the_path():
     out, _ = run(robot(*DRIVE))
-    knots = NoisyPath(model(), 1).feed(*DRIVE)
-    noisy = (knots.clean_xyt + knots.error_xyt)[:, :2] - knots.origin_xy
-    expected = pose_covariance(knots.sums, noisy.T)
+    samples = NoisyPath(model(), 1).feed(*DRIVE)
+    noisy = (samples.clean_xyt + samples.error_xyt)[:, :2] - samples.origin_xy
+    expected = pose_covariance(samples.sums, noisy.T)
     values = read(out, ODOM, "pose_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
     assert values == pytest.approx(expected, rel=1e-9, abs=1e-15)

@@ -7,7 +7,7 @@ import pytest
 from bagged import IMU, ODOM, TF, MemoryBag, blocks_of, read, robot
 from drives import model, office, silent
 
-from odomcorrupt.corruption.covariance import SUMS, pose_covariance, wanders
+from odomcorrupt.corruption.covariance import SUMS, has_random_part, pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.effects import effect_from_values, registry
@@ -41,11 +41,11 @@ def test_covariance_is_calibrated_about_the_mean_of_the_runs(which):
     places, runs = np.array([60, 130, 200, 400]), 400
     errors, P = np.empty((runs, len(places), 3)), np.empty((runs, len(places), 3, 3))
     for number in range(runs):
-        knots = NoisyPath(chosen(which), 11, number).feed(t, poses)
-        errors[number] = knots.error_xyt[places]
-        noisy = (poses[places, :2] + errors[number, :, :2] - knots.origin_xy).T
-        P[number] = pose_covariance(knots.sums[:, places], noisy)
-        without = pose_covariance(knots.sums[:SUMS, places], noisy)
+        samples = NoisyPath(chosen(which), 11, number).feed(t, poses)
+        errors[number] = samples.error_xyt[places]
+        noisy = (poses[places, :2] + errors[number, :, :2] - samples.origin_xy).T
+        P[number] = pose_covariance(samples.sums[:, places], noisy)
+        without = pose_covariance(samples.sums[:SUMS, places], noisy)
         assert np.linalg.det(P[number, -1]) > 1.3 * np.linalg.det(without[-1]), "the effect is no small part of it"
     off = errors - errors.mean(axis=0)
     nees = np.einsum("rpi,rpi->rp", off, np.linalg.solve(P, off[..., None])[..., 0]).mean(axis=0) / 3.0
@@ -75,7 +75,9 @@ def test_a_new_stretch_begins_with_no_uncertainty_but_a_bias_that_has_wandered()
 def test_every_random_effect_states_its_gains_or_is_bounded():
     random = {name for name, kind in registry().items() if kind.kind == "noise" and name != "user"}
     stating = {
-        effect.name for name, values in RANDOM.values() if wanders(effect := effect_from_values(name, values), None)
+        effect.name
+        for name, values in RANDOM.values()
+        if has_random_part(effect := effect_from_values(name, values), None)
     }
     assert random == stating | BOUNDED
 

@@ -12,7 +12,7 @@ from drives import office
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
-from odomcorrupt.corruption.unmodified_topics import frame_of, truth_tellers
+from odomcorrupt.corruption.unmodified_topics import frame_of, topics_with_true_motion
 
 
 def channel(number, topic, msgtype, encoding="cdr"):
@@ -38,13 +38,13 @@ def channel(number, topic, msgtype, encoding="cdr"):
     ],
 )
 def test_the_type_tells(topic, msgtype, tells):
-    assert truth_tellers([channel(1, topic, msgtype)], {"/odom"}, {}, "odom") == ([topic] if tells else [])
+    assert topics_with_true_motion([channel(1, topic, msgtype)], {"/odom"}, {}, "odom") == ([topic] if tells else [])
 
 
 def test_what_is_drawn_in_the_odom_frame_tells_and_in_another_does_not():
     cloud = "sensor_msgs/msg/PointCloud2"
     channels = [channel(1, "/obstacles", cloud), channel(2, "/points", cloud)]
-    assert truth_tellers(channels, {"/odom"}, {1: "odom", 2: "base_link"}, "/odom") == ["/obstacles"]
+    assert topics_with_true_motion(channels, {"/odom"}, {1: "odom", 2: "base_link"}, "/odom") == ["/obstacles"]
 
 
 def message(encoding, frame, many, order="<"):
