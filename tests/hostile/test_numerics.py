@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "corrupt"))
+sys.path.append(str(Path(__file__).parents[1] / "corruption"))
 
 from bagged import ODOM, MemoryBag, blocks_of, odometry, quaternion, read, robot, twists
 

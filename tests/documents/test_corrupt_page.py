@@ -15,7 +15,7 @@ from odomcorrupt.cli import cli
 from odomcorrupt.model.motion_model import parse_alpha
 from odomcorrupt.model.presets import PRESETS
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf8").split("## Corrupt\n", 1)[1].split("\n## ", 1)[0]
 PAGE = (ROOT / "docs" / "corrupt.md").read_text(encoding="utf8").split("## How the correction works", 1)[0]
 

@@ -17,7 +17,7 @@ from odomcorrupt.model.model_file import parse_model
 from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.model.presets import PRESETS
 
-OFFICE = str(Path(__file__).parent.parent / "fixtures" / "office.mcap")
+OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
 
 
 def test_the_list_has_law_numbers_and_source_of_each(capsys):

@@ -13,7 +13,7 @@ import pytest
 
 from odomcorrupt.cli import run
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 COMMANDS = re.findall(r"```sh\n(.*?)\n```", (ROOT / "docs" / "pipelines.md").read_text(encoding="utf8"), re.DOTALL)
 
 

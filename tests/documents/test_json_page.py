@@ -10,7 +10,7 @@ import pytest
 
 from odomcorrupt.cli import run
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "json.md").read_text(encoding="utf8")
 OFFICE = str(ROOT / "fixtures" / "office.mcap")
 

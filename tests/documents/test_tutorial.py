@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 sys.path.append(str(ROOT / "docs"))
 
 from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402 - its folder had to be found first

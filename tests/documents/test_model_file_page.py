@@ -10,7 +10,7 @@ import pytest
 
 from odomcorrupt.model.model_file import parse_model
 
-PAGE = (Path(__file__).parent.parent / "docs" / "model-file.md").read_text(encoding="utf8")
+PAGE = (Path(__file__).parents[2] / "docs" / "model-file.md").read_text(encoding="utf8")
 (EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "notebook.ipynb"
 NOTEBOOK = json.loads(PAGE.read_text(encoding="utf8"))
 
