@@ -89,7 +89,7 @@ class Correction(Result):
 
     def _figure(self) -> Figure:
         """Return the measured path and the corrected one, read from the two bags."""
-        from odomcorrupt.report.plots.corruption import draw_corruption
+        from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories.reader import read_drive
 
         before, after = (read_drive(Path(path), self.outcome.run.odometry) for path in (self.source, self.target))

@@ -135,7 +135,7 @@ class Corruption(Result):
 
     def _figure(self) -> Figure:
         """Return the clean path and the noisy one, read from the two bags."""
-        from odomcorrupt.report.plots.corruption import draw_corruption
+        from odomcorrupt.report.plots.paths import draw_corruption
         from odomcorrupt.trajectories.reader import read_drive
 
         if "-" in (self.source, self.target):

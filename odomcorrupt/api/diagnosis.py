@@ -151,7 +151,7 @@ class Diagnosis(Findings):
 
     def _figure(self) -> Figure:
         """Return the candidates with their evidence."""
-        from odomcorrupt.report.plots.candidates import draw_candidates
+        from odomcorrupt.report.plots.diagnosis import draw_candidates
 
         return draw_candidates(self.result.search)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.batching.manifest import BatchError, read_beginning, read_records
 from odomcorrupt.batching.parameter_draws import Spread
-from odomcorrupt.batching.tum import read_tum
+from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
@@ -18,7 +18,7 @@ from odomcorrupt.model.model_file import parse_model
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.batching.tum import TumPath
+    from odomcorrupt.batching.sinks import TumPath
     from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel

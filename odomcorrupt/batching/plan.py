@@ -19,8 +19,8 @@ from odomcorrupt.batching.manifest import (
     write_manifest,
 )
 from odomcorrupt.batching.parameter_draws import spreads_of, stated_spreads
+from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.batching.sweep import variants
-from odomcorrupt.batching.tum import read_tum, write_npz
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.model.model_file import format_model, parse_model

@@ -29,8 +29,8 @@ def command(
     run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
 ) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
-    from odomcorrupt.batching.assemble import assemble
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
+    from odomcorrupt.batching.split_layout import assemble
     from odomcorrupt.corruption.run import Container
 
     target = Path(chosen_output(output, output_option))

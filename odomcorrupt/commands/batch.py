@@ -102,7 +102,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
     from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.plan import require_odometry, run_batch
-    from odomcorrupt.commands._eta import Rate
+    from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
     jobs = _jobs(inputs, target, given)
@@ -179,7 +179,7 @@ def _model(given: dict[str, Any]) -> MotionModel:
     """Return the model that was asked for, or that of a fleet."""
     if not given["fleet"]:
         return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
-    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.batching.parameter_draws import fleet_model
     from odomcorrupt.model.model_file import read_model
 
     other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]

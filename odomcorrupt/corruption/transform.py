@@ -17,21 +17,22 @@ from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
 from odomcorrupt.corruption.drift import DriftMeter
-from odomcorrupt.corruption.odometry_source import OdometrySource, stamps_or_log_ns
-from odomcorrupt.corruption.patch import Patcher, Target
-from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.pose_faults import FAR_M
-from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
-from odomcorrupt.corruption.targets import (
+from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
     ODOMETRY,
     TRANSFORMS,
+    OdometrySource,
     find_odometry,
     localisation_side_of,
     plain,
     says_truth,
     side_of,
+    stamps_or_log_ns,
 )  # fmt: skip
+from odomcorrupt.corruption.patch import Patcher, Target
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.pose_faults import FAR_M
+from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
 
@@ -43,9 +44,9 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.corruption.drift import PathWatcher
+    from odomcorrupt.corruption.odometry_source import Frames, Side
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
-    from odomcorrupt.corruption.targets import Frames, Side
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["WAIT_NS", "Options", "Transform"]

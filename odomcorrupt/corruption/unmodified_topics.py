@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.targets import ENCODINGS, plain
+from odomcorrupt.corruption.odometry_source import ENCODINGS, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -6,9 +6,9 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
-from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulation.commands import Commands, obey
 from odomcorrupt.simulation.drivetrain import wheel_angles
 from odomcorrupt.simulation.encoders import Rig, reckon
 from odomcorrupt.simulation.fault_draws import draw_flaw, is_placed, names_of, source_of_turns, spoil
@@ -14,7 +13,7 @@ from odomcorrupt.simulation.kinematics import drive
 from odomcorrupt.simulation.planar import add_up_steps
 from odomcorrupt.simulation.record import SimulatedRun, record
 from odomcorrupt.simulation.robot import build_robot
-from odomcorrupt.simulation.routes import ROUTES, Segment, follow
+from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, follow, obey
 from odomcorrupt.simulation.streams import Streams, stream
 from odomcorrupt.simulation.tracker import TRACKERS, Tracker, dock, watch
 

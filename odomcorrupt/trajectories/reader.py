@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.targets import ODOMETRY, find_odometry, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, find_odometry, plain
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.study.io.recording import Trajectory

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batching.tum import read_tum
+from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.transform import Options
 from odomcorrupt.geometry.se2 import wrap

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odomcorrupt.batching.fleet import fleet_model
-from odomcorrupt.batching.sobol import parse_range, sobol_points
-from odomcorrupt.batching.sweep import variants
+from odomcorrupt.batching.parameter_draws import fleet_model
+from odomcorrupt.batching.sweep import parse_range, sobol_points, variants
 from odomcorrupt.cli import run
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.model_file import parse_model, read_model

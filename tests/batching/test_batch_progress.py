@@ -13,15 +13,15 @@ from pathlib import Path
 import pytest
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.batching.progress import Watched
-from odomcorrupt.commands._eta import left_words
+from odomcorrupt.batching.runner import Watched
+from odomcorrupt.commands._progress import left_words
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
 
 
 @pytest.mark.parametrize("name", ["office.mcap", "office.bag", "office_ros2"])
 def test_pass_tells_its_part_in_ascending_order(name, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.batching.progress.PAUSE_S", 0.0)
+    monkeypatch.setattr("odomcorrupt.batching.runner.PAUSE_S", 0.0)
     beats = []
     with open_reader(FIXTURES / name) as reader:
         watched = Watched(reader, lambda part, past_s: beats.append((part, past_s)))
@@ -45,7 +45,7 @@ def test_half_a_pass_counts_for_rate_and_time_left():
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_terminal_sees_runs_grow_within_a_pass(jobs, tmp_path):
     program = (
-        "import odomcorrupt.batching.progress as pulse, time; pulse.PAUSE_S = 0.0\n"
+        "import odomcorrupt.batching.runner as pulse, time; pulse.PAUSE_S = 0.0\n"
         "import sys; from odomcorrupt.cli import run; sys.exit(run(sys.argv[1:]))\n"
     )
     script = tmp_path / "slow.py"

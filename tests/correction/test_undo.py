@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from odomcorrupt.correction.clock import ClockInverse, true_stamps
-from odomcorrupt.correction.path import CorrectedPath, corrected_samples
-from odomcorrupt.correction.undo import undo_effects
+from odomcorrupt.correction.run import CorrectedPath, corrected_samples
+from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values, registry

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drives import LAW_COEFFICIENTS, textbook_sigmas
 
-from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
+from odomcorrupt.corruption.path import StepGrowth, noise_variances
 from odomcorrupt.geometry.increments import Increments
 from odomcorrupt.model.motion_model import Noise, Step
 

@@ -17,10 +17,8 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.report.html.diagnosis import Story, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
-from odomcorrupt.report.plots.candidates import draw_candidates
-from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.plots.plan import draw_plan
 from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.report.text.confidence import law_numbers, told_expression
 from odomcorrupt.report.text.design import advice_text, limits_sentence

@@ -9,10 +9,8 @@ from odomcorrupt.report.html.cards import cards
 from odomcorrupt.report.html.comparison import ladder_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
-from odomcorrupt.report.plots.candidates import draw_candidates
-from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
-from odomcorrupt.report.plots.plan import draw_plan
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
