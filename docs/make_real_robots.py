@@ -178,7 +178,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
     lines.append(
         f"Learned on {', '.join(r.name for r in learning)}; judged on {judging.name}, whose odometry clock is "
         f"{clock.offset_s * 1e3:+.0f} ms off and gains {clock.rate * 1e6:+.0f} ppm. Error after 10 s: "
-        f"{comparison.raw_error_m * 1e3:.0f} mm as it came, "
+        f"{comparison.raw_error_m * 1e3:.0f} mm as measured, "
         f"{comparison.clock_error_m * 1e3:.0f} mm with the clock right."
     )
     lines += ["", "| | " + " | ".join(fits) + " |", "|---|" + "---|" * len(fits)]

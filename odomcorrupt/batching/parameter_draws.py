@@ -198,8 +198,8 @@ def fleet_model(robots: Mapping[str, MotionModel]) -> MotionModel:
 
 def _require_same(facts: Sequence[tuple[str, str]], what: str) -> None:
     if len({fact for _, fact in facts}) > 1:
-        told = "; ".join(f"{name}: {fact}" for name, fact in facts)
-        raise ModelError(f"a fleet: its robots have different {what} ({told}); fit them with the same")
+        facts_text = "; ".join(f"{name}: {fact}" for name, fact in facts)
+        raise ModelError(f"a fleet: its robots have different {what} ({facts_text}); fit them with the same")
 
 
 def _effect_names(models: Sequence[MotionModel]) -> list[str]:

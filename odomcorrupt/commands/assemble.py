@@ -35,11 +35,11 @@ def command(
 
     target = Path(chosen_output(output, output_option))
     if original is None:
-        told = read_beginning(run.parent)["input"]
-        original = Path(told["path"])
+        noted = read_beginning(run.parent)["input"]
+        original = Path(noted["path"])
         if not original.exists():
             raise BatchError(f"{original}: the batch's input is not there; name it with --input")
-        if fingerprint_of(original) != told["hash"]:
+        if fingerprint_of(original) != noted["hash"]:
             raise BatchError(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )

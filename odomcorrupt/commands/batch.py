@@ -119,7 +119,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
             jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
         )
     done = Batch(target, tuple(jobs), made.runs, made.failures)
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 1 if made.failures else 3 if done.losses else 0
 
 

@@ -77,7 +77,7 @@ def command(
         stages("comparison", 0.0)
         result = compare(runs, _short_names(models))
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
-    voice.tell(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""))
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""))
     for path, name in plots.items():
         result.plot(path, picture=name)
         voice.note(f"wrote {path}")

@@ -69,5 +69,5 @@ def command(
         done = correct(
             input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given, BAG_OPTIONS)
         )
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 3 if done.losses else 0

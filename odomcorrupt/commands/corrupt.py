@@ -85,5 +85,5 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
             watch=progress,
             **options,
         )
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 3 if done.losses else 0

@@ -52,7 +52,7 @@ def command(
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))
-    voice.tell(result)
+    voice.show(result)
     write_advice(result, drive, report, voice)
 
 

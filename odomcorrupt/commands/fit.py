@@ -60,7 +60,7 @@ def command(
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    voice.tell(replace(result, following=following if output is not None else ""))
+    voice.show(replace(result, following=following if output is not None else ""))
     if output is not None:
         result.model.save(output, overwrite=True)
         voice.note(f"wrote {output}")

@@ -140,7 +140,7 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.tell(drawn)
+    voice.show(drawn)
     if output is None:
         return
     if kind in PICTURES:

@@ -24,7 +24,7 @@ __all__ = ["command", "faults_of", "size_of"]
 HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Sources of heading, as users and as the simulator call them."""
 _LARGEST = 100.0
-"""Times its usual size, a flaw makes no drive any more."""
+"""Times its usual size, a fault makes no drive any more."""
 
 
 def faults_of(effects: Sequence[str], heading: str | None) -> tuple[list[str], dict[str, dict[str, float | str]]]:
@@ -77,7 +77,7 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
 
 
 def size_of(text: str) -> float:
-    """Return by how much a size in words or figures multiplies a drawn flaw."""
+    """Return by how much a size in words or figures multiplies a drawn fault."""
     from odomcorrupt.simulation.fault_draws import SIZES
 
     try:
@@ -91,7 +91,7 @@ def size_of(text: str) -> float:
     return size
 
 
-@click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen flaw.")
+@click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen fault.")
 @click.argument("output", type=click.Path(dir_okay=False), required=False)
 @output_option()
 @click.option(
@@ -101,15 +101,17 @@ def size_of(text: str) -> float:
     metavar="hidden|none|NAME[:KEY=VALUE,...]",
     help="What is wrong with the robot (repeatable; a wrong name lists all). [default: hidden]",
 )
-@click.option("--size", default="medium", show_default=True, help="Size of a drawn flaw: weak, medium, strong, number.")
+@click.option(
+    "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
-@click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its flaw. [default: the drive's]")
+@click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
     "--route",
     type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]),
     default="office",
     show_default=True,
-    help="Where it drives; with --drive, where its flaw has been met.",
+    help="Where it drives; with --drive, where its fault has been met.",
 )
 @click.option(
     "--drive",
@@ -118,7 +120,7 @@ def size_of(text: str) -> float:
 )
 @click.option("--truth", type=click.Choice(["mocap", "rtk"]), default="mocap", show_default=True, help="Who watches.")
 @click.option(
-    "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the flaw needs]"
+    "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the fault needs]"
 )
 @click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
 @click.option(
@@ -130,7 +132,7 @@ def size_of(text: str) -> float:
 def command(
     output: str | None, output_option: str | None, *, effects: tuple[str, ...], size: str, voice: Voice, **given: Any
 ) -> None:
-    """Drive a robot whose wheels, tyres, gear, sensors or clocks have a flaw, and record odometry and truth.
+    """Drive a robot whose wheels, tyres, gear, sensors or clocks have a fault, and record odometry and truth.
 
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
@@ -150,4 +152,4 @@ def command(
         voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {answer}")
         return
     done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
-    voice.tell(done, err=True)
+    voice.show(done, err=True)

@@ -65,13 +65,13 @@ class ChannelLag(Effect):
         if self.tau == 0.0:
             return Recorded(steps, state)
         column = _COLUMN[self.channel]
-        filtered, way = steps.copy(), _Way() if state is None else copy.deepcopy(state)
+        filtered, way = steps.copy(), _FilterState() if state is None else copy.deepcopy(state)
         for i, (step, now_s) in enumerate(zip(steps[:, column].tolist(), t_s.tolist(), strict=True)):
             filtered[i, column] = way.reported(step, now_s, self.tau)
         return Recorded(filtered, way)
 
 
-class _Way:
+class _FilterState:
     """The last `TRAIL_S` of what a filtered channel reported, m or rad over seconds, and its mean speed over them."""
 
     def __init__(self) -> None:

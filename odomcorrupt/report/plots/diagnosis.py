@@ -44,13 +44,13 @@ def draw_candidates(learned: Learned) -> Figure:
     shown = steps if len(steps) <= _STEPS else [*steps[: _STEPS - 1], steps[-1]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
-    most = max((evidence_nats(c) for _, look in shown for c in look.candidates), default=1.0)
+    most = max((evidence_nats(c) for _, step in shown for c in step.candidates), default=1.0)
     with drawing():
         figure = new_figure(11.0 if columns == 2 else 8.0, 0.5 + 2.6 * rows)
         panels = figure.subplots(rows, columns, squeeze=False).ravel()
-        for axes, (number, look) in zip(panels, shown, strict=False):
+        for axes, (number, step) in zip(panels, shown, strict=False):
             left_out = f" (steps {_STEPS} to {number - 1} not drawn)" if number > len(shown) else ""
-            _bars(axes, f"step {number} of {len(steps)}{left_out}", look)
+            _bars(axes, f"step {number} of {len(steps)}{left_out}", step)
             axes.set_xscale("symlog", linthresh=_LINEAR, linscale=0.4)
             axes.set_xticks(*_TICKS)
             axes.set_xlim(0.0, 12.0 * max(most, 10.0))
@@ -59,35 +59,35 @@ def draw_candidates(learned: Learned) -> Figure:
     return figure
 
 
-def _bars(axes: Axes, title: str, look: Step) -> None:
-    ranked = sorted(look.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
+def _bars(axes: Axes, title: str, step: Step) -> None:
+    ranked = sorted(step.candidates, key=lambda c: (not c.refused, evidence_nats(c)), reverse=True)[:_MOST]
     nats = [evidence_nats(c) for c in ranked]
-    colours = [_colour(c, look) for c in ranked]
+    colours = [_colour(c, step) for c in ranked]
     places = np.arange(len(ranked))
     bars = axes.barh(places, nats, color=colours, height=0.72)
-    labels = [_label(c, n, look) for c, n in zip(ranked, nats, strict=True)]
+    labels = [_label(c, n, step) for c, n in zip(ranked, nats, strict=True)]
     axes.bar_label(bars, labels=labels, padding=4, fontsize=8)
     axes.set_yticks(places, [c.score.effect.name for c in ranked])
     axes.invert_yaxis()
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("evidence (nats)")
-    outcome = f"added {look.added}" if look.added else "nothing more to add"
+    outcome = f"added {step.added}" if step.added else "nothing more to add"
     axes.set_title(f"{title}: {outcome}")
 
 
-def _colour(candidate: Candidate, look: Step) -> str:
+def _colour(candidate: Candidate, step: Step) -> str:
     name = candidate.score.effect.name
-    if name == look.added:
+    if name == step.added:
         return BLUE
-    return SKY if name in look.alternatives else _GREY
+    return SKY if name in step.alternatives else _GREY
 
 
-def _label(candidate: Candidate, nats: float, look: Step) -> str:
+def _label(candidate: Candidate, nats: float, step: Step) -> str:
     name = candidate.score.effect.name
-    if name == look.added:
+    if name == step.added:
         return f"{nats:.0f}"
-    if name in look.alternatives:
-        return f"{nats:.0f}, cannot be told from it"
+    if name in step.alternatives:
+        return f"{nats:.0f}, not separable from it"
     return candidate.refused or f"{nats:.0f}, others explain it better"
 
 
@@ -162,7 +162,7 @@ _SHOWN_S = 120.0
 
 
 def draw_plan(plan: Plan) -> Figure:
-    """Draw where a robot that follows the plan goes, and what it is told in the first two minutes."""
+    """Draw where a robot that follows the plan goes, and its commands in the first two minutes."""
     path = plan.path
     shown = slice(0, round(_SHOWN_S / STEP_S))
     times_s = np.arange(len(plan.v_mps))[shown] * STEP_S
