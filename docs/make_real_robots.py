@@ -189,7 +189,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
             clouds[j.name] = replay(piece, runs=RUNS)
         except EffectError:
             clouds[j.name], left_out = tamer(piece)
-            remarks = ["", f"Its {left_out} are too strong to be put into this drive; the cloud is without them."]
+            remarks = ["", f"Its {left_out} are too strong for this drive; the cloud is without them."]
     for label, values in rows(fits, comparison.judgements, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
     last = comparison.judgements[-1]

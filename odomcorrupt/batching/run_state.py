@@ -75,7 +75,7 @@ class SharedTransform(Transform):
         self.growth.append(None)
 
     def add(self, samples: PathSamples) -> None:
-        """Do nothing: there is no path."""
+        """Do nothing: no path is drawn."""
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["Progress", "Rate", "Stages", "left_words", "part_done", "time_left"]
 
 PAUSE_S = 0.2
-"""Time between two lines: often enough to look alive."""
+"""Time between two updates of the line."""
 FIRST_S = 1.0
 """Nothing is said of what takes less."""
 
@@ -138,7 +138,7 @@ class Rate:
         self._say("")
 
     def under_way(self, task: Task, part: float | None, past_s: float) -> None:
-        """Take note of a pass: the part of the bag that is read, None where it cannot be told, and its seconds."""
+        """Take note of a pass: the part of the bag that is read, None where it is not known, and its seconds."""
         if part is not None:
             self._parts[task.job.shown_directory, task.runs] = len(task.runs), part
         self._say(f"; a pass of {len(task.runs)} is at {past_s:.0f} s of the bag")

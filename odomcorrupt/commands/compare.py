@@ -106,6 +106,6 @@ def _plots(texts: Iterable[str]) -> dict[Path, str]:
 
 
 def _short_names(models: dict[str, Model]) -> dict[str, Model]:
-    """Return models by file name alone where that tells them apart."""
+    """Return models by file name alone where these are unique."""
     short = [Path(name).name for name in models]
     return dict(zip(short, models.values(), strict=True)) if len(set(short)) == len(models) else models

@@ -27,7 +27,7 @@ DEFAULT_RUNS = 300
 
 
 def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
-    """Draw runs of a bag's drive, look at them along the way, and print and write what is asked for."""
+    """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed

@@ -24,7 +24,7 @@ __all__ = ["command", "faults_of", "size_of"]
 HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
 """Sources of heading, as users and as the simulator call them."""
 _LARGEST = 100.0
-"""Times its usual size, a fault makes no drive any more."""
+"""Largest factor on the usual size of a fault with which a drive is possible."""
 
 
 def faults_of(effects: Sequence[str], heading: str | None) -> tuple[list[str], dict[str, dict[str, float | str]]]:

@@ -44,7 +44,7 @@ __all__ = [
 
 
 class MeasuredPath:
-    """Watches the measured odometry go by; a restart of time begins a new stretch."""
+    """Collects the measured odometry; a restart of time begins a new stretch."""
 
     def __init__(self) -> None:
         self._parts: list[list[PathSamples]] = [[]]
@@ -80,7 +80,7 @@ class MeasuredPath:
 
 
 class CorrectedPath:
-    """Hands out corrected stretches to whoever feeds it the measured poses that they were made from."""
+    """Source of corrected paths, fed with the measured poses that they were computed from."""
 
     def __init__(self, stretches: Sequence[PathSamples | None]) -> None:
         self._stretches = stretches
@@ -149,7 +149,7 @@ def corrected_samples(
 
 
 def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) -> Array:
-    """Return the running sums (SUMS, n) of the noise that the corrected path, which is nobody's draw, still has."""
+    """Return the running sums (SUMS, n) of the noise that the corrected path, which is not drawn, still has."""
     driven = undone.driven
     v = noise_variances(noise, driven, undone.driven_s, StepGrowth()).variances
     bearing = np.zeros(len(driven))

@@ -33,18 +33,18 @@ class ClockInverse(Effect):
 
     name: ClassVar[str] = "clock_inverse"
     kind: ClassVar[Kind] = "setup"
-    summary: ClassVar[str] = "stamps put back"
+    summary: ClassVar[str] = "inverse of clock effects"
     clock: ClassVar[bool] = True
 
     clocks: tuple[Effect, ...] = ()
 
     @property
     def acts(self) -> bool:
-        """Whether there is a clock to put right."""
+        """Whether any clock effect acts."""
         return any(clock.acts for clock in self.clocks)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return nothing: it moves stamps alone."""
+        """Return f = 0: it moves stamps only."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def stamp_shift_s(self, t_s: Array) -> Array:
@@ -147,7 +147,7 @@ def undo_effects(
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
             return Undone(error, _increments(raw + added), driven_s, jump)
         place = found
-    raise EffectError("effects that read places: cannot be taken out of this odometry, its places do not settle")
+    raise EffectError("effects that read places: cannot be taken out of this odometry, its positions do not converge")
 
 
 def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array:

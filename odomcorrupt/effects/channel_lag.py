@@ -53,7 +53,7 @@ class ChannelLag(Effect):
     channel: str = choice("what comes late", "yaw", "along")
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what the filter still owes, by the accelerations of what odometry reports."""
+        """Return f: the lag of the filter, from the accelerations of the reported motion."""
         twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
         faster = accelerations(twist, motion.dt_s, state)
         f = self.tau * faster.rate[:, _COLUMN[self.channel]]
@@ -61,7 +61,7 @@ class ChannelLag(Effect):
         return TwistError(stacked(along, 0.0, yaw, f), faster.memory)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments (n, 3) with one channel filtered: the way of which `twist_error` leads back."""
+        """Return the increments (n, 3) with one channel filtered: inverted by `twist_error`."""
         if self.tau == 0.0:
             return Recorded(steps, state)
         column = _COLUMN[self.channel]
@@ -81,7 +81,7 @@ class _FilterState:
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
         """Return what is reported of a step that ends then: r with r + tau (change of the mean speed) = step."""
-        if now_s < self.last_s:  # time began anew
+        if now_s < self.last_s:  # time was reset
             self.clock_s, self.gone = [], []
             self.last_s = 0.0
         dt_s, self.last_s = now_s - self.last_s, now_s

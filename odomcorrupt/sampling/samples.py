@@ -174,7 +174,7 @@ def sample_moments(xyt: Array) -> Moments:
 
 
 def linearised_moments(move: Move, variances: Variances) -> Moments:
-    """Return what a Kalman filter believes: the odometry's end, and its covariance to first order in the noise."""
+    """Return a Kalman filter's prediction: the odometry's end, and its covariance to first order in the noise."""
     along, shift = move.along_xy, move.shift_xy
     shorter = float(move.chord_per_arc(np.array([move.turn_rad]))[0])
     # a chord shrinks as its arc turns more
