@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from laboratory.answer import told
+from laboratory.answer import plain_answer
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
@@ -75,4 +75,10 @@ def planted(case: Case, folder: Path) -> dict[str, Any]:
         random=planted.fit.random,
     )
     beside = {e.name: {p.name: getattr(e, p.name) for p in parameters(e)} for e in same.effects}
-    return {"recording": name, "planted": sizes, "plain": told(plain), "answer": told(planted), "beside": beside}
+    return {
+        "recording": name,
+        "planted": sizes,
+        "plain": plain_answer(plain),
+        "answer": plain_answer(planted),
+        "beside": beside,
+    }
