@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Channel, PartContents, require_all
-from odomcorrupt.bags.definition import with_common_text
-from odomcorrupt.bags.derive_definition import retyped
+from odomcorrupt.bags.definition import retyped, with_common_text
 from odomcorrupt.bags.placement import beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import reported
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, edited, generated
