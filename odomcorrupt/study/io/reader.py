@@ -13,6 +13,7 @@ from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
@@ -122,7 +123,7 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_constant_heading(odometry, truth)
+    truth = corrections_alone(odometry, without_constant_heading(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
