@@ -70,6 +70,7 @@ class Intervals:
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
         position's part is near the identity, the heading's near one
+    wander_level : (K,) factor on the deviation of the truth's wander
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
 
@@ -89,6 +90,7 @@ class Intervals:
     lever1: Array
     start_shape: Array
     end_shape: Array
+    wander_level: Array
     start_unseen: Array
     end_unseen: Array
 
@@ -217,6 +219,9 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
     shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
+    in_position, in_heading = recording.truth_level
+    level = np.array([in_position, in_position, in_heading])
+    shape = shape * np.outer(level, level)
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     return Intervals(
         start_s=node_s[kept],
@@ -235,6 +240,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever1=lever1,
         start_shape=shape[kept],
         end_shape=shape[kept + 1],
+        wander_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
         end_unseen=unseen[kept + 1],
     )
