@@ -30,18 +30,26 @@ _GROWS, _SLOWER = 0.2, 0.5
 """A spread grows plainly where its square does by this part when time doubles; and errors are independent from where
 it grows at less than this part of its first rate."""
 _ALONG, _YAW = 0, 2
+_REACH_M = 1.2
+"""Path over which errors of a localisation are alike at least: they depend on what is seen from a place."""
 
 
 def independent_spacing_s(recording: Recording) -> float:
     """Return the spacing of nodes (s) from which on the errors of a noisy truth are independent.
 
-    Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. A drive keeps
-    50 nodes, and nodes are no closer than usual samples of the truth.
+    Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. Where the
+    truth is a localisation's, nodes lie 1.2 m of usual driving apart, whatever the spread: what odometry
+    does wrong on the way hides the rest. A drive keeps 50 nodes, no closer than usual samples of the truth.
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     shared_s = float(min(truth_s[-1], recording.odometry_s[-1]) - max(truth_s[0], recording.odometry_s[0]))
     sampled_s = next((s for s in _SPACINGS_S if s >= 0.9 * float(np.median(np.diff(truth_s)))), _SPACINGS_S[-1])
     possible = [s for s in _SPACINGS_S if s * _ENOUGH <= shared_s]
+    if recording.localised and possible:
+        steps = np.diff(recording.odometry.xyt[:, :2], axis=0)
+        gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        usual_mps = gone_m / float(recording.odometry_s[-1] - recording.odometry_s[0])
+        sampled_s = max(sampled_s, next((s for s in possible if s * usual_mps >= _REACH_M), possible[-1]))
     spreads = [_spread(recording, truth_s, s) for s in (*possible, *(2.0 * s for s in possible[-1:]))]
     usable = next((i for i, spread in enumerate(spreads) if spread is None), len(spreads))
     squares = np.array([spread for spread in spreads[:usable] if spread is not None])
