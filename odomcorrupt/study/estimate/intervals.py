@@ -28,10 +28,23 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.io.recording import Recording, Trajectory
 
-__all__ = ["LEAST_NODES", "Cut", "Intervals", "count_nodes", "cut_at", "intervals", "join", "lay_nodes", "pick_nodes"]
+__all__ = [
+    "LEAST_NODES",
+    "Cut",
+    "Intervals",
+    "count_nodes",
+    "cut_at",
+    "intervals",
+    "join",
+    "lay_nodes",
+    "pick_nodes",
+    "usual_pace",
+]
 
 GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
+TURN_M = 0.3
+"""Way of which a turn by one radian changes what a localisation sees as much, metres."""
 LEAST_NODES = 20
 """Fewer intervals than this cannot carry a fit of anything."""
 
@@ -165,9 +178,9 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
         Where odometry and truth do not overlap, or too little of them does.
 
     """
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
     try:
-        picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+        picked = _nodes_of(recording, truth_s, spacing_s)
     except RecordingError as error:
         raise RecordingError(f"{recording.name}: {error}") from error
     kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
@@ -179,12 +192,33 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
     return intervals(recording, picked, kept)
 
 
+def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
+    """Return indices of the nodes: `spacing_s` apart, or what is usually driven in that time for a localised truth.
+
+    Errors of a localisation depend on what it sees: while the robot stands or creeps they stay the same.
+    """
+    odo_s = recording.odometry_s
+    if not recording.localised:
+        return pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+    pace = usual_pace(recording)
+    return pick_nodes(np.interp(truth_s, odo_s, pace, left=-1.0, right=np.inf), pace[0], pace[-1], spacing_s)
+
+
+def usual_pace(recording: Recording) -> Array:
+    """Return how long the robot would have needed (n,) for its way so far at its usual speed, seconds."""
+    xyt = recording.odometry.xyt
+    way = np.hypot(*np.diff(xyt[:, :2], axis=0).T) + TURN_M * np.abs(np.diff(xyt[:, 2]))
+    gone = np.concatenate(([0.0], np.cumsum(way)))
+    span_s = float(recording.odometry_s[-1] - recording.odometry_s[0])
+    return gone * (span_s / max(float(gone[-1]), 1e-9))
+
+
 def count_nodes(recording: Recording, spacing_s: float) -> int:
     """Return how many intervals `lay_nodes` would find."""
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
         return 0
-    between_them = np.diff(truth_s[pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)])
+    between_them = np.diff(truth_s[_nodes_of(recording, truth_s, spacing_s)])
     return int(np.count_nonzero(between_them < GAP_S * spacing_s))
 
 

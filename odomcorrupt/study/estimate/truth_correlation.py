@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.estimate.intervals import intervals, pick_nodes
+from odomcorrupt.study.estimate.intervals import TURN_M, intervals, pick_nodes
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -30,7 +30,7 @@ _GROWS, _SLOWER = 0.2, 0.5
 """A spread grows plainly where its square does by this part when time doubles; and errors are independent from where
 it grows at less than this part of its first rate."""
 _ALONG, _YAW = 0, 2
-_REACH_M = 1.2
+_REACH_M = 1.5
 """Path over which errors of a localisation are alike at least: they depend on what is seen from a place."""
 
 
@@ -38,7 +38,7 @@ def independent_spacing_s(recording: Recording) -> float:
     """Return the spacing of nodes (s) from which on the errors of a noisy truth are independent.
 
     Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. Where the
-    truth is a localisation's, nodes lie 1.2 m of usual driving apart, whatever the spread: what odometry
+    truth is a localisation's, nodes lie a metre and a half of usual driving apart, whatever the spread: what odometry
     does wrong on the way hides the rest. A drive keeps 50 nodes, no closer than usual samples of the truth.
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
@@ -46,8 +46,8 @@ def independent_spacing_s(recording: Recording) -> float:
     sampled_s = next((s for s in _SPACINGS_S if s >= 0.9 * float(np.median(np.diff(truth_s)))), _SPACINGS_S[-1])
     possible = [s for s in _SPACINGS_S if s * _ENOUGH <= shared_s]
     if recording.localised and possible:
-        steps = np.diff(recording.odometry.xyt[:, :2], axis=0)
-        gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+        steps = np.diff(recording.odometry.xyt, axis=0)
+        gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum() + TURN_M * np.abs(steps[:, 2]).sum())
         usual_mps = gone_m / float(recording.odometry_s[-1] - recording.odometry_s[0])
         sampled_s = max(sampled_s, next((s for s in possible if s * usual_mps >= _REACH_M), possible[-1]))
     spreads = [_spread(recording, truth_s, s) for s in (*possible, *(2.0 * s for s in possible[-1:]))]
