@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
+from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.config import NODE_S, choose_approach
+from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
 from odomcorrupt.study.io.recording import Trajectory
 
@@ -54,6 +57,11 @@ def test_a_good_truth_keeps_its_close_nodes_and_a_noisy_one_without_correlation_
 
 def test_a_short_drive_keeps_nodes_enough_for_its_halves():
     assert independent_spacing_s(localised(length_m=1.0, seconds=110.0)) <= 2.0
+
+
+def test_nodes_are_the_same_for_all_models(run):
+    wide = undo(run, [effect_from_values("wheelbase", {"e": 0.2}), effect_from_values("wheel_scale", {"e": -0.1})])
+    assert np.array_equal(lay_nodes(run, 4.0).start_s, lay_nodes(wide, 4.0).start_s)
 
 
 @pytest.mark.slow

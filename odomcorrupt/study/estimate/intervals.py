@@ -38,7 +38,6 @@ __all__ = [
     "join",
     "lay_nodes",
     "pick_nodes",
-    "usual_pace",
 ]
 
 GAP_S = 3.0
@@ -195,22 +194,17 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
 def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
     """Return indices of the nodes: `spacing_s` apart, or what is usually driven in that time for a localised truth.
 
-    Errors of a localisation depend on what it sees: while the robot stands or creeps they stay the same.
+    Errors of a localisation depend on what it sees: while the robot stands or creeps they stay the same. The way is the
+    truth's, so that nodes are the same for all models.
     """
-    odo_s = recording.odometry_s
+    first_s, last_s = recording.odometry_s[[0, -1]]
     if not recording.localised:
-        return pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
-    pace = usual_pace(recording)
-    return pick_nodes(np.interp(truth_s, odo_s, pace, left=-1.0, right=np.inf), pace[0], pace[-1], spacing_s)
-
-
-def usual_pace(recording: Recording) -> Array:
-    """Return how long the robot would have needed (n,) for its way so far at its usual speed, seconds."""
-    xyt = recording.odometry.xyt
-    way = np.hypot(*np.diff(xyt[:, :2], axis=0).T) + TURN_M * np.abs(np.diff(xyt[:, 2]))
-    gone = np.concatenate(([0.0], np.cumsum(way)))
-    span_s = float(recording.odometry_s[-1] - recording.odometry_s[0])
-    return gone * (span_s / max(float(gone[-1]), 1e-9))
+        return pick_nodes(truth_s, first_s, last_s, spacing_s)
+    steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
+    pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
+    usable = (truth_s >= first_s) & (truth_s <= last_s)
+    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable)
 
 
 def count_nodes(recording: Recording, spacing_s: float) -> int:
