@@ -30,6 +30,8 @@ It takes so many corrections to learn from.
 """
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Topics on which a localisation publishes its own poses."""
+_SPARSE_HZ = 5.0
+"""Rate below which such poses are corrections; above it a tracker of scans or images says where it is all the time."""
 _SAME, _MOVES = 1e-6, 1e-4
 """Metres and radians: steps that differ by less are the same, and a robot that moves by less stands."""
 _CORRECTS = 5e-4
@@ -41,11 +43,12 @@ _BACK = 4
 def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth at its corrections where in between it repeats the odometry, as it is where it does not.
 
-    Both by growing stamps. What is by its name a localisation's is marked as such.
+    Both by growing stamps. A sparse one that is by its name a localisation's is marked as such.
     """
     if not (truth.headed and odometry.headed):
         return truth
-    truth = replace(truth, localised=truth.localised or bool(_NAMES.search(truth.name.lower())))
+    sparse = len(truth) < _SPARSE_HZ * truth.span_s
+    truth = replace(truth, localised=truth.localised or (sparse and bool(_NAMES.search(truth.name.lower()))))
     inside = np.flatnonzero((truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1]))
     if len(inside) < CORRECTIONS:
         return truth
