@@ -55,6 +55,6 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
     if not all(r.headed for r in recordings):
         spacing_s = _BLIND_NODE_S
     elif noise_m > _COARSE_TRUTH_M or any(r.localised for r in recordings):
-        spacing_s = max(_COARSE_NODE_S, *map(independent_spacing_s, recordings))
+        spacing_s = max([_COARSE_NODE_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
     sides = {choose_side(r, spacing_s) for r in recordings}
     return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)

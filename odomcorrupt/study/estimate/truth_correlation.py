@@ -37,15 +37,15 @@ _REACH_M = 1.5
 def independent_spacing_s(recording: Recording) -> float:
     """Return the spacing of nodes (s) from which on the errors of a noisy truth are independent.
 
-    Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. Where the
-    truth is a localisation's, nodes lie a metre and a half of usual driving apart, whatever the spread: what odometry
-    does wrong on the way hides the rest. A drive keeps 50 nodes, no closer than usual samples of the truth.
+    Of along and yaw, the longer one counts; across, an error of heading grows with the path and hides it. Nodes lie at
+    least a metre and a half of usual driving apart, whatever the spread, which systematic errors of the odometry hide,
+    and no closer than usual samples of the truth; a drive keeps 50 of them.
     """
     truth_s = recording.truth.seconds_since(recording.origin_ns)
     shared_s = float(min(truth_s[-1], recording.odometry_s[-1]) - max(truth_s[0], recording.odometry_s[0]))
     sampled_s = next((s for s in _SPACINGS_S if s >= 0.9 * float(np.median(np.diff(truth_s)))), _SPACINGS_S[-1])
     possible = [s for s in _SPACINGS_S if s * _ENOUGH <= shared_s]
-    if recording.localised and possible:
+    if possible:
         steps = np.diff(recording.odometry.xyt, axis=0)
         gone_m = float(np.hypot(steps[:, 0], steps[:, 1]).sum() + TURN_M * np.abs(steps[:, 2]).sum())
         usual_mps = gone_m / float(recording.odometry_s[-1] - recording.odometry_s[0])
