@@ -20,10 +20,22 @@ from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
-from odomcorrupt.study.select.candidates import Candidate, library_candidates, with_shape_refined
+from odomcorrupt.study.select.candidates import (
+    FORBIDDEN,
+    Candidate,
+    channels_of,
+    library_candidates,
+    with_shape_refined,
+)
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
-from odomcorrupt.study.select.elimination import backward_eliminate, eliminate_random, iterate, one_heading
+from odomcorrupt.study.select.elimination import (
+    backward_eliminate,
+    eliminate_random,
+    eliminate_untested,
+    iterate,
+    one_heading,
+)
 from odomcorrupt.study.select.heterogeneity import Disagreement, disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
@@ -31,6 +43,7 @@ from odomcorrupt.study.select.model_comparison import (
     best_dependence,
     best_replacement,
     compare_with_basis,
+    name_for,
 )
 from odomcorrupt.study.select.random_effects import (
     RandomCoefficient,
@@ -97,6 +110,7 @@ class Learned:
     fit : the final fit
     error_m : its 10 s position error on the fitted data
     disagreements : parameters that recordings do not agree about
+    contradictions : effects that would explain the data only with a sign that physics forbids, refused with the reason
     decisions : the decisions it was selected by
     held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
     """
@@ -110,6 +124,7 @@ class Learned:
     fit: Fit
     error_m: float
     disagreements: tuple[Disagreement, ...] = ()
+    contradictions: tuple[Candidate, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -179,6 +194,7 @@ def learn(
         fit=final,
         error_m=ten_second_error(final),
         disagreements=disagreements(final, decisions.heterogeneity_level),
+        contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
     )
 
@@ -191,6 +207,7 @@ class _Selection:
     given : names of effects that are not dropped
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
+    contradictions : effects that would explain the data with a sign that physics forbids
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
     """
 
@@ -201,6 +218,7 @@ class _Selection:
     steps: list[Step] = field(default_factory=list)
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
+    contradictions: list[Candidate] = field(default_factory=list)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
 
@@ -209,7 +227,7 @@ class _Selection:
 
     def run(self) -> _Selection:
         """Take steps until one includes nothing, then finish; return itself."""
-        while self._step():
+        while self._step() or self._name_laws():
             pass
         self._finish()
         return self
@@ -220,6 +238,26 @@ class _Selection:
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
             self._continue_from(proposal.candidate.fit)
+
+    def _name_laws(self) -> bool:
+        """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
+        for law in list(self.included):
+            name = name_for(self.fit, law, self.decisions)
+            if name is None:
+                continue
+            self.included.remove(law)
+            if name.fit is None:
+                self.contradictions.append(name)
+                self.fit = self.fit.refit([e for e in self.fit.effects if e.name != law.name])
+            else:
+                self._record([name], added=name.name)
+                self._continue_from(name.fit)
+            return True
+        return False
+
+    def _contradicted(self) -> set[str]:
+        """Return the channels that causes of impossible signs act on: an error there depends on what the data lack."""
+        return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
         """Take a model with one more term, without what the term makes redundant."""
@@ -274,7 +312,8 @@ class _Selection:
     def propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
-        self.open = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
+        found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
+        self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
@@ -298,14 +337,20 @@ class _Selection:
         return True
 
     def _finish(self) -> None:
-        """Name outliers, agree on one source of the heading, drop what is redundant, and compare what was included."""
+        """Note what contradicts physics, name outliers, and drop what is redundant; compare what was included."""
         decisions = self.decisions
-        outliers = outlier_effects(self.fit, decisions, tails=not self.noise and not self.open)
+        self.contradictions += [
+            one
+            for one in self.steps[-1].candidates
+            if FORBIDDEN in one.refused and one.score.robust_nats > decisions.replacement_nats
+        ]
+        self.open = [one for one in self.open if one.channel not in self._contradicted()]
+        outliers = outlier_effects(self.fit, decisions, tails=not (self.noise or self.open or self.included))
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
         self.fit = one_heading(self.fit, self.given, decisions)
-        self.fit = backward_eliminate(self.fit, self.given, decisions)
+        self.fit = eliminate_untested(self.fit, self.given, decisions)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # what they do is no noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
