@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, held_out_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -84,7 +84,7 @@ def step_sure(look: Step, learned: Learned) -> float:
 def noise_sure(gain: RandomCoefficient, learned: Learned) -> float:
     """Return how sure a name of noise is: whatever has no name looks like noise, one that wanders or one with tails."""
     left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
-    return confidence(Evidence(gain.nats, left=left))
+    return confidence(Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left))
 
 
 def sure_words(sure: float) -> str:
