@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.study.estimate.config import NODE_S
 from odomcorrupt.study.estimate.outliers import odd_steps
 from odomcorrupt.study.estimate.whitener import interval_covariance
 
@@ -39,6 +40,10 @@ _RANGE, _SIZE = 120.0, 1 << 14
 
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     """Return heavy tails and the nats by which they beat normal noise, where events lie on both sides; or None."""
+    if (
+        fit.problem.approach.spacing_s > NODE_S
+    ):  # a truth good to centimetres jumps and floats, and has tails of its own
+        return None
     odd_ones = odd_steps(fit)
     lasting = sum(event.lasting for event in odd_ones)
     # where most of what stands out comes back, it is the truth that errs
