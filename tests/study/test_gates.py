@@ -1,4 +1,4 @@
-"""What is refused, and why: factors that are large and signs that physics forbids, effects that others made redundant."""
+"""What is refused and why: signs that physics forbids, effects that others made redundant; and what is not."""
 
 from __future__ import annotations
 
