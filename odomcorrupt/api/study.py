@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.api.recordings import PathLikes
+    from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.report.text.summary import Line, Summary
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
@@ -139,7 +140,9 @@ def fit(
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    runs = as_recordings(recordings)
+    if begin is not None:
+        runs = runs.on_track(begin.track_m).in_frame(begin.setup.origin)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))
@@ -275,10 +278,19 @@ def compare(
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    runs = as_recordings(recordings).on_track(track)
+    runs = as_recordings(recordings).on_track(track).in_frame(_shared_origin(named))
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
+
+
+def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
+    """Return the origin that the places of all models are counted from; None where none says."""
+    origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
+    placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
+    if len(placed) > 1:
+        raise ModelError(f"{', '.join(origins)}: effects of places, counted from different origins; compare one by one")
+    return next(iter([*placed, *origins.values()]), None)
 
 
 def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
@@ -462,7 +474,9 @@ def diagnose(
 
     """
     known = None if model is None else as_model(model).motion_model
-    runs = as_recordings(recordings).on_track(None if known is None else known.track_m)
+    runs = as_recordings(recordings)
+    if known is not None:
+        runs = runs.on_track(known.track_m).in_frame(known.setup.origin)
     from odomcorrupt.study.pipeline import diagnose_model
 
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""
@@ -586,7 +600,7 @@ def learn(
     """
     runs = as_recordings(recordings)
     held_out = validate if isinstance(validate, Recordings) or validate else ()
-    others = as_recordings(held_out, like=runs) if held_out else ()
+    others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot
 
     return Learned(runs, learn_robot(runs, others, watch=watch))

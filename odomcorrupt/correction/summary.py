@@ -68,8 +68,10 @@ def correction_summary(corrected: Corrected) -> str:
     ]
     if corrected.strayed:
         names = ", ".join(effect.name for effect in corrected.strayed)
+        origin = corrected.model.setup.origin
+        frame = "the frame of the truth" + (f" (metres east and north of {origin})" if origin else "")
         parts.append(
-            f"{names}: acts by place or heading in the frame of the truth, which was taken to be "
+            f"{names}: acts by place or heading in {frame}, which was taken to be "
             f"{corrected.frames.odom}; if it is not, say with --start X,Y,THETA where in it this drive began."
         )
     parts += _remains(corrected) + _misplaced(corrected)

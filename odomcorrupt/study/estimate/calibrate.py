@@ -140,6 +140,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
             clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
+            origin=next((r.geodetic_origin for r in problem.recordings if r.geodetic_origin is not None), None),
         ),
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={

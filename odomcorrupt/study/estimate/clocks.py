@@ -38,6 +38,8 @@ RIVALS = ("accel_slip", "backlash", "channel_lag")
 class Clocks:
     """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
 
+    Rounded stamps hide an offset, which its error counts.
+
     noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
     ambiguous_nats : what the offset of a clock gains that was left at zero, because it is significant only without its
         rivals and one of them explains more: what they are given then may as well be the clock's
@@ -81,7 +83,10 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
-        tuple(f.errors for f in each),
+        tuple(
+            (float(np.hypot(f.errors[0], r.stamp_error_s)) if f.free[0] else f.errors[0], f.errors[1])
+            for f, r in zip(each, recordings, strict=True)
+        ),
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
         max(f.ambiguous_nats for f in each),
