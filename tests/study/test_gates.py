@@ -15,8 +15,10 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
+from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.candidates import library_candidates
+from odomcorrupt.study.select.closed_loop import of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import eliminate_untested
 from odomcorrupt.study.select.stepwise import learn
@@ -63,3 +65,32 @@ def test_tails_of_a_truth_that_is_noisier_than_the_odometry_are_not_the_odometry
     noise = np.random.default_rng(5).standard_t(2.5, true.shape) * [0.02, 0.02, 0.02]
     noisy = replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
     assert heavy_tails(fit([noisy], approach=choose_approach([noisy]))) is None
+
+
+def pulled(seed, *, scale=1.0, late_s=0.06, per_s=0.2):
+    """Return a recording whose odometry is late, and every second goes a part of the way to where the robot is."""
+    steps = wander(seed, 240.0)
+    true = accumulate(np.zeros(3), steps)
+    rows, late = np.arange(len(true)), round(late_s * 50.0)
+    said = true[np.maximum(rows - late, 0)].copy()
+    step = np.diff(said[:, :2], axis=0) * scale
+    odometry = said.copy()
+    for i in range(1, len(odometry)):
+        odometry[i, :2] = odometry[i - 1, :2] + step[i - 1]
+        if i % 50 == 0:
+            odometry[i, :2] += per_s * (true[i, :2] - odometry[i, :2])
+    run = recording(steps, odometry, seed=seed)
+    noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise), fading_per_s=per_s)
+
+
+def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
+    # odometry that is 60 ms late and pulled by a fifth a second seems to go 1.2 % too far
+    run = pulled(4)
+    fitted = fit([run], clocks=[Clock(0.06)], approach=choose_approach([run]))
+    refused = {one.name: one.refused for one in library_candidates(fitted, DECISIONS)}
+    assert refused["wheel_scale"]
+    assert of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.012}))
+    assert not of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.05}))
+    alone = fit([replace(run, fading_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
+    assert not library_candidates(alone, DECISIONS)[0].refused

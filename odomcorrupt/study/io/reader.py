@@ -11,6 +11,7 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
@@ -154,7 +155,11 @@ def recordings_of(
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
-    return [replace(r, notes=(opening, *r.notes, *said), stamp_error_s=rounded_s / math.sqrt(12.0)) for r in recordings]
+    fading = max(pull_of(calm, real))
+    return [
+        replace(r, notes=(opening, *r.notes, *said), stamp_error_s=rounded_s / math.sqrt(12.0), fading_per_s=fading)
+        for r in recordings
+    ]
 
 
 def automatic_scan(source: Source) -> str | None:

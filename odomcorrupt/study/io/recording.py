@@ -88,6 +88,7 @@ class Recording:
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
     geodetic_origin : of the truth's frame, where it was satellite fixes
+    fading_per_s : how fast the odometry's errors fade, because a filter pulls it towards poses; 0 where they do not
     stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
     """
 
@@ -102,6 +103,7 @@ class Recording:
     truth_scale_error: float = 0.0
     geodetic_origin: Origin | None = None
     stamp_error_s: float = 0.0
+    fading_per_s: float = 0.0
 
     @property
     def headed(self) -> bool:

@@ -20,7 +20,13 @@ from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.windows import WINDOW_S
-from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
+from odomcorrupt.study.select.closed_loop import (
+    acts_in_curves_only,
+    hardly_turns,
+    is_gain_of_turns,
+    may_be_steering,
+    of_pulls,
+)
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
@@ -156,6 +162,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> s
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
             why = "beyond what is physically possible" if room > 0.0 else FORBIDDEN
             return f"{p.name} would be {value:.3g}, {why}"
+    if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
+        return "no larger than what a filter makes that is given poses and comes late"
     columns = score.term.columns(fit.problem)
     answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
     steered = answers or (still and acts_in_curves_only(fit, score.effect))

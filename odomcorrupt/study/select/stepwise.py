@@ -26,6 +26,7 @@ from odomcorrupt.study.select.candidates import (
     library_candidates,
     with_shape_refined,
 )
+from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
@@ -227,7 +228,7 @@ class _Selection:
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
         """Return the random coefficient that explains plainly more than the best effect, if there is room for one."""
-        if len(self.fit.random) >= self.decisions.max_correlated:
+        if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
         found = random_coefficients(self.fit, self.decisions)
         return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
@@ -236,6 +237,7 @@ class _Selection:
         """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
         found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
+        found = [one for one in found if one.best is None or not of_pulls(self.fit, one.best.score.estimated)]
         self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)
@@ -268,7 +270,8 @@ class _Selection:
             if FORBIDDEN in one.refused and one.score.robust_nats > decisions.replacement_nats
         ]
         self.open = [one for one in self.open if one.channel not in self._contradicted()]
-        outliers = outlier_effects(self.fit, decisions, tails=not (self.noise or self.open or self.included))
+        tails = not (self.noise or self.open or self.included)
+        outliers = [] if is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
