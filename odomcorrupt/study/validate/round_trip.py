@@ -199,12 +199,17 @@ def _failure(model: MotionModel, drives: Sequence[_Drive], runs: int) -> str:
 
 
 def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
-    """Return by how much `correct` with a model makes the fitted data worse, or nothing.
+    """Return by how much `correct` with a model makes the fitted data worse though the fit did not, or nothing.
 
     What a fit reads of motion that is smooth on both sides, a correction reads of the motion as it comes.
     """
+    if not any(effect.reads_truth for effect in model.effects):
+        return ""
     left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
     if not left_m > _HARM * plain_m:
+        return ""
+    by_fit = phased_rmse([headed_anew(undo(d.recording, (*model.effects, *model.setup.effects))) for d in drives])
+    if not left_m > _HARM * by_fit:
         return ""
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
 
