@@ -71,8 +71,7 @@ class Decisions:
     form_share : part of the best form's gain that other forms of a dependence need to be fitted beside it
     reshape_nats : what a refined shape has to gain in the likelihood of a refit
     common, rare_nats : causes that every robot has a little of, and by how many nats the others are the less likely a
-        priori: nominal radii and tracks are never exact, gyros have a bias (Borenstein & Feng 1996), and truths follow
-        a marker beside the middle; seven to one
+        priori: nominal radii and tracks are never exact (Borenstein & Feng 1996) and gyros have a bias; seven to one
     unusual_nats : what a heading from a gyro has to explain on top where a whole model, or a basis function, says so
     unusual_shape_nats : the same in a shape search of one effect, before it is refitted
     known_gyro_nats : the same where a gyro's bias is in the model, so that there is a gyro
@@ -109,7 +108,7 @@ class Decisions:
     copy_share: float = 0.985
     form_share: float = 0.7
     reshape_nats: float = 1.0
-    common: tuple[str, ...] = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias", "lever_arm", "mount_yaw")
+    common: tuple[str, ...] = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
     rare_nats: float = 2.0
     unusual_nats: float = 4.0
     unusual_shape_nats: float = 2.0
