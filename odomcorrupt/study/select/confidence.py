@@ -88,8 +88,10 @@ def held_out_limit(name: str, nats: float, learned: Learned) -> float:
 
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence for the effect that a step included, in the light of the final model."""
-    own = held_out_limit(step.added or "", step.candidates[0].gain, learned)
-    rivals = tuple(c.gain for c in step.candidates[1:] if not c.refused)
+    gain = step.candidates[0].gain
+    own = held_out_limit(step.added or "", gain, learned)
+    # what chance gave to the effect on the fitted data it gave to its rivals, too
+    rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
     if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
         # the clock that was left out is a rival like any other; it explains no more than all of what this one does
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
