@@ -54,10 +54,11 @@ def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> 
 
 
 def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
-    """Return the fit whose effects of the library each pass the tests of inclusion beside all of the rest.
+    """Return the fit whose effects of the library each explain more than their penalty beside all of the rest.
 
     What came early was tested beside little, and may be nothing but what a later term, or the law of a cause without a
-    name, explains in full. The least goes first, and the others are tested again.
+    name, explains in full. Blocks of the drive say what a likelihood is worth, as they do at inclusion; but what was
+    plain once leaves only where nothing is left of it. The least goes first, and the others are tested again.
 
     keep : names of effects that stay in any case
     """
@@ -67,8 +68,8 @@ def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> 
             if effect.name in keep or effect.name not in registry():
                 continue
             term = LibraryTerm.of(effect, fit.problem.motions)
-            (score,) = score_terms(drop_term(fit, effect), [term], decisions, family=len(registry()))
-            if not (score.significant(decisions.level) and score.robust_nats > 0.0):
+            (score,) = score_terms(drop_term(fit, effect), [term], decisions)
+            if not score.robust_nats > 0.0:
                 failing.append((score.robust_nats, effect.name))
         if not failing:
             return fit
