@@ -81,7 +81,7 @@ def pulled(seed, *, scale=1.0, late_s=0.06, per_s=0.2):
             odometry[i, :2] += per_s * (true[i, :2] - odometry[i, :2])
     run = recording(steps, odometry, seed=seed)
     noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
-    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise), fading_per_s=per_s)
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise), pulled_per_s=per_s)
 
 
 def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
@@ -92,5 +92,5 @@ def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
     assert refused["wheel_scale"]
     assert of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.012}))
     assert not of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.05}))
-    alone = fit([replace(run, fading_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
+    alone = fit([replace(run, pulled_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
     assert not library_candidates(alone, DECISIONS)[0].refused

@@ -107,6 +107,16 @@ def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
     assert confidence(evidence_of(step, open_)) < 0.9
 
 
+def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
+    learned = believed(with_truth(drive(4), 5), "wheel_scale")
+    candidates = (SimpleNamespace(gain=40.0, refused="", name="wheel_scale"),)
+    (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
+    (run,) = learned.fit.problem.recordings
+    pulled = replace(learned.fit.problem, recordings=(replace(run, pulled_per_s=0.2),))
+    assert confidence(evidence_of(step, learned)) > 0.9
+    assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
+
+
 def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
     clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
     (sure,) = clocks_found(clocks)

@@ -19,15 +19,20 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "find_clocks"]
+__all__ = ["Clocks", "find_clocks", "levelled", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
 """A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
+_PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
+"""By how much truths differ where that is no accident of an estimate, and at most."""
+_LEAST_M, _LEAST_RAD = 1e-4, 1e-4
+"""Noise of a truth below which an estimate of it is nothing to compare with."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
 """Free beside the clocks while these are estimated, and then forgotten."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
@@ -46,6 +51,7 @@ class Clocks:
     rival_nats : what each rival of a clock gains in its place, where the clock explains more than any of them but is
         not significant beside all
     untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
+    truths : noise of the truth of each recording, of the fits of their clocks
     """
 
     clocks: tuple[Clock, ...]
@@ -56,6 +62,7 @@ class Clocks:
     ambiguous_nats: float = 0.0
     rival_nats: tuple[float, ...] = ()
     untested: tuple[str, ...] = ()
+    truths: tuple[TruthNoise, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,16 +90,48 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
-        tuple(
-            (float(np.hypot(f.errors[0], r.stamp_error_s)) if f.free[0] else f.errors[0], f.errors[1])
-            for f, r in zip(each, recordings, strict=True)
-        ),
+        with_rounding([f.errors for f in each], [f.free for f in each], recordings),
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
         max(f.ambiguous_nats for f in each),
         max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
         tuple(n for n in RIVALS if registry()[n].needs_track and any(r.track_m is None for r in recordings)),
+        tuple(f.fit.noise.truth for f in each),
     )
+
+
+def with_rounding(
+    errors: Sequence[Sequence[float]], free: Sequence[tuple[bool, bool]], recordings: Sequence[Recording]
+) -> tuple[tuple[float, float], ...]:
+    """Return the standard errors (R, 2) of clocks, those of free offsets with what rounded stamps hide."""
+    return tuple(
+        (float(np.hypot(own[0], r.stamp_error_s)) if moves[0] else float(own[0]), float(own[1]))
+        for own, moves, r in zip(errors, free, recordings, strict=True)
+    )
+
+
+def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]:
+    """Return recordings that know how noisy their truths are beside that of the first one, where that is plain.
+
+    Runs of one robot share its effects and its noise; one may be seen by motion capture and another by a localisation.
+    """
+    if len(clocks.truths) != len(recordings) or len(recordings) < 2:
+        return list(recordings)
+    first = clocks.truths[0]
+    found = []
+    for recording, truth in zip(recordings, clocks.truths, strict=True):
+        both = recording.headed and recordings[0].headed
+        ratio = (
+            truth.xy_m / max(first.xy_m, _LEAST_M),
+            truth.yaw_rad / max(first.yaw_rad, _LEAST_RAD) if both else 1.0,
+        )
+        level = tuple(float(np.clip(r, 1.0 / _MOST_LEVEL, _MOST_LEVEL)) if _differs(r) else 1.0 for r in ratio)
+        found.append(replace(recording, truth_level=(level[0], level[1])))
+    return found
+
+
+def _differs(ratio: float) -> bool:
+    return not 1.0 / _PLAIN_LEVEL < ratio < _PLAIN_LEVEL
 
 
 def _rivals(*, wheels: bool) -> list[Effect]:

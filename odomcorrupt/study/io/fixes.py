@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Fixes", "Resolved", "resolved"]
 
-FLOAT_TIMES = 5.0
-"""A fix whose deviation is so many times that of the best ones is not one of them."""
+FLOAT_TIMES, _SETTLED_TIMES = 5.0, 2.5
+"""A fix whose deviation is so many times that of the best ones is not one of them; and the episode lasts until it is
+less than so many times: a float solution claims less and less while it settles."""
 _BEST, _ENOUGH = 0.1, 0.3
 """Quantile of the best fixes; part of all fixes that has to be left."""
 _ISLAND_S = 3.0
@@ -101,6 +102,8 @@ def _poor(status: NDArray[np.int8], variance_m2: Array) -> NDArray[np.bool_]:
     if np.any(claimed & ~poor):
         best = float(np.quantile(variance_m2[claimed & ~poor], _BEST))
         poor |= claimed & (variance_m2 > FLOAT_TIMES**2 * best)
+        for first, last in _runs(poor | (claimed & (variance_m2 > _SETTLED_TIMES**2 * best))):
+            poor[first:last] |= poor[first:last].any()
     return poor
 
 

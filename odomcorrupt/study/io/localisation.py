@@ -7,6 +7,8 @@ the odometry, errors and all, and agrees with it. Only the poses at which the co
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +28,10 @@ REPEATED, CORRECTIONS = 0.3, 20
 
 It takes so many corrections to learn from.
 """
+_NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
+"""Topics on which a localisation publishes its own poses."""
+_SPARSE_HZ = 5.0
+"""Rate below which such poses are corrections; above it a tracker of scans or images says where it is all the time."""
 _SAME, _MOVES = 1e-6, 1e-4
 """Metres and radians: steps that differ by less are the same, and a robot that moves by less stands."""
 _CORRECTS = 5e-4
@@ -37,10 +43,12 @@ _BACK = 4
 def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     """Return the truth at its corrections where in between it repeats the odometry, as it is where it does not.
 
-    Both by growing stamps.
+    Both by growing stamps. A sparse one that is by its name a localisation's is marked as such.
     """
     if not (truth.headed and odometry.headed):
         return truth
+    sparse = len(truth) < _SPARSE_HZ * truth.span_s
+    truth = replace(truth, localised=truth.localised or (sparse and bool(_NAMES.search(truth.name.lower()))))
     inside = np.flatnonzero((truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1]))
     if len(inside) < CORRECTIONS:
         return truth
@@ -63,7 +71,7 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     if best is None:
         return truth
     rows = np.concatenate((inside[:1], inside[1:][best]))
-    return truth.only(
+    return replace(truth, localised=True).only(
         rows,
         f"a localisation on top of {odometry.name}; the truth is taken at its {len(rows)} corrections alone: between "
         "them it repeats the odometry",

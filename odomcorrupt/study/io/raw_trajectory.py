@@ -37,6 +37,7 @@ class Samples:
     child : the frame that moves, "" where nobody says
     notes : what was noticed or left out so far, in words
     geodetic_origin : of its frame, where it was satellite fixes
+    localised : whether it is the corrections of a localisation, whose errors are alike over some length of path
     """
 
     place: str
@@ -51,6 +52,7 @@ class Samples:
     covariance: Array | None = None
     child: str = ""
     geodetic_origin: Origin | None = None
+    localised: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -155,9 +155,14 @@ def recordings_of(
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
-    fading = max(pull_of(calm, real))
     return [
-        replace(r, notes=(opening, *r.notes, *said), stamp_error_s=rounded_s / math.sqrt(12.0), fading_per_s=fading)
+        replace(
+            r,
+            notes=(opening, *r.notes, *said),
+            stamp_error_s=rounded_s / math.sqrt(12.0),
+            localised=truth.localised,
+            pulled_per_s=max(pull_of(calm, real)),
+        )
         for r in recordings
     ]
 

@@ -131,6 +131,7 @@ class EdgeReader:
             none.astype(np.int64),
             none,
             tuple(notes),
+            localised=found is not None,
         )
 
     def _edge(self, edge: Edge) -> _Ordered:

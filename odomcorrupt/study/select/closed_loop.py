@@ -93,7 +93,7 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
 
 def is_pulled(fit: Fit) -> bool:
     """Tell whether a filter pulls the odometry of any recording towards poses, so that its noise fades."""
-    return any(recording.fading_per_s > 0.0 for recording in fit.problem.recordings)
+    return any(recording.pulled_per_s > 0.0 for recording in fit.problem.recordings)
 
 
 def of_pulls(fit: Fit, effect: Effect) -> bool:
@@ -105,7 +105,7 @@ def of_pulls(fit: Fit, effect: Effect) -> bool:
     problem = fit.problem
     filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")
     late_s = max(_LATE_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
-    most = _PULLED * late_s * max(recording.fading_per_s for recording in problem.recordings)
+    most = _PULLED * late_s * max(recording.pulled_per_s for recording in problem.recordings)
     if not most > 0.0:
         return False
     moved = np.concatenate([np.stack((m.v, m.omega), axis=1) for m in problem.motions])

@@ -95,6 +95,9 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
         # the clock that was left out is a rival like any other; it explains no more than all of what this one does
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
+    if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
+        # what a filter that is given poses takes out passes for gains and biases of any kind
+        rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     margin = learned.margins.get(step.added or "", inf)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.estimate.clocks import find_clocks
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
@@ -91,6 +91,7 @@ def learn(
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
+    recordings = levelled(recordings, clocks)
     fitted = fit(
         recordings,
         [e for e in start if e.kind != "noise"],
@@ -107,7 +108,7 @@ def learn(
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
-    errors = tuple((float(offset), float(rate)) for offset, rate in final.clock_errors)
+    errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
     return Learned(
         clocks=replace(clocks, clocks=final.problem.clocks, errors=errors),
         rounds=tuple(found.steps),

@@ -46,6 +46,17 @@ def test_float_episodes_are_left_out_and_said_in_one_line(status, sigma_m):
     assert found.notes[0].startswith("2 float episodes, 31 s, left out (155 of 500 fixes")
 
 
+def test_an_episode_lasts_until_the_receiver_is_as_sure_again_as_it_is_when_fixed():
+    """A float solution claims 0.4 m at first and 4 cm when its ambiguities are resolved, three times a fix's 1.4 cm."""
+    settling = np.where(between((20, 60)), np.maximum(0.4 * np.exp(-(TIMES - 20.0) / 12.0), 0.04), 0.014)
+    found = resolved(fixes(2, settling))
+    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 60))))
+
+
+def test_geometry_that_is_poor_for_a_while_is_no_episode():
+    assert len(resolved(fixes(2, np.where(between((20, 60)), 0.04, 0.014))).rows) == len(TIMES)
+
+
 def test_a_moment_of_fixes_between_two_float_episodes_is_not_trusted():
     found = resolved(fixes(np.where(between((20, 40), (41.5, 50)), 0, 2), 0.0))
     assert np.array_equal(found.rows, np.flatnonzero(~between((20, 50))))

@@ -85,3 +85,12 @@ def test_a_truth_of_its_own_is_left_as_it_is(tmp_path):
     )
     (recording,) = read_runs(Source(bag))
     assert len(recording.truth) == len(base)
+
+
+@pytest.mark.parametrize(("name", "every", "localised"), [("/amcl_pose", 20, True), ("/orb_slam/pose", 1, False)])
+def test_sparse_poses_of_a_localisation_are_known_by_their_name(tmp_path, name, every, localised):
+    moved, base, _ = drive()
+    poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::every], base[::every]))
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    assert recording.localised == localised
+    assert len(recording.truth) == len(base[::every])
