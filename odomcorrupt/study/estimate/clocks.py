@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.gauss_newton import carried, fit
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
 
@@ -45,8 +46,10 @@ class Clocks:
     Rounded stamps hide an offset, which its error counts.
 
     noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
-    ambiguous_nats : what the offset of a clock gains that was left at zero because it is significant only without its
-        rivals: what they are given then may as well be the clock's
+    ambiguous_nats : what the offset of a clock gains that was left at zero, because it is significant only without its
+        rivals and one of them explains more: what they are given then may as well be the clock's
+    rival_nats : what each rival of a clock gains in its place, where the clock explains more than any of them but is
+        not significant beside all
     untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
     truths : noise of the truth of each recording, of the fits of their clocks
     """
@@ -57,6 +60,7 @@ class Clocks:
     noise: Array | None = None
     beside: tuple[Effect, ...] = ()
     ambiguous_nats: float = 0.0
+    rival_nats: tuple[float, ...] = ()
     untested: tuple[str, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
 
@@ -70,6 +74,7 @@ class _Found:
     errors: tuple[float, float]
     fit: Fit
     ambiguous_nats: float = 0.0
+    rival_nats: tuple[float, ...] = ()
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
@@ -89,6 +94,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
         max(f.ambiguous_nats for f in each),
+        max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
         tuple(n for n in RIVALS if registry()[n].needs_track and any(r.track_m is None for r in recordings)),
         tuple(f.fit.noise.truth for f in each),
     )
@@ -146,7 +152,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     rivals = _rivals(wheels=runs[0].track_m is not None)
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
-    noise, alone_nats = None, 0.0
+    noise, alone = None, None
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
@@ -166,10 +172,40 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
             if not beside and not free[1]:
-                alone_nats = 0.5 * (last / error) ** 2
+                alone = _Found(clock, free, errors, best)
             nuisance = best.onward.effects[: len(nuisance)]
         else:
             before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
             if after < _CLOCK_HARM * before:
                 return _Found(clock, free, errors, best)
-    return _Found(Clock(), (False, False), (0.0, 0.0), best, alone_nats)
+    nothing = _Found(Clock(), (False, False), (0.0, 0.0), best)
+    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
+
+
+def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:
+    """Return a clock that is plain only without its rivals where it explains more than each of them; else no clock.
+
+    One alone may do what it takes all of them to imitate.
+    """
+    nuisance, approach = nothing.fit.onward.effects[: len(NUISANCE)], clock.fit.problem.approach
+
+    def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
+        clocks, effects = [Clock(offset_s)] * len(runs), (*nuisance, *effects)
+        return fit(
+            runs,
+            effects,
+            clocks=clocks,
+            free_clocks=[(offset_s != 0.0, False)] * len(runs),
+            approach=approach,
+            start=clock.fit.noise.free,
+            weights=carried(
+                clock.fit.noise.weights, clock.fit.problem, pose_problem(runs, effects, clocks, approach=approach)
+            ),
+        ).log_likelihood
+
+    without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)
+    own = with_it - without
+    gains = tuple(likelihood((rival,)) - without for rival in rivals)
+    if own > max(gains, default=0.0):
+        return replace(clock, rival_nats=gains)
+    return replace(nothing, ambiguous_nats=max(own, 0.0))
