@@ -7,10 +7,11 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression, twins_of
+from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression
 from odomcorrupt.report.text.diagnosis import dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -54,7 +55,7 @@ def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float
     sure = step_sure(look, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
-    if twins := twins_of(effect.name):
+    if twins := readings_of(effect, learned.drive_type):
         lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
     if rivals := [name for name in look.alternatives if name not in twins]:
         lines.append(f"<p>or {escape(', '.join(rivals))}: these data cannot tell</p>")

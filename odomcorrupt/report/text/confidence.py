@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
@@ -27,7 +26,6 @@ __all__ = [
     "step_sure",
     "sure_words",
     "told_expression",
-    "twins_of",
 ]
 
 _CLOCKS = ("time_offset", "clock_skew")
@@ -53,14 +51,6 @@ class LawNumber(NamedTuple):
     value: float
     error: float
     unit: str
-
-
-def twins_of(name: str) -> list[str]:
-    """Return the effects with the very same error as a named one: other readings of it, and no rivals."""
-    kinds = registry()
-    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
-    own = kinds[name].twin_of if name in kinds else None
-    return [*twins, *([own] if own is not None else [])]
 
 
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:

@@ -6,7 +6,8 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.report.text.confidence import clocks_found, step_sure, sure_words, twins_of
+from odomcorrupt.report.text.confidence import clocks_found, step_sure, sure_words
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +102,7 @@ def ladder_text(learned: Learned) -> str:
     for look in learned.steps:
         if look.added is not None:
             before, after = look.candidates[0].rmse
-            twins = twins_of(look.added)
+            twins = readings_of(own[look.added], learned.drive_type)
             others = [name for name in look.alternatives if name not in twins]
             rivals = f" (= {', '.join(twins)}: one error, two readings)" if twins else ""
             rivals += f" (or {', '.join(others)}: these data cannot tell)" if others else ""

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects import registry
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -40,6 +39,7 @@ from odomcorrupt.study.select.random_effects import (
     random_coefficients,
 )
 from odomcorrupt.study.select.screening import CoarseDesign
+from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.terms.drive_type import DriveType
 
 __all__ = ["Learned", "Step", "learn"]
 
@@ -80,8 +81,10 @@ class Step:
             return ()
         least = self.candidates[0].gain - self.alternative_nats
         near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
-        aliased = [name for name, kind in registry().items() if kind.twin_of in (self.added, *near)]
-        return (*near, *aliased)
+        drive = drive_type_of(self.before.problem.recordings)
+        own = self.candidates[0].score.estimated
+        aliased = [*readings_of(own, drive), *(twin for name in near for twin in readings_of(name, drive))]
+        return tuple(dict.fromkeys(name for name in (*near, *aliased) if name != self.added))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +115,11 @@ class Learned:
     disagreements: tuple[Disagreement, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def drive_type(self) -> DriveType:
+        """How the robot's wheels steer it."""
+        return drive_type_of(self.fit.problem.recordings)
 
     @property
     def added(self) -> tuple[str, ...]:
