@@ -139,7 +139,9 @@ def fit(
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    runs = as_recordings(recordings)
+    if begin is not None:
+        runs = runs.on_track(begin.track_m).of_drive_type(begin.setup.drive_type)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))
@@ -275,7 +277,8 @@ def compare(
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    runs = as_recordings(recordings).on_track(track)
+    drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
+    runs = as_recordings(recordings).on_track(track).of_drive_type(drive_type)
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
@@ -462,7 +465,9 @@ def diagnose(
 
     """
     known = None if model is None else as_model(model).motion_model
-    runs = as_recordings(recordings).on_track(None if known is None else known.track_m)
+    runs = as_recordings(recordings)
+    if known is not None:
+        runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type)
     from odomcorrupt.study.pipeline import diagnose_model
 
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""

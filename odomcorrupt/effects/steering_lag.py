@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.drive_types import STEERED
+from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects.effect import (
     About,
     Effect,

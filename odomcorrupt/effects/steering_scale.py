@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
-from odomcorrupt.effects.drive_types import STEERED
+from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.steering import axles_parameter, on_every_axle_distance, steepness
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from odomcorrupt.effects.drive_types import PIVOTING
+from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 

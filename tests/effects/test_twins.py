@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from manoeuvres import motion
 
+from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.drive_types import DRIVE_TYPES
 from odomcorrupt.effects.effect import amplitudes, parameters
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.geometry.motion import error_of

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.drive_types import AUTO
+from odomcorrupt.drive_types import AUTO
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import interpolate, wrap
 
@@ -83,7 +83,7 @@ class Recording:
 
     origin_ns : what float times count from: the odometry's first stamp as it was recorded
     track_m : the robot's nominal track where it is known
-    drive_type : how its wheels steer it, see `effects.drive_types`; "auto" where nobody said it
+    drive_type : how its wheels steer it, see `drive_types`; "auto" where nobody said it
     notes : what reading it left out or noticed, in words
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.drive_types import AUTO, STEERED
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.geometry.increments import increments
@@ -56,14 +56,21 @@ _GYRO_RAD = 1e-4
 class DriveType:
     """How the wheels steer a robot.
 
-    name : one of `effects.drive_types.DRIVE_TYPES`
-    reason : why, where it was guessed; "" where it was given
+    name : one of `drive_types.DRIVE_TYPES`
+    reason : why, where it was guessed; "" where it was given, or where nothing speaks against a differential drive
+    stated : whether it was given
     gyro : whether the heading may be a gyro's; a steered robot's is not where the odometry does not turn at rest
     """
 
     name: str
     reason: str = ""
     gyro: bool = True
+    stated: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Whether it was given, or the motion shows it."""
+        return self.stated or bool(self.reason)
 
     @property
     def steered(self) -> bool:
@@ -86,7 +93,7 @@ def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
     slow = [_slow_driving(r) for r in recordings]
     turns_at_rest = any(s.turned_at_rest > _GYRO_RAD for s in slow)
     if given is not None:
-        return DriveType(given, gyro=turns_at_rest or given not in STEERED)
+        return DriveType(given, gyro=turns_at_rest or given not in STEERED, stated=True)
     along, across = sum(s.along_m for s in slow), sum(s.across_m for s in slow)
     if across > 0.1 * along:
         return DriveType("omni", "it moves sideways")
