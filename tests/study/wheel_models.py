@@ -83,7 +83,7 @@ def recorded(name, odometry, truth, rng):
     )
 
 
-def car(seed, flaw=Flaw(), seconds=240.0):  # noqa: B008 - a frozen value
+def car(seed, flaw=Flaw(), seconds=240.0):
     """Return the recording of a car; chance is on the ground, by the way of the wheel."""
     rng = np.random.default_rng([seed, 1])
     v, seen = commands(seed, seconds)
@@ -121,5 +121,5 @@ def hobby(seed, true_of, seconds=300.0, reported_of=None):
     true = [true_of(u, t_s) for u in sides]
     true = [u / GRID_HZ + 0.0015 * np.sqrt(np.abs(u) / GRID_HZ) * rng.standard_normal(n) for u in true]
     seen = [(u if reported_of is None else reported_of(u, t_s)) / GRID_HZ for u in sides]
-    truth, odometry = (composed((r + l) / 2.0, (r - l) / HOBBY_TRACK_M) for r, l in (true, seen))
+    truth, odometry = (composed((u[0] + u[1]) / 2.0, (u[0] - u[1]) / HOBBY_TRACK_M) for u in (true, seen))
     return recorded("hobby", odometry, truth, rng)
