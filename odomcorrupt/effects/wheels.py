@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
+    "TRACKS_M",
     "Rims",
     "body_of",
     "brings_track",
@@ -28,7 +29,7 @@ __all__ = [
     "wheel_motions",
 ]
 
-_TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
+TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
 """Tracks on which an effect of single wheels is tried where the robot's is not known."""
 
 E = TypeVar("E", bound=Effect)
@@ -51,7 +52,7 @@ def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, 
     """Return effects as they are where the robot's track is known, and on every track that is tried where it is not."""
     if all(m.track_m is not None for m in motions):
         return tuple(effects)
-    return tuple(replace(effect, track=track_m) for effect in effects for track_m in _TRACKS_M)  # type: ignore[type-var]
+    return tuple(replace(effect, track=track_m) for effect in effects for track_m in TRACKS_M)  # type: ignore[type-var]
 
 
 def heading_choice() -> Any:

@@ -19,6 +19,7 @@ from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
 from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.drive_type import library_families
@@ -59,7 +60,9 @@ class Candidate:
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     """Return every systematic effect that the robot can have and the model does not, as a family of shapes."""
     problem = fit.problem
-    return library_families(problem.recordings, problem.motions, {effect.name for effect in fit.effects})
+    have = {effect.name for effect in fit.effects}
+    families = library_families(problem.recordings, problem.motions, have)
+    return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
 def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
