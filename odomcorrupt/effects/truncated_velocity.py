@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _LONG_S = 3600.0
+_STILL = 0.02
+"""m/s and rad/s near which a smooth speed has no sign of its own: a robot that stands sways by as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,7 @@ class TruncatedVelocity(Effect):
     """f = (step sign(v) / 2, 0, turn sign(omega) / 2): on average half a step is cut off towards zero.
 
     Corruption cuts speeds down to whole steps; what the rest was the report does not tell, so correction adds its mean.
+    Towards rest the sign fades, u / sqrt(u^2 + 0.02^2).
     """
 
     name: ClassVar[str] = "truncated_velocity"
@@ -55,7 +58,9 @@ class TruncatedVelocity(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: half a step in the direction of the motion."""
-        along, yaw = (0.5 * size * np.sign(u) for size, u in ((self.step, motion.v), (self.turn, motion.omega)))
+        along, yaw = (
+            0.5 * size * u / np.hypot(u, _STILL) for size, u in ((self.step, motion.v), (self.turn, motion.omega))
+        )
         return TwistError(stacked(along, 0.0, yaw, motion.v), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
