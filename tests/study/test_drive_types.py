@@ -111,6 +111,20 @@ def test_wheels_show_their_flaw_and_their_track_where_nobody_said_it(true_of, re
         assert learned.steps[0].alternatives == ("battery_sag",)
 
 
+@pytest.mark.slow
+def test_a_flat_side_of_one_wheel_has_its_name_and_circumference():
+    turn_m, sides = 0.204, iter((0.12, 0.0))
+
+    def flat_on_the_right(u, _t_s):
+        """Return the speeds of the right wheel, asked first, which loses 12 % over a sixth of each turn."""
+        turned = np.cumsum(u) / GRID_HZ / turn_m * 2.0 * np.pi
+        return u * (1.0 - next(sides) * (np.abs((turned + 1.0 + np.pi) % (2.0 * np.pi) - np.pi) < 0.5))
+
+    effect, _ = only(learn([replace(hobby(1, flat_on_the_right), track_m=HOBBY_TRACK_M)]))
+    assert (effect.name, effect.wheel, effect.form) == ("flat_spot", "right", "flat")
+    assert effect.circumference == pytest.approx(turn_m, rel=0.003)
+
+
 def names_of(run):
     motion = driving_motion(run, "odometry")
     return {family[0].name for family in library_families([run], [motion], ())}
