@@ -39,7 +39,7 @@ _COEFFICIENTS = {
     "white_omega": "rad/s",
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
-_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
+_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "random_walk"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
 

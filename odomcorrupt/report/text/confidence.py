@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def step_confidence(step: Step, learned: Learned) -> float:
 
 def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
     """Return the confidence in the name of a random effect; any dependence resembles a slow gain."""
-    like_anything = gain.effect.name in WANDERING
+    like_anything = gain.effect.name in CORRELATED_NOISE
     left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
     return confidence(Evidence(gain.nats, left=left))
 

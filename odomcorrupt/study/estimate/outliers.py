@@ -205,7 +205,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
     duration = 0.5 * spacing
     slip = float(np.median(slips[slips > 0.0])) * spacing / duration
     seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
-    # a stretch in which the truth stood still or went back asks for more than a burst can lose
+    # a stretch in which the truth rested or reversed asks for more than a burst can lose
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
     words = _words([event for event in lasting if event.slip > 0.0], fit.problem.recordings[0].track_m)

@@ -173,7 +173,7 @@ class _PoseReader:
 def _resolved(variance_m2: Array) -> NDArray[np.bool_]:
     """Return which fixes (n,) are about as good as the best ones, by the variance that they claim; all if none is.
 
-    A receiver that loses its ambiguities goes on with fixes that are decimetres off and wander back as they settle.
+    A receiver that loses its ambiguities goes on with fixes that are decimetres off and drift back as they converge.
     """
     claimed = variance_m2[np.isfinite(variance_m2) & (variance_m2 > 0.0)]
     if not len(claimed):

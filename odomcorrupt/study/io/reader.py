@@ -58,10 +58,10 @@ class Source:
     truth_scale_error: float = SCALE_ACCURACY
 
 
-def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
+def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
 
-    told : called with what takes long, and which part of it is done
+    progress : called with the stage and its share that is done
 
     Raises
     ------
@@ -78,7 +78,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, told)
+    run = laser_run(source.path, _place(source), odom, scan, progress)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)

@@ -60,7 +60,7 @@ class Candidate:
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     """Return every registered systematic effect that the model does not have, as a family of shapes worth trying.
 
-    Clocks are apart, a twin is named as an alternative of the one it cannot be told from, single wheels need a track,
+    Clocks are apart, an alias is named as an alternative, single wheels need a track,
     and not every robot drives sideways.
     """
     have = {effect.name for effect in fit.effects}
@@ -125,7 +125,7 @@ def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
 def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
     """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
     if not score.separable:
-        return "cannot be told from what is in the model"
+        return "not separable from what is in the model"
     for p, value, error in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True):
         room = p.high if value > 0.0 else -p.low
         if error * decisions.testable_errors > 0.5 * max(p.high, -p.low):

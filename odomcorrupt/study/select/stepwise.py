@@ -17,14 +17,14 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.select.candidates import Candidate, library_candidates, with_shape_refined
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import backward_eliminate, eliminate_random, iterate, one_heading
-from odomcorrupt.study.select.heterogeneity import Disagreement, disagreements
+from odomcorrupt.study.select.heterogeneity import ParameterDifference, disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
     Proposal,
@@ -109,7 +109,7 @@ class Learned:
     margins: Mapping[str, float]
     fit: Fit
     error_m: float
-    disagreements: tuple[Disagreement, ...] = ()
+    disagreements: tuple[ParameterDifference, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -158,7 +158,7 @@ def learn(
         clocks=clocks.clocks,
         free_clocks=clocks.free,
         approach=approach,
-        random=[e for e in start if e.name in WANDERING],
+        random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}

@@ -22,7 +22,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["RUNS", "RoundTrip", "bound_notes", "proved"]
+__all__ = ["RUNS", "RoundTrip", "bound_notes", "verified_model"]
 
 RUNS = 20
 """Corrupted runs that have to succeed, where a model draws random effects; without them every run is the same."""
@@ -68,7 +68,7 @@ class _Drive:
     true_xyt: Array
 
 
-def proved(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
+def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
     """Return the model as it can be used, and what was changed.
 
     Parameters
@@ -124,7 +124,7 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
         return []
     on_time = [aligned(r, _clock(model, r)) for r in recordings]
     robot, both = (
-        phased_rmse([headed_anew(undo(r, effects)) for r in on_time])
+        phased_rmse([with_recomputed_headings(undo(r, effects)) for r in on_time])
         for effects in (model.effects, (*model.effects, *model.setup.effects))
     )
     if not abs(robot - both) > _OTHER_ERROR * both:
@@ -147,7 +147,7 @@ def _on_bound(value: float, p: Parameter) -> bool:
 
 
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
-    whole = overlapping(headed_anew(aligned(recording, _clock(model, recording))))
+    whole = overlapping(with_recomputed_headings(aligned(recording, _clock(model, recording))))
     smooth, _ = smooth_truth(whole)
     return _Drive(whole.odometry.stamps_ns, whole.odometry_s, whole.odometry.xyt, smooth)
 
