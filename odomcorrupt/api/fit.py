@@ -120,7 +120,9 @@ def fit(
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    runs = as_recordings(recordings)
+    if begin is not None:
+        runs = runs.on_track(begin.track_m).in_frame(begin.setup.origin)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))

@@ -15,6 +15,7 @@ from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.model.model_file import format_model
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
@@ -243,10 +245,16 @@ class MultiSink:
 class FullSink(BagSink):
     """A whole bag, byte-identical to that of a single run."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
+    def __init__(self, job: Job, run: int, output: Target, workers: Workers) -> None:
         c = job.container
         writer = open_writer(
-            job.path_of(run), reader, overwrite=True, compression=c.compression, level=c.level, workers=workers
+            job.path_of(run),
+            output.reader,
+            overwrite=True,
+            compression=c.compression,
+            level=c.level,
+            workers=workers,
+            form=output.form,
         )
         super().__init__(job, run, writer)
 
@@ -260,25 +268,13 @@ class FullSink(BagSink):
         self._writer.settle()
 
 
-class _Foreign:
-    """A reader presented as one of another format, so that a writer assigns new ids and definitions."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind = "ros1" if ros1 else reader.kind
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition = reader.definition
-
-
 class OverlaySink(BagSink):
     """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.container
-        foreign: Any = _Foreign(reader)
-        codec = None if c.compression == "bz2" else c.compression
+        foreign: Any = Foreign(reader)
+        codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)
         super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
@@ -292,4 +288,5 @@ class OverlaySink(BagSink):
 
 
 def _is_mcap(reader: BagReader) -> bool:
-    return reader.kind == "mcap"
+    """Whether blocks hold the records of an MCAP, which bare messages decompressed one by one are not."""
+    return reader.kind == "mcap" and getattr(reader, "mode", "none") != "message"

@@ -253,10 +253,17 @@ def correct_bag(
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockInverse(clocks)))
     transform = Transform(moving, 0, 0, options, path=path)
-    with open_reader(source, recover=container.recover) as reader:
+    with open_reader(source, recover=container.recover) as raw:
+        output = container.target(target, raw)
+        reader = output.reader
         transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
-            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+            target,
+            reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            form=output.form,
         )
         with writer:
             for block in transform.blocks(reader, reader.name, writer):

@@ -280,6 +280,6 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
         f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."
         for edge in sorted(changes.static)
     ]
-    lost = [f"Lost: {loss}." for loss in outcome.losses]
+    lost = [f"Lost: {loss}." for loss in outcome.losses] + [f"{remark}." for remark in outcome.remarks]
     said = [*static, *lost, *(sentence for sentence, count in counted.items() if count > 0)]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

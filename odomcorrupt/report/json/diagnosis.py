@@ -101,6 +101,7 @@ def learned_json(
                 }
                 for one in learned.disagreements
             ],
+            "contradictions": [{"effect": one.name, "why": one.refused} for one in learned.contradictions],
             "ladder": [_step(judgement) for judgement in sequence],
             **_advice(advice),
         }

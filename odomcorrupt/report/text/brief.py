@@ -16,7 +16,7 @@ from odomcorrupt.report.text.confidence import (
     step_confidence,
     twins_of,
 )
-from odomcorrupt.report.text.diagnosis import dependence
+from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
@@ -127,6 +127,7 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
+    lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
     return lines
 
 

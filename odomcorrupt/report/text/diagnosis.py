@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.outliers import Event
+    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
+__all__ = ["NOTHING", "contradiction", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
@@ -58,6 +59,7 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
             "hard at two speeds, with turns on the spot between"
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
+    lines += [contradiction(one) for one in learned.contradictions]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
     if why:
         lines.append(unnamed(why, found=bool(lines)))
@@ -111,6 +113,14 @@ def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
     return (
         f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
         "learn from recordings of one state"
+    )
+
+
+def contradiction(one: Candidate) -> str:
+    """Return that the data ask for what physics does not allow, and what to check."""
+    return (
+        f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Look at "
+        "how odometry and truth are stamped and integrated, which point the truth follows, and the signs of the axes"
     )
 
 

@@ -112,7 +112,7 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
         for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
     ]
     random_walk = np.zeros_like(a)
-    random_walk[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
+    random_walk[:, [0, 1], [0, 1]] = (nodes.random_walk_level**2 * (nodes.end_s - nodes.start_s))[:, None]
     pieces.append((random_walk, np.zeros_like(a[1:])))
     return pieces
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,15 @@ import numpy as np
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS
@@ -73,8 +77,7 @@ def read_runs(source: Source, progress: Callable[[str, float], None] | None = No
     """
     scan = source.scan or automatic_scan(source)
     if scan is None:
-        odometry, truth = _read(source)
-        return recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+        return _between_clock_steps(source, *_read(source))
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
@@ -105,6 +108,23 @@ def read_runs(source: Source, progress: Callable[[str, float], None] | None = No
     ]
 
 
+def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
+    """Return the recordings of a run, those before and after a step of a clock apart."""
+    name = source.name or source.path.name
+    pairs = [(one, other) for one in between_steps(odometry) for other in between_steps(truth)]
+    found: list[Recording] = []
+    why: RecordingError | None = None
+    for one, other in pairs:
+        part = f"{name} clock {len(found) + 1}" if len(pairs) > 1 else name
+        try:
+            found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
+        except RecordingError as error:
+            why = error
+    if why is not None and not found:
+        raise why
+    return found
+
+
 def recordings_of(
     name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
 ) -> list[Recording]:
@@ -117,12 +137,14 @@ def recordings_of(
 
     """
     odometry, truth = in_order(odometry), in_order(truth)
+    rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))
+    odometry, truth = even_stamps(odometry), even_stamps(truth)
     if truth_shift_s:
         shift = round(truth_shift_s * 1e9)
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_constant_heading(odometry, truth)
+    truth = corrections_alone(odometry, without_constant_heading(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
@@ -133,7 +155,16 @@ def recordings_of(
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
-    return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
+    return [
+        replace(
+            r,
+            notes=(opening, *r.notes, *said),
+            stamp_error_s=rounded_s / math.sqrt(12.0),
+            localised=truth.localised,
+            pulled_per_s=max(pull_of(calm, real)),
+        )
+        for r in recordings
+    ]
 
 
 def automatic_scan(source: Source) -> str | None:

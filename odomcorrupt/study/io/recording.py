@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Origin
 
 __all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
 
@@ -86,6 +87,11 @@ class Recording:
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
+    geodetic_origin : of the truth's frame, where it was satellite fixes
+    localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
+    pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
+    truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
+    stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
     """
 
     name: str
@@ -97,6 +103,11 @@ class Recording:
     heading_error_rad: float | None = None
     clock: str = ""
     truth_scale_error: float = 0.0
+    geodetic_origin: Origin | None = None
+    truth_level: tuple[float, float] = (1.0, 1.0)
+    stamp_error_s: float = 0.0
+    localised: bool = False
+    pulled_per_s: float = 0.0
 
     @property
     def headed(self) -> bool:
