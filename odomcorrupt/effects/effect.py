@@ -130,7 +130,7 @@ class Effect:
     """
 
     name: ClassVar[str]
-    kind: ClassVar[Kind]
+    kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str]
     about: ClassVar[About | None] = None
     clock: ClassVar[bool] = False

@@ -40,7 +40,7 @@ _COEFFICIENTS = {
     "white_omega": "rad/s",
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
-_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
+_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "random_walk"}
 _ORIGIN = {"latitude": "latitude_deg", "longitude": "longitude_deg", "altitude": "altitude_m"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 

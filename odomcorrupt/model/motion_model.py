@@ -89,7 +89,7 @@ class TruthNoise:
 
     xy_m: float = 0.003
     yaw_rad: float = 0.003
-    wander: float = 0.0
+    random_walk: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["candidates_table", "clock_lines", "ladder_text", "noise_text", "numbers_text", "value_text"]
+__all__ = ["candidates_table", "clock_lines", "noise_text", "numbers_text", "sequence_text", "value_text"]
 
 
 def value_text(value: float, error: float | None, unit: str) -> str:
@@ -96,7 +96,7 @@ def words_text(effect: Effect) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-def ladder_text(learned: Learned) -> str:
+def sequence_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
     lines, own = [], {effect.name: effect for effect in learned.fit.effects}
     for step in learned.steps:

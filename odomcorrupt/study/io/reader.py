@@ -65,17 +65,17 @@ class Source:
     drive_type: str = AUTO
 
 
-def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
+def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
     """Read one run, as `_read_runs`, of a robot of this drive type."""
     if source.drive_type in STEERED:
         source = replace(source, track_m=None)
-    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, told)]
+    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
 
 
-def _read_runs(source: Source, told: Callable[[str, float], None] | None) -> list[Recording]:
+def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
 
-    told : called with what takes long, and which part of it is done
+    progress : called with the stage and its share that is done
 
     Raises
     ------
@@ -91,7 +91,7 @@ def _read_runs(source: Source, told: Callable[[str, float], None] | None) -> lis
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, told)
+    run = laser_run(source.path, _place(source), odom, scan, progress)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)

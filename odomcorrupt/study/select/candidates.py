@@ -133,7 +133,7 @@ def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
 def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
     """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
     if not score.separable:
-        return "cannot be told from what is in the model"
+        return "not separable from what is in the model"
     own = list(zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True))
     for p, value, error in own:
         least = 2.0 * error * decisions.testable_errors

@@ -16,8 +16,8 @@ from scipy.linalg import eigh
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
+    CORRELATED_NOISE,
     FINELY,
-    WANDERING,
     bias_of,
     processes,
     processes_like,
@@ -63,7 +63,7 @@ class RandomCoefficient:
 
 
 _MAP_NATS = 20.0
-"""Nats more that a wandering gain of travel takes where the truth is a map's, whose distortions wander, too."""
+"""Additional nats required of a varying gain of travel where the truth is a map's, whose distortions vary, too."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
@@ -132,7 +132,7 @@ def beside_bursts(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
     """Drop random coefficients that are not there once all outliers are set apart: they were the bursts."""
-    correlated = {one.effect.name for one in named} & set(WANDERING)
+    correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:
         return named, fit
     calm = fit.refit(random=(), weights=set_apart(fit))

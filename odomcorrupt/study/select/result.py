@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.heterogeneity import Disagreement
+    from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.terms.drive_type import DriveType
 
@@ -83,7 +83,7 @@ class Learned:
     margins: Mapping[str, float]
     fit: Fit
     error_m: float
-    disagreements: tuple[Disagreement, ...] = ()
+    disagreements: tuple[ParameterDifference, ...] = ()
     contradictions: tuple[Candidate, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -97,7 +97,7 @@ def test_6_the_law_has_a_noise_to_the_side_and_the_truth_may_wander(control):
     assert "across_trans" in {NAMES[i] for i in fitted.components.active}
     assert fitted.noise.truth.xy_m == pytest.approx(0.002, rel=0.3)
     seen = as_recording(simulate(60, None, duration_s=300.0, truth="rtk"))
-    assert fit([seen], approach=choose_approach([seen])).noise.truth.wander > 0.0
+    assert fit([seen], approach=choose_approach([seen])).noise.truth.random_walk > 0.0
 
 
 @pytest.mark.slow
