@@ -188,11 +188,18 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
                 alone = _Found(clock, free, errors, best)
             nuisance = best.onward.effects[: len(nuisance)]
         else:
-            before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
-            if after < _CLOCK_HARM * before:
+            if _harmless(runs, clock):
                 return _Found(clock, free, errors, best)
     nothing = _Found(Clock(), (False, False), (0.0, 0.0), best)
-    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
+    if alone is None or not _harmless(runs, alone.clock):
+        return nothing
+    return _preferred(runs, alone, nothing, rivals)
+
+
+def _harmless(runs: Sequence[Recording], clock: Clock) -> bool:
+    """Tell whether a clock leaves no more of the error than none: on a steady circle an offset only turns the frame."""
+    before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
+    return after < _CLOCK_HARM * before
 
 
 def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:

@@ -116,9 +116,9 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
 
 
 def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
-    """Return the clocks of recordings as they come, or with a model's effects taken out where that is plainly closer.
+    """Return the clocks of recordings as they come, or none, or those with a model applied: the closest.
 
-    Errors as large as a strong effect's mask a clock: it is estimated again from the model's residuals.
+    Errors as large as a strong effect's mask a clock, or imitate one: it is estimated again from the model's residuals.
     """
     plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
@@ -129,7 +129,13 @@ def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: Mo
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
         return phased_rmse([with_recomputed_headings(undo(recording, effects)) for recording in on_time])
 
-    return applied if error_m(applied.clocks) < _CLOSER * error_m(plain.clocks) else plain
+    found = plain
+    n = len(recordings)
+    none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
+    for other in (none, applied):
+        if error_m(other.clocks) < _CLOSER * error_m(found.clocks):
+            found = other
+    return found
 
 
 def _fitted_on(model: MotionModel) -> list[str]:
