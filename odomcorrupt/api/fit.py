@@ -122,7 +122,7 @@ def fit(
     law_name = law or (LAW if begin is None else begin.noise.law_name)
     runs = as_recordings(recordings)
     if begin is not None:
-        runs = runs.on_track(begin.track_m).in_frame(begin.setup.origin)
+        runs = runs.on_track(begin.track_m).of_drive_type(begin.setup.drive_type).in_frame(begin.setup.origin)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))

@@ -144,6 +144,8 @@ def test_runs_of_a_batch_are_those_of_single_conversions(short, kind, suffix, tm
     single = tmp_path / f"run_000001{suffix}"
     assert run([str(short[2]), str(single), "--run", "1", "--exclude-topic", "/imu", *NOISE, "-q"]) == 0
     assert rows(tmp_path / "runs" / single.name) == rows(single)
+    other = ["mcap" if word == kind else word for word in words]
+    assert run(["batch", str(short[2]), str(tmp_path / "runs"), *other]) == 1
 
 
 def test_an_overlay_of_another_kind_is_assembled(short, tmp_path):

@@ -36,8 +36,8 @@ _RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 """Types of ROS 1 that ROS 2 has under another name."""
 _MISSING_IN_NOETIC = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"}
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)+")
-_LONGEST_CHARACTERS = 1 << 20
-"""Of a definition; those of whole robots have a hundredth."""
+_LONGEST_CHARACTERS = 1 << 18
+"""Of a definition; the longest of common packages have a tenth."""
 _MOST_TYPES = 1000
 _MOST_ELEMENTS = 1 << 16
 """Of strings and messages in arrays of fixed length: code is generated for each of them."""

@@ -12,11 +12,11 @@ from odomcorrupt.report.text.confidence import (
     law_numbers,
     noise_confidence,
     step_confidence,
-    twins_of,
 )
 from odomcorrupt.report.text.diagnosis import dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -60,7 +60,7 @@ def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float
     sure = step_confidence(step, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
-    if twins := twins_of(effect.name):
+    if twins := readings_of(effect, learned.drive_type):
         lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
     if rivals := [name for name in step.alternatives if name not in twins]:
         lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")

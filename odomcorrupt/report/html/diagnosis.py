@@ -12,10 +12,10 @@ from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
-from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
 from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection
+from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
         named = [step for step in learned.steps if step.added is not None]
-        names = [_named(str(step.added), step.alternatives) for step in named]
+        names = [_named(str(step.added), step.alternatives, learned) for step in named]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -104,9 +104,10 @@ def _verdict(story: Story) -> str:
     return text[0].upper() + text[1:]
 
 
-def _named(name: str, alternatives: Sequence[str]) -> str:
+def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
     """Return a name with its twins as readings of it, and its rivals after "or"."""
-    twins = twins_of(name)
+    own = next((effect for effect in learned.fit.effects if effect.name == name), name)
+    twins = readings_of(own, learned.drive_type)
     rivals = [other for other in alternatives if other not in twins]
     return " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
 

@@ -68,6 +68,7 @@ def learned_json(
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
             "rejected": (judged and rejection(judged)) or None,
+            "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [_unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws) for u in learned.unknown],

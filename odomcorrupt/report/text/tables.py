@@ -6,7 +6,8 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.report.text.confidence import clocks_found, confidence_words, step_confidence, twins_of
+from odomcorrupt.report.text.confidence import clocks_found, confidence_words, step_confidence
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,7 +102,7 @@ def sequence_text(learned: Learned) -> str:
     for step in learned.steps:
         if step.added is not None:
             before, after = step.candidates[0].rmse
-            twins = twins_of(step.added)
+            twins = readings_of(own[step.added], learned.drive_type)
             others = [name for name in step.alternatives if name not in twins]
             rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
             rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""

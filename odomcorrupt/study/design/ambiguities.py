@@ -9,6 +9,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.information import separation
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,8 +67,9 @@ def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain
         found.append(Ambiguity((look.added, name), missing_motion(drives, gain, nats), plan, nats))
         gains_found.append(gain)
     said = {look.added, *(name for choice in found for name in choice.names)}
+    drive = drives.learned.drive_type
     for twin, kind in kinds.items():
-        if kind.twin_of in said:
+        if kind.twin_of in said and twin not in said and twin in readings_of(str(kind.twin_of), drive):
             hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
             found.append(Ambiguity((str(kind.twin_of), twin), "", None, 0.0, hint))
     return found, gains_found

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import best_plan, missing_motion
 from odomcorrupt.study.design.information import sizes
 
@@ -139,6 +140,7 @@ def untried(learned: Learned) -> list[UntestableEffect]:
     """
     have = {e.name for e in learned.fit.effects} | {c.score.effect.name for c in learned.rounds[-1].candidates}
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
+    drive = learned.drive_type
     found = []
     for name, kind in registry().items():
         if (
@@ -147,10 +149,12 @@ def untried(learned: Learned) -> list[UntestableEffect]:
             or kind.clock
             or kind.twin_of is not None
             or kind.needs_sideways
+            or not drive.admits(kind)
+            or (drive.steered and kind.needs_track)
         ):
             continue
         hint = kind.about.drive if kind.about else ""
-        if kind.needs_track and not track:
+        if kind.needs_track and not (track or brings_track(kind)):
             found.append(UntestableEffect(name, _NO_TRACK, None, hint))
         else:
             found.append(UntestableEffect(name, "nothing on this drive to try it on", None, hint))

@@ -28,6 +28,7 @@ from odomcorrupt.study.estimate.random_process import (
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -70,7 +71,10 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
+    drive = drive_type_of(fit.problem.recordings)
     for process in processes():
+        if not drive.admits(process.kind):
+            continue
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, design, process)
