@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
@@ -35,11 +35,10 @@ class AccelSlip(Effect):
     rate of, the body's own. Whatever its strength, it can be put in and taken out.
     """
 
-    name: ClassVar[str] = "accel_slip"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "wheels slip when the robot speeds up, and skid when it brakes"
-    reads_truth: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "accel_slip"
+    summary = "wheels slip when the robot speeds up, and skid when it brakes"
+    reads_truth = True
+    about = About(
         equation="f_along = -k abs(v) a; of each rim u, contact = axle: f_wheel = -k abs(u) a, wheels: -k abs(u) du/dt",
         typical="a slip of 0.5 to 6 % at 1 m/s^2 (an estimate)",
         source="Rajamani, Vehicle Dynamics and Control (slip ratio and longitudinal tyre force)",

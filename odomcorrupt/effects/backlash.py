@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Kind,
-    Layer,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    parameter,
-)
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter
 from odomcorrupt.effects.wheels import (
     Rims,
     body_of,
@@ -55,12 +45,11 @@ class Backlash(Effect):
     the clean robot does not wait for it.
     """
 
-    name: ClassVar[str] = "backlash"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    needs_track: ClassVar[bool] = True
-    summary: ClassVar[str] = "gears have play: travel is lost at each reversal of a wheel"
-    about: ClassVar[About | None] = About(
+    name = "backlash"
+    layer = "record"
+    needs_track = True
+    summary = "gears have play: travel is lost at each reversal of a wheel"
+    about = About(
         equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed; no yaw with a gyro",
         typical="2 to 15 mm at the rim (1 to 8 degrees at the wheel; an estimate)",
         source="the play operator, as in Visintin 1994, Differential Models of Hysteresis",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.wheels import heading_choice, turning
 
 
@@ -13,11 +12,10 @@ from odomcorrupt.effects.wheels import heading_choice, turning
 class BatterySag(Effect):
     """f = rate t (v, vy, omega), rate < 0, t since the first odometry stamp: a motor's speed goes with its voltage."""
 
-    name: ClassVar[str] = "battery_sag"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "commanded speeds are reached less and less, as the battery's voltage falls"
-    twin_of: ClassVar[str | None] = "scale_drift"
-    about: ClassVar[About | None] = About(
+    name = "battery_sag"
+    summary = "commanded speeds are reached less and less, as the battery's voltage falls"
+    twin_of = "scale_drift"
+    about = About(
         equation="f = rate t (v, vy, omega), rate < 0, of the velocities that were commanded",
         typical="10 to 25 % from a full battery to an empty one: 5e-5 to 4e-4 per second (an estimate)",
         source="Hughes & Drury 2019, Electric Motors and Drives (a DC motor's speed is in proportion to its voltage)",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.wheels import Rims, body_of, on_every_track, rims_of, track_parameter
 
 if TYPE_CHECKING:
@@ -27,10 +27,9 @@ class CountsLost(Effect):
     Of what a wheel turns beyond that speed, 1 / (1 + part) is counted. Where no track is known, the robot as a whole.
     """
 
-    name: ClassVar[str] = "counts_lost"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "encoder counts are lost above a speed: fast wheels go farther than is counted"
-    about: ClassVar[About | None] = About(
+    name = "counts_lost"
+    summary = "encoder counts are lost above a speed: fast wheels go farther than is counted"
+    about = About(
         equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",
         typical="from half of full speed on where interrupts of a microcontroller count a fast encoder (an estimate)",
         source="engineering judgement; no published figures known to us",

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Kind,
-    Layer,
     Motion,
     Recorded,
     State,
@@ -42,11 +40,10 @@ class DeadBand(Effect):
     does below the duty cycle that overcomes its friction. Where no track is known, the robot as a whole has the band.
     """
 
-    name: ClassVar[str] = "dead_band"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    summary: ClassVar[str] = "wheels do not follow slow commands: the robot moves less than its odometry says"
-    about: ClassVar[About | None] = About(
+    name = "dead_band"
+    layer = "record"
+    summary = "wheels do not follow slow commands: the robot moves less than its odometry says"
+    about = About(
         equation="f_wheel = -loss u where abs(u) < speed; -loss speed sign(u) beyond (beyond = full: 0)",
         typical="a tenth to a third of full speed on geared hobby motors without speed control (an estimate)",
         source="Coulomb friction of DC motors; Olsson, Astrom, Canudas de Wit, Gafvert & Lischinsky 1998, "

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Kind,
-    Layer,
     Motion,
     Recorded,
     State,
@@ -47,12 +45,11 @@ class FlatSpot(Effect):
     q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported.
     """
 
-    name: ClassVar[str] = "flat_spot"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    needs_track: ClassVar[bool] = True
-    summary: ClassVar[str] = "a wheel is flat on one side or out of round: it gains less once a turn"
-    about: ClassVar[About | None] = About(
+    name = "flat_spot"
+    layer = "record"
+    needs_track = True
+    summary = "a wheel is flat on one side or out of round: it gains less once a turn"
+    about = About(
         equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn",
         typical="2 to 20 % of the way over a seventh of a turn on foam and cheap rubber tyres (an estimate)",
         source="engineering judgement; no published figures known to us",

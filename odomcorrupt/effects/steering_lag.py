@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from odomcorrupt.drive_types import STEERED
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Kind,
-    Layer,
     Motion,
     Recorded,
     State,
@@ -44,12 +42,11 @@ class SteeringLag(Effect):
     steering, and shows no lag. While the robot stands its wheels go on to where they are steered.
     """
 
-    name: ClassVar[str] = "steering_lag"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    summary: ClassVar[str] = "a car's or tricycle's wheels follow the steering angle of its odometry late"
-    drives: ClassVar[frozenset[str] | None] = STEERED
-    about: ClassVar[About | None] = About(
+    name = "steering_lag"
+    layer = "record"
+    summary = "a car's or tricycle's wheels follow the steering angle of its odometry late"
+    drives = STEERED
+    about = About(
         equation="f_yaw = v k - omega, tau dk / dt + k = omega / v: the true curvature k lags behind the odometry's",
         typical="50 to 300 ms by a steering servo whose command is taken for its angle (an estimate)",
         source="first-order lag; Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
@@ -85,7 +82,7 @@ class SteeringLag(Effect):
             zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         ):
             dt_s, last_s = now_s - last_s, now_s
-            if dt_s < 0.0:  # time began anew
+            if dt_s < 0.0:  # time was reset
                 curvature, ago_s = None, 0.0
                 continue
             ago_s += dt_s

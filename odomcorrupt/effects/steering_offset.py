@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.drive_types import STEERED
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.steering import axles_parameter, on_every_axle_distance, steepness
 
 if TYPE_CHECKING:
@@ -21,11 +21,10 @@ class SteeringOffset(Effect):
     Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle): omega = v tan(delta) / L.
     """
 
-    name: ClassVar[str] = "steering_offset"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
-    drives: ClassVar[frozenset[str] | None] = STEERED
-    about: ClassVar[About | None] = About(
+    name = "steering_offset"
+    summary = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
+    drives = STEERED
+    about = About(
         equation="f_yaw = curvature v; times 1 + (axles omega / v)^2 where the steering angles are large",
         typical="0.2 to 2 degrees: 0.01 to 0.1 rad/m on 0.3 m between the axles, 0.001 to 0.01 rad/m on 2.7 m",
         source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",

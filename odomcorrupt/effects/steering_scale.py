@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from odomcorrupt.drive_types import STEERED
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.steering import axles_parameter, on_every_axle_distance, steepness
 
 if TYPE_CHECKING:
@@ -27,11 +27,10 @@ class SteeringScale(Effect):
     A wheelbase L that is wrong by -e is the same. Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle).
     """
 
-    name: ClassVar[str] = "steering_scale"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the steering ratio of a car or tricycle is off, or the distance between its axles"
-    drives: ClassVar[frozenset[str] | None] = STEERED
-    about: ClassVar[About | None] = About(
+    name = "steering_scale"
+    summary = "the steering ratio of a car or tricycle is off, or the distance between its axles"
+    drives = STEERED
+    about = About(
         equation="f_yaw = e omega; more in tight curves where the angles are large (axles)",
         typical="1 to 10 %: a nominal steering ratio, a servo's gain, an axle distance taken from a drawing",
         source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
@@ -51,7 +50,7 @@ class SteeringScale(Effect):
         return on_every_axle_distance(cls(), motions)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn is misjudged by the same factor."""
+        """Return f: every turn has the same scale error."""
         return TwistError(stacked(0.0, 0.0, self.e * self._steep(motion) * motion.omega, motion.v), state)
 
     def _steep(self, motion: Motion) -> Array:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.effect import (
     About,
     Effect,
-    Kind,
-    Layer,
     Motion,
     Recorded,
     State,
@@ -36,11 +34,10 @@ class TruncatedVelocity(Effect):
     Towards rest the sign fades, u / sqrt(u^2 + 0.02^2).
     """
 
-    name: ClassVar[str] = "truncated_velocity"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    summary: ClassVar[str] = "velocities are cut down to whole steps before they are summed up"
-    about: ClassVar[About | None] = About(
+    name = "truncated_velocity"
+    layer = "record"
+    summary = "velocities are cut down to whole steps before they are summed up"
+    about = About(
         equation="reported v = step trunc(v / step); on average f = (step sign(v) / 2, 0, turn sign(omega) / 2)",
         typical="steps of 1 to 50 mm/s and 0.01 to 0.1 rad/s, of integers in a serial protocol (an estimate)",
         source="rounding towards zero, as an integer cast in C does (ISO/IEC 9899, 6.3.1.4)",
