@@ -10,7 +10,7 @@ from odomcorrupt.simulation import simulate, simulate_without
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.stepwise import learn
 
-SEEDS = range(100, 140)
+SEEDS = range(100, 116)
 CAUSES = (
     "gyro_bias",
     "lever_arm",
@@ -53,4 +53,4 @@ def test_the_right_effect_is_first_and_the_held_out_error_falls_to_its_floor(see
 def test_nothing_is_added_where_nothing_is_hidden():
     added = [learn([as_recording(simulate(seed, None, duration_s=600.0))]) for seed in SEEDS]
     quiet = [not learned.added and learned.fit.problem.clocks == (Clock(),) for learned in added]
-    assert sum(quiet) >= 39
+    assert sum(quiet) >= 15
