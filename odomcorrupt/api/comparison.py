@@ -145,7 +145,8 @@ def compare(
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    runs = as_recordings(recordings).on_track(track).in_frame(_shared_origin(named))
+    drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
+    runs = as_recordings(recordings).on_track(track).of_drive_type(drive_type).in_frame(_shared_origin(named))
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))

@@ -87,7 +87,6 @@ def sample(
     count: int = 1000,
     seed: int | None = None,
     within: MapCondition | None = None,
-    article_code: bool = False,
 ) -> Samples:
     """Draw where one motion may have ended.
 
@@ -103,8 +102,6 @@ def sample(
         Of the draws; by default one is drawn, and the result has it.
     within : MapCondition, optional
         Free space that samples must end in.
-    article_code : bool
-        Square the standard deviations, as the listing of the article from 2018 does.
 
     Returns
     -------
@@ -128,7 +125,7 @@ def sample(
     from odomcorrupt.sampling.text import Drawn
 
     chosen = as_model(model)
-    move, variances = _motion(start_xyt, end_xyt, chosen.motion_model, article_code=article_code)
+    move, variances = _motion(start_xyt, end_xyt, chosen.motion_model)
     drawn_seed = draw_seed() if seed is None else seed
     rng = stream(drawn_seed, 0, "sample")
     notes: tuple[str, ...] = ()
@@ -140,13 +137,11 @@ def sample(
         free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
         xyt, notes = free.xyt, (free.account(),)
     noise = chosen.motion_model.noise
-    drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, article_code, notes)
+    drawn = Drawn(move, noise, variances, xyt, drawn_seed, chosen.origin, notes)
     return Samples(drawn, None if within is None else within.space)
 
 
-def _motion(
-    start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any, *, article_code: bool
-) -> tuple[Move, Variances]:
+def _motion(start_xyt: Sequence[float], end_xyt: Sequence[float], model: Any) -> tuple[Move, Variances]:
     import numpy as np
 
     from odomcorrupt.sampling.samples import move_between, move_variances
@@ -157,7 +152,7 @@ def _motion(
     if start.shape != (3,) or end.shape != (3,):
         raise ModelError(f"poses of shapes {start.shape} and {end.shape}; give x, y and heading of each")
     move = move_between(start, end, arc=model.noise.law.arc)
-    return move, move_variances(model.noise, move, article_code=article_code)
+    return move, move_variances(model.noise, move)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -253,7 +248,6 @@ def density(
     *,
     model: ModelLike | None = None,
     reading: Literal["pose", "product", "hypothetical"] = "pose",
-    article_code: bool = False,
     within: MapCondition | None = None,
 ) -> Density:
     """Return how likely end poses of one motion are: p(x_t | u_t, x_t-1), or p(x_t | u_t, x_t-1, m) with a map.
@@ -269,8 +263,6 @@ def density(
     reading : {"pose", "product", "hypothetical"}
         A density over poses; the product of the densities of rot1, trans and rot2 of the lecture; or the same with
         the variances of the motion to each pose, as table 5.5 of the book prints it.
-    article_code : bool
-        As in `sample`.
     within : MapCondition, optional
         Zero where a map is not free, and divided by its integral over what is.
 
@@ -297,7 +289,7 @@ def density(
     from odomcorrupt.sampling.text import law_words
 
     chosen = as_model(model).motion_model
-    move, variances = _motion(start_xyt, end_xyt, chosen, article_code=article_code)
+    move, variances = _motion(start_xyt, end_xyt, chosen)
 
     def density_of(xyt: NDArray[Any]) -> NDArray[Any]:
         if reading == "hypothetical":
@@ -313,5 +305,5 @@ def density(
         grid, part = within_map(grid, within.space, start_xy, within.check)
         free = within.space.allows(np.broadcast_to(start_xy, (len(at), 2)), at[:, :2], within.check)
         values = np.where(free, values / part, 0.0)
-    law = law_words(chosen.noise, article_code=article_code)
+    law = law_words(chosen.noise)
     return Density(at, values, reading, grid, move, variances, law, part, within)

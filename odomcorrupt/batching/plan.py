@@ -77,6 +77,20 @@ class BatchSpec:
 def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     """Return the jobs of a batch in the directory `target`.
 
+    Parameters
+    ----------
+    inputs : sequence of Path
+        Bags.
+    target : Path
+        Directory of the batch.
+    spec : BatchSpec
+        Model, seed, sweeps, options and kind of output.
+
+    Returns
+    -------
+    list of Job
+        One for each input and each point of a sweep.
+
     Raises
     ------
     BatchError

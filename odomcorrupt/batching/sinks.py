@@ -125,6 +125,18 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
     """Write all paths of a batch to an npz file, with one run in memory at a time.
 
     Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    clean : TumPath
+        Path without noise.
+    runs : sequence of int
+        Numbers of the runs.
+    files : sequence of Path
+        Their TUM files, in the same order.
+
     """
     output = Output(path, overwrite=True)
     output.open()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,24 +15,14 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import Model
 
-__all__ = ["ARTICLE_CODE", "MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
-
-ARTICLE_CODE = "article-code"
-
-
-@dataclass(frozen=True, slots=True)
-class ChosenNoise:
-    """A model, and whether the article's listing is imitated."""
-
-    model: Model
-    article_code: bool
+__all__ = ["MODEL_OPTIONS", "ChosenMove", "choose_move", "choose_noise", "move_options"]
 
 
 @dataclass(frozen=True, slots=True)
 class ChosenMove:
     """A motion (poses before and after it, metres and radians) with its noise, and how many samples to draw."""
 
-    noise: ChosenNoise
+    model: Model
     start_xyt: tuple[float, ...]
     end_xyt: tuple[float, ...]
     count: int
@@ -56,34 +46,31 @@ def move_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
+def choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
     """Return the noise the options describe; with no numbers at all, that of an example.
 
-    `--law article-code` is the article's law with its listing's mistake.
+    `--law article-code` alone is the example's noise, drawn as the article's listing draws it.
     """
     from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 
     options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    article_code = options["law"] == ARTICLE_CODE
-    if article_code:
-        options["law"] = "linear" if options["alpha"] else None
+    listing = options["law"] == "article-code"
     numbers = [name for name in ("alpha", "preset", "effects", "model", "twist_noise") if options[name]]
     if numbers and example is not None:
         raise click.UsageError(f"--example {example} brings its own noise; leave out the other numbers")
-    if numbers or options["law"]:
-        chosen = choose_model(**options)
-        return ChosenNoise(chosen, article_code)
+    if numbers or (options["law"] and not listing):
+        return choose_model(**options)
     chosen_example = example_named(example or DEFAULT_EXAMPLE)
     noise = chosen_example.noise
+    if listing:
+        noise = replace(noise, law_name="article-code")
     if options["step"] is not None:
-        from dataclasses import replace
-
         from odomcorrupt.model.motion_model import Step
 
         noise = replace(noise, step=Step.parse(options["step"]))
-    return ChosenNoise(Model.of(MotionModel(noise), chosen_example.source), article_code)
+    return Model.of(MotionModel(noise), chosen_example.source)
 
 
 def choose_move(given: Mapping[str, Any]) -> ChosenMove:
@@ -96,10 +83,10 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
 
     try:
         example = example_named(given["example"] or DEFAULT_EXAMPLE)
-        noise = choose_noise(given, given["example"])
+        model = choose_noise(given, given["example"])
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    if noise.model.effects:
+    if model.effects:
         raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
     first, last = np.array(example.start_xyt), np.array(example.end_xyt)
     if given["end"] is not None:
@@ -108,4 +95,4 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
     start = first if given["start"] is None else np.array(given["start"])
     # with a start alone, the example's motion is made from there
     end = last if given["end"] is not None else compose(start, between(first, last))
-    return ChosenMove(noise, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)
+    return ChosenMove(model, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)

@@ -67,9 +67,8 @@ def command(
             chosen.start_xyt,
             chosen.end_xyt,
             poses,
-            model=chosen.noise.model,
+            model=chosen.model,
             reading=reading,
-            article_code=chosen.noise.article_code,
             within=choose_condition(given, None, ""),
         )
     except ModelError as error:

@@ -118,6 +118,8 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "confused_with": list(about.confused_with) if about else [],
         "twin_of": kind.twin_of,
         "drive": about.drive if about else None,
+        "drive_types": sorted(kind.drives) if kind.drives is not None else None,
+        "needs_gyro": kind.needs_gyro,
         "needs_track": kind.needs_track,
         "needs_sideways": kind.needs_sideways,
     }
@@ -127,6 +129,7 @@ def _page(kind: type[Effect]) -> str:
     from odomcorrupt.effects.effect import choices, parameters
 
     own = parameters(kind)
+    names = {p.name for p in own}
     lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
     if kind.about is not None:
         lines += [f"truth minus odometry:  {kind.about.equation}", ""]
@@ -134,7 +137,10 @@ def _page(kind: type[Effect]) -> str:
     lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
     lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
     if kind.needs_track:
-        lines.append("  needs the distance between the wheels: --track, or [robot] track in a model file")
+        own_track = ", or its parameter track" if "track" in names else ""
+        lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{own_track}")
+    if kind.drives is not None:
+        lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
     if kind.needs_sideways:
         lines.append("  for robots that can drive sideways, on mecanum or other omnidirectional wheels")
     if kind.about is not None:

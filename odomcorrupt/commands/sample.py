@@ -132,11 +132,10 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         drawn = sample(
             chosen.start_xyt,
             chosen.end_xyt,
-            model=chosen.noise.model,
+            model=chosen.model,
             count=chosen.count,
             seed=given["seed"],
             within=condition,
-            article_code=chosen.noise.article_code,
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error

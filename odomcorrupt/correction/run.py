@@ -212,7 +212,27 @@ def correct_bag(
 ) -> Corrected:
     """Correct a bag; a target of None is a pipe. The output appears when it is complete, or not at all.
 
-    start_xyt : (3,) where the odometry begins, metres and radians, in the frame whose places effects read
+    Parameters
+    ----------
+    source : Path
+        Measured bag, read twice.
+    target : Path or None
+        Corrected bag; None is a pipe.
+    model : MotionModel
+        Effects to take out, and the noise that remains.
+    options : Options
+        What is moved.
+    container : Container
+        How bags are read and written.
+    start_xyt : (3,), optional
+        Pose at which the odometry begins in the frame of effects of place, metres and radians; None: as it says.
+    watch : callable
+        Called with every block written.
+
+    Returns
+    -------
+    Corrected
+        What was taken out and left, and what was moved.
 
     Raises
     ------

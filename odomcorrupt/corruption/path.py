@@ -62,6 +62,23 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     evaluated at the metres and radians since then, the turn halved between rot1 and rot2, so growth is never
     negative; a step ends exactly at its distance or angle, if need be inside an increment. The same increments give
     the same bits for any division into calls.
+
+    Parameters
+    ----------
+    noise : Noise
+        Law, coefficients and step.
+    steps : Increments
+        n increments with the effects applied, metres and radians.
+    dt_s : (n,)
+        Their lengths, seconds.
+    growth : StepGrowth
+        State of the present step, as returned by the call before.
+
+    Returns
+    -------
+    GrownVariances
+        Variances of rot1, trans, across and rot2, (n,) each, and the state after them.
+
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):

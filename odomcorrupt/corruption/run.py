@@ -211,10 +211,29 @@ def corrupt_bag(
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
-    source, target : bags; None is a pipe
-    watch : called with every block written
-    path : corrupted path, instead of the noisy path that the model draws
-    metadata : further metadata for the output, besides model, seed, run and version
+    Parameters
+    ----------
+    source, target : Path or None
+        Bags; None is a pipe.
+    model : MotionModel
+        Noise and effects.
+    seed, run : int
+        Seed of all draws, and number of the run.
+    options : Options
+        What is moved.
+    container : Container
+        How bags are read and written.
+    watch : callable
+        Called with every block written.
+    path : PathSource, optional
+        Corrupted path, instead of the noisy path that the model draws.
+    metadata : mapping, optional
+        Further metadata for the output, besides model, seed, run and version.
+
+    Returns
+    -------
+    Outcome
+        What was moved, the drift, and what is odd.
 
     Raises
     ------
@@ -264,7 +283,25 @@ def corrupt_bag(
 
 
 def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
-    """Return the result of a transform that has read a bag to its end."""
+    """Return the result of a transform that has read a bag to its end.
+
+    Parameters
+    ----------
+    transform : Transform
+        After its last block.
+    reader : BagReader
+        The bag that it read, still open.
+    model : MotionModel
+        Model to report.
+    seed, run : int
+        Seed of all draws, and number of the run.
+
+    Returns
+    -------
+    Outcome
+        What was moved, the drift, and what is odd.
+
+    """
     drift = transform.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     frames = transform.odometry.frames

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Kind,
-    Layer,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    parameter,
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, parameter
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    heading_choice,
+    needed_track_m,
+    on_every_track,
+    rims_of,
+    track_parameter,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
     from odomcorrupt.geometry.se2 import Array
@@ -45,12 +45,11 @@ class Backlash(Effect):
     the clean robot does not wait for it.
     """
 
-    name: ClassVar[str] = "backlash"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    needs_track: ClassVar[bool] = True
-    summary: ClassVar[str] = "gears have play: travel is lost at each reversal of a wheel"
-    about: ClassVar[About | None] = About(
+    name = "backlash"
+    layer = "record"
+    needs_track = True
+    summary = "gears have play: travel is lost at each reversal of a wheel"
+    about = About(
         equation="f_wheel = -u while the motor crosses the play, 0 in touch; u the rim speed; no yaw with a gyro",
         typical="2 to 15 mm at the rim (1 to 8 degrees at the wheel; an estimate)",
         source="the play operator, as in Visintin 1994, Differential Models of Hysteresis",
@@ -60,6 +59,12 @@ class Backlash(Effect):
 
     travel: float = parameter("m", "lost at each reversal of a wheel", low=0.0, high=0.05, typical=0.005, step=0.004)
     heading: str = heading_choice()
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the play of gears; on every track that is tried where the robot's is not known."""
+        return on_every_track((cls(),), motions)
 
     @property
     def lost_m(self) -> float:
@@ -72,7 +77,7 @@ class Backlash(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus what the motors do inside their play. Below zero, for slopes, the opposite of it."""
-        track = needed_track_m(self.name, motion.track_m)
+        track = needed_track_m(self.name, self.track or motion.track_m)
         width, sign = abs(self.travel), np.sign(self.travel)
         rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
         lost, gears = [], []
@@ -84,7 +89,7 @@ class Backlash(Effect):
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
-        track = needed_track_m(self.name, track_m)
+        track = needed_track_m(self.name, self.track or track_m)
         extra, gears = [], []
         for travel, gear in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
             side, after = _sides(travel, gear)

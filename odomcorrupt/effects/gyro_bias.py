@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +14,10 @@ class GyroBias(Effect):
     Woodman 2007, An introduction to inertial navigation, section 3.2.1.
     """
 
-    name: ClassVar[str] = "gyro_bias"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the yaw rate has a constant offset, also while standing"
-    about: ClassVar[About | None] = About(
+    name = "gyro_bias"
+    summary = "the yaw rate has a constant offset, also while standing"
+    needs_gyro = True
+    about = About(
         equation="f_yaw = -bias",
         typical="0.01 to 0.1 deg/s after zeroing a MEMS gyro, 1 deg/s raw",
         source="Woodman 2007, An introduction to inertial navigation",

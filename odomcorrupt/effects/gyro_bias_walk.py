@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Gain,
-    Kind,
-    Moments,
-    Motion,
-    State,
-    TwistError,
-    parameter,
-    stacked,
-)
+from odomcorrupt.effects.effect import About, Effect, Gain, Moments, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.random_state import again, autoregression
 
 if TYPE_CHECKING:
@@ -39,10 +28,11 @@ class GyroBiasWalk(Effect):
     With a time tau it is drawn back to zero, b' = -b / tau + white noise, of deviation density sqrt(tau / 2).
     """
 
-    name: ClassVar[str] = "gyro_bias_walk"
-    kind: ClassVar[Kind] = "noise"
-    summary: ClassVar[str] = "the yaw rate's offset varies slowly, also at rest"
-    about: ClassVar[About | None] = About(
+    name = "gyro_bias_walk"
+    kind = "noise"
+    summary = "the yaw rate's offset varies slowly, also at rest"
+    needs_gyro = True
+    about = About(
         equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t); with tau Gauss-Markov of "
         "deviation density sqrt(tau / 2)",
         typical="1e-3 to 3e-2 deg/s per sqrt(s), which is 2e-5 to 5e-4 rad/s per sqrt(s); tau of minutes to hours "

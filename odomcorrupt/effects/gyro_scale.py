@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
 class GyroScale(Effect):
     """f = (0, 0, -e / (1 + e) omega): kinematically the same as a wrong wheelbase."""
 
-    name: ClassVar[str] = "gyro_scale"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the yaw rate has a wrong gain"
-    twin_of: ClassVar[str | None] = "wheelbase"
-    about: ClassVar[About | None] = About(
+    name = "gyro_scale"
+    summary = "the yaw rate has a wrong gain"
+    needs_gyro = True
+    twin_of = "wheelbase"
+    about = About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.1 to 3 % for an uncalibrated MEMS gyro",
         source="Woodman 2007, An introduction to inertial navigation (calibration errors)",

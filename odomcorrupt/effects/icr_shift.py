@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
 class IcrShift(Effect):
     """f = (0, x omega, 0): turns happen about a point at -x, as on a skid-steered robot whose load is not centred."""
 
-    name: ClassVar[str] = "icr_shift"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the robot turns about a point ahead of or behind its base frame"
-    twin_of: ClassVar[str | None] = "lever_arm"
-    about: ClassVar[About | None] = About(
+    name = "icr_shift"
+    summary = "the robot turns about a point ahead of or behind its base frame"
+    drives = PIVOTING
+    twin_of = "lever_arm"
+    about = About(
         equation="f_across = x omega",
         typical="a few centimetres on skid-steered and tracked robots",
         source="Martinez, Mandow, Morales, Pedraza & Garcia-Cerezo 2005, IJRR 24(10)",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.wheels import heading_choice, turning
 
 
@@ -13,10 +12,9 @@ from odomcorrupt.effects.wheels import heading_choice, turning
 class ScaleDrift(Effect):
     """f = rate t (v, vy, omega), t since the first odometry stamp."""
 
-    name: ClassVar[str] = "scale_drift"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the scale of distance and turn changes with time"
-    about: ClassVar[About | None] = About(
+    name = "scale_drift"
+    summary = "the scale of distance and turn changes with time"
+    about = About(
         equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",
         typical="1 to 2 % over a long drive with a leaking tyre; 0.3 % per 10 K of tyre temperature (an estimate)",
         source="the idea: time-varying radii in Kuemmerle, Grisetti & Burgard 2011; sizes are engineering judgement",
@@ -24,7 +22,7 @@ class ScaleDrift(Effect):
         drive="repeat one loop for half an hour and more",
     )
 
-    rate: float = parameter("1/s", "growth of the true radius per second", low=-2e-4, high=2e-4, typical=1e-5)
+    rate: float = parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5)
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

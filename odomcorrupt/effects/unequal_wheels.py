@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +15,10 @@ class UnequalWheels(Effect):
     With radii r_right / r_left = 1 + e, curvature = e / b. Borenstein & Feng 1996, IEEE T-RA 12(6), E_d.
     """
 
-    name: ClassVar[str] = "unequal_wheels"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "one wheel is larger than the other, so that straight lines bend"
-    about: ClassVar[About | None] = About(
+    name = "unequal_wheels"
+    summary = "one wheel is larger than the other, so that straight lines bend"
+    drives = PIVOTING
+    about = About(
         equation="f_yaw = curvature v; with the track b also f_along = curvature b^2 omega / 4",
         typical="wheels that differ by 0.05 to 1 %: 0.001 to 0.03 rad/m on a track of 0.4 m",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_d",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +15,10 @@ class Wheelbase(Effect):
     Borenstein & Feng 1996, IEEE T-RA 12(6), E_b = 1 + e; skid-steered robots: Mandow & Martinez 2007, 1.3 to 2.
     """
 
-    name: ClassVar[str] = "wheelbase"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the true distance between the wheels differs from the nominal track"
-    about: ClassVar[About | None] = About(
+    name = "wheelbase"
+    summary = "the true distance between the wheels differs from the nominal track"
+    drives = PIVOTING
+    about = About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_b",

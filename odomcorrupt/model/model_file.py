@@ -9,6 +9,7 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
@@ -39,7 +40,7 @@ _COEFFICIENTS = {
     "white_omega": "rad/s",
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
-_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
+_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "random_walk"}
 _ORIGIN = {"latitude": "latitude_deg", "longitude": "longitude_deg", "altitude": "altitude_m"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
@@ -137,7 +138,10 @@ def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
-    _only(table, (*_TRUTH, "origin", "effect", "clock"), "[setup]")
+    _only(table, ("drive_type", *_TRUTH, "origin", "effect", "clock"), "[setup]")
+    drive_type = table.get("drive_type", "")
+    if drive_type and drive_type not in DRIVE_TYPES:
+        raise ModelError(f"setup.drive_type: {drive_type!r}; write {', '.join(DRIVE_TYPES[:-1])} or {DRIVE_TYPES[-1]}")
     known = {field: _number(table[key], key)[0] for key, field in _TRUTH.items() if key in table}
     if any(value < 0.0 for value in known.values()):
         raise ModelError("[setup]: noise of the truth below zero")
@@ -152,7 +156,7 @@ def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
             _number(item.get("clock_skew", 0.0), "clock_skew")[0],
         )
     truth = TruthNoise(**known) if known else None
-    return Setup(_effects(table.get("effect", []), errors), truth, clocks, _origin(_table(table, "origin")))
+    return Setup(_effects(table.get("effect", []), errors), truth, clocks, _origin(_table(table, "origin")), drive_type)
 
 
 def _origin(table: Mapping[str, Any]) -> Origin | None:
@@ -261,6 +265,8 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
     if setup == Setup():
         return []
     lines = ["", "# what belongs to the measurement, not to the robot: corruption passes it by", "[setup]"]
+    if setup.drive_type:
+        lines.append(f"drive_type = {_text(setup.drive_type)}")
     if setup.truth is not None:
         units = {"truth_xy": "m", "truth_yaw": "rad", "truth_wander": "m per sqrt(s)"}
         lines += [f"{key} = {_figure(getattr(setup.truth, field))}  # {units[key]}" for key, field in _TRUTH.items()]

@@ -89,7 +89,7 @@ class TruthNoise:
 
     xy_m: float = 0.003
     yaw_rad: float = 0.003
-    wander: float = 0.0
+    random_walk: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +113,7 @@ class Setup:
     """What belongs to a measurement and not to the robot; corruption and correction pass it by.
 
     effects : lever arm and mounting yaw of the truth
+    drive_type : how the wheels steer the robot, see `drive_types`; "" where nothing is said
     clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
     origin : of the truth's frame where it was satellite fixes; places of effects are metres east and north of it
     """
@@ -121,6 +122,7 @@ class Setup:
     truth: TruthNoise | None = None
     clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     origin: Origin | None = None
+    drive_type: str = ""
 
 
 @dataclass(frozen=True, slots=True)

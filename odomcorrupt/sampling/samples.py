@@ -97,25 +97,11 @@ def move_between(start_xyt: Array, end_xyt: Array, *, arc: bool = False) -> Move
     return Move(start_xyt, end_xyt, shift, along, 0.5 if arc else 1.0, steps)
 
 
-def move_variances(noise: Noise, move: Move, *, article_code: bool = False) -> Variances:
-    """Return the variances of noise on a motion, (1,) each: those that corruption would draw with.
-
-    Parameters
-    ----------
-    article_code
-        Do as the listing of "Adding noise to odometry data published by the Gazebo simulator" (2018) does: it hands
-        `sd * sd` to a function that takes a standard deviation. The deviation drawn with is the square of the
-        intended one, in units of itself; the law must be `linear`, the article's.
-
-    """
+def move_variances(noise: Noise, move: Move) -> Variances:
+    """Return the variances of noise on a motion, (1,) each: those that corruption would draw with."""
     if noise.coefficients.white_v or noise.coefficients.white_omega:
         raise ModelError("white noise on twists goes with time, and one motion has none; draw along a bag instead")
-    variances = noise_variances(noise, move.steps, np.zeros(1), StepGrowth()).variances
-    if not article_code:
-        return variances
-    if noise.law_name != "linear":
-        raise ModelError(f"article-code: law {noise.law_name}; the article's listing knows its own law, linear, only")
-    return type(variances)(variances.rot1**2, variances.trans**2, variances.across**2, variances.rot2**2)
+    return noise_variances(noise, move.steps, np.zeros(1), StepGrowth()).variances
 
 
 @dataclass(frozen=True, slots=True)

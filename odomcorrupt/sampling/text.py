@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Drawn", "brief", "csv_text", "json_text", "law_words", "report_text", "title"]
 
-ARTICLE_CODE = (
+_ARTICLE_CODE = (
     "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
     "sd^2 (in numbers, whatever the unit), not sd"
 )
@@ -30,7 +30,6 @@ class Drawn:
     """Samples of a motion and how they came about.
 
     xyt : (n, 3) metres, radians
-    article_code : whether deviations were squared as the article's listing does
     notes : what else is to be said, in words
     """
 
@@ -40,8 +39,12 @@ class Drawn:
     xyt: Array
     seed: int
     origin: str
-    article_code: bool = False
     notes: tuple[str, ...] = ()
+
+    @property
+    def article_code(self) -> bool:
+        """Whether deviations are squared, as the article's listing does."""
+        return self.noise.law_name == "article-code"
 
 
 def brief(drawn: Drawn) -> Summary:
@@ -55,8 +58,8 @@ def brief(drawn: Drawn) -> Summary:
         axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m at {math.degrees(about.angle_rad) % 180.0:.3g} deg"
         lines.append(Line(name, f"{axes}, heading {heading:.3g} deg (1 sigma)"))
     lines.append(Line("motion", f"{_pose(drawn.move.start_xyt)} to {_pose(drawn.move.end_xyt)}"))
-    lines.append(Line("noise", law_words(drawn.noise, article_code=drawn.article_code)))
-    lines += [Line("note", ARTICLE_CODE, "warning")] if drawn.article_code else []
+    lines.append(Line("noise", law_words(drawn.noise)))
+    lines += [Line("note", _ARTICLE_CODE, "warning")] if drawn.article_code else []
     lines += [Line("note", note, "warning") for note in drawn.notes]
     return Summary(tuple(lines))
 
@@ -74,7 +77,7 @@ def json_text(drawn: Drawn) -> str:
     linear = linearised_moments(drawn.move, v)
     about = ellipse(linear, 1.0)
     content: dict[str, Any] = {
-        "law": "article-code" if drawn.article_code else noise.law_name,
+        "law": noise.law_name,
         "step": None if noise.step is None else str(noise.step),
         "coefficients": dataclasses.asdict(noise.coefficients),
         "source": drawn.origin,
@@ -114,13 +117,12 @@ def report_text(drawn: Drawn) -> str:
     lines = [
         f"motion: {_pose(move.start_xyt)} -> {_pose(move.end_xyt)}",
         f"  as turn {degrees(rot1):.4g} deg, drive {trans:.4g} m, turn {degrees(rot2):.4g} deg",
-        f"noise: {law_words(drawn.noise, article_code=drawn.article_code)}"
-        + (f" ({drawn.origin})" * bool(drawn.origin)),
+        f"noise: {law_words(drawn.noise)}" + (f" ({drawn.origin})" * bool(drawn.origin)),
         f"  with deviations {degrees(deviation[0]):.4g} deg, {deviation[1]:.4g} m, {degrees(deviation[2]):.4g} deg",
         f"{len(drawn.xyt)} samples, seed {drawn.seed}",
     ]
     if drawn.article_code:
-        lines.append(ARTICLE_CODE)
+        lines.append(_ARTICLE_CODE)
     sets = [("linearised", linearised_moments(move, v))]
     if len(drawn.xyt) > 1:
         sets.insert(0, ("samples", sample_moments(drawn.xyt)))
@@ -137,14 +139,16 @@ def report_text(drawn: Drawn) -> str:
     return "\n".join([*lines, *drawn.notes])
 
 
-def law_words(noise: Noise, *, article_code: bool = False) -> str:
+def law_words(noise: Noise) -> str:
     """Return the law and its coefficients, with the convention that they follow."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in _numbers(noise))
     step = f", once per {noise.step}" if noise.step is not None else ""
-    meaning = {"diffusion": "deviation after 1 m or 1 rad", "linear": "deviation = coefficient x motion"}.get(
-        noise.law_name, "variance = coefficient x motion^2"
-    )
-    return f"law {'article-code' if article_code else noise.law_name} ({meaning}{step}): {numbers}"
+    meaning = {
+        "diffusion": "deviation after 1 m or 1 rad",
+        "linear": "deviation = coefficient x motion",
+        "article-code": "deviation = (coefficient x motion)^2",
+    }.get(noise.law_name, "variance = coefficient x motion^2")
+    return f"law {noise.law_name} ({meaning}{step}): {numbers}"
 
 
 def title(drawn: Drawn) -> str:

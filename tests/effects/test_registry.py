@@ -8,6 +8,7 @@ import json
 from importlib.metadata import EntryPoint
 
 import pytest
+import test_contract  # noqa: F401 - whole before it is an entry point
 from click.testing import CliRunner
 
 from odomcorrupt.cli import cli, run

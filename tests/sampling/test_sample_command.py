@@ -48,7 +48,7 @@ def test_article_code_says_what_it_means(capsys):
         (["--example", "balanced", "--preset", "typical"], "brings its own"),
         (["--effect", "wheel_scale:e=0.01"], "drive"),
         (["--law", "quadratic"], "--alpha"),
-        (["--law", "article-code", "--preset", "typical"], "linear"),
+        (["--law", "article-code", "--preset", "typical"], "--alpha"),
     ],
 )
 def test_wrong_usage_is_told_in_one_line(arguments, word, capsys):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, held_out_limit
 
@@ -26,7 +25,6 @@ __all__ = [
     "law_numbers",
     "noise_confidence",
     "step_confidence",
-    "twins_of",
 ]
 
 _CLOCKS = ("time_offset", "clock_skew")
@@ -52,14 +50,6 @@ class LawNumber(NamedTuple):
     value: float
     error: float
     unit: str
-
-
-def twins_of(name: str) -> list[str]:
-    """Return the effects with the very same error as a named one: aliases of it, not alternatives."""
-    kinds = registry()
-    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
-    own = kinds[name].twin_of if name in kinds else None
-    return [*twins, *([own] if own is not None else [])]
 
 
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:

@@ -79,8 +79,8 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     """
     counts = Counter(run.status for run in report.runs)
     failed = sum(report.failed(run) for run in report.runs)
-    told = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
-    said = f"{failed} of {len(report.counted)} counted runs failed{f' ({told})' if told else ''}"
+    parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
+    said = f"{failed} of {len(report.counted)} counted runs failed{f' ({parts})' if parts else ''}"
     gate = [verdict for verdict in verdicts if verdict.failed]
     lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
     # a gate's verdict is what a script is asked for: failed rules come first

@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -132,6 +133,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
     """Return the model that a fit stands for; random effects go along as they are."""
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
     problem = fitted.problem
+    drive = drive_type_of(problem.recordings)
     clocks = zip(problem.recordings, problem.clocks, strict=True)
     return MotionModel(
         noise=Noise(problem.approach.law_name, fitted.noise.coefficients),
@@ -141,6 +143,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
             clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
+            drive_type=drive.name if drive.known else "",
             origin=next((r.geodetic_origin for r in problem.recordings if r.geodetic_origin is not None), None),
         ),
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),

@@ -9,10 +9,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +39,8 @@ NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_ya
 """Free beside the clocks while these are estimated, and then forgotten."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
 """What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
+_TRACKS_M = (0.2, 0.6)
+"""Tracks on which play is tried beside a clock where the robot's is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +99,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
         max(f.ambiguous_nats for f in each),
         max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
-        tuple(n for n in RIVALS if registry()[n].needs_track and any(r.track_m is None for r in recordings)),
+        tuple(n for n in RIVALS if _untested(registry()[n]) and any(r.track_m is None for r in recordings)),
         tuple(f.fit.noise.truth for f in each),
     )
 
@@ -134,14 +138,23 @@ def _differs(ratio: float) -> bool:
     return not 1.0 / _PLAIN_LEVEL < ratio < _PLAIN_LEVEL
 
 
-def _rivals(*, wheels: bool) -> list[Effect]:
+def _untested(kind: type[Effect]) -> bool:
+    """Tell whether a rival cannot be tried without the track."""
+    return kind.needs_track and not brings_track(kind)
+
+
+def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
     """Return the rivals as they are tried: of wheels that slip, all that lies between two kinds of contact.
 
-    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest.
+    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest. On
+    straights no track matters, and what a turn on the spot shows of play lies between that on two tracks.
     """
     kinds = [registry()[name] for name in RIVALS]
     if not wheels:
-        return [kind() for kind in kinds if not kind.needs_track]
+        anyhow: list[Effect] = [kind() for kind in kinds if not kind.needs_track]
+        wheeled = [kind for kind in kinds if kind.needs_track and brings_track(kind) and not steered]
+        on_tracks = [effect_from_values(kind.name, {"track": track}) for kind in wheeled for track in _TRACKS_M]
+        return [*anyhow, *on_tracks, *([registry()["steering_lag"]()] if steered else [])]
     slips = [effect_from_values("accel_slip", {"contact": contact}) for contact in ("axle", "wheels")]
     return [*slips, *(kind() for kind in kinds if kind.name != "accel_slip")]
 
@@ -149,7 +162,7 @@ def _rivals(*, wheels: bool) -> list[Effect]:
 def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
-    rivals = _rivals(wheels=runs[0].track_m is not None)
+    rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise, alone = None, None
@@ -175,11 +188,18 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
                 alone = _Found(clock, free, errors, best)
             nuisance = best.onward.effects[: len(nuisance)]
         else:
-            before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
-            if after < _CLOCK_HARM * before:
+            if _harmless(runs, clock):
                 return _Found(clock, free, errors, best)
     nothing = _Found(Clock(), (False, False), (0.0, 0.0), best)
-    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
+    if alone is None or not _harmless(runs, alone.clock):
+        return nothing
+    return _preferred(runs, alone, nothing, rivals)
+
+
+def _harmless(runs: Sequence[Recording], clock: Clock) -> bool:
+    """Tell whether a clock leaves no more of the error than none: on a steady circle an offset only turns the frame."""
+    before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
+    return after < _CLOCK_HARM * before
 
 
 def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:

@@ -82,7 +82,7 @@ class Intervals:
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
         position's part is near the identity, the heading's near one
-    wander_level : (K,) factor on the deviation of the truth's wander
+    random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
 
@@ -102,7 +102,7 @@ class Intervals:
     lever1: Array
     start_shape: Array
     end_shape: Array
-    wander_level: Array
+    random_walk_level: Array
     start_unseen: Array
     end_unseen: Array
 
@@ -268,7 +268,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever1=lever1,
         start_shape=shape[kept],
         end_shape=shape[kept + 1],
-        wander_level=np.full(len(kept), in_position),
+        random_walk_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
         end_unseen=unseen[kept + 1],
     )

@@ -14,7 +14,7 @@ from odomcorrupt.effects.wheels import rims_of
 from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.io.clock import aligned
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,7 +106,7 @@ def _across_gaps(fit: Fit) -> list[Event]:
         gaps = own[1:][~nodes.linked[own[1:]]]
         if not len(gaps):
             continue
-        left = headed_anew(undo(aligned(recording, clock), problem.effects))
+        left = with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
         begin, end = nodes.end_s[gaps - 1], nodes.start_s[gaps]
         truth_xyt = compose(nodes.truth_xyt[gaps - 1], nodes.truth_step[gaps - 1])
         true = between(truth_xyt, nodes.truth_xyt[gaps])
@@ -249,7 +249,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
     duration = 0.5 * spacing
     slip = float(np.median(slips[slips > 0.0])) * spacing / duration
     seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
-    # a stretch in which the truth stood still or went back asks for more than a burst can lose
+    # a stretch in which the truth rested or reversed asks for more than a burst can lose
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
     words = _words([event for event in lasting if event.slip > 0.0], fit.problem.recordings[0].track_m)

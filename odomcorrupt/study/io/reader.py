@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
@@ -47,6 +48,7 @@ class Source:
     truth_shift_s : what is added to the stamps of the truth, seconds
     track_m : nominal distance between the wheels, where it is known
     name : what to call the run, where not by its path
+    drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
     scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
     truth_scale_error : standard deviation of the laser's own scale error
     """
@@ -60,12 +62,20 @@ class Source:
     name: str = ""
     scan: str | None = None
     truth_scale_error: float = SCALE_ACCURACY
+    drive_type: str = AUTO
 
 
-def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
+def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
+    """Read one run, as `_read_runs`, of a robot of this drive type."""
+    if source.drive_type in STEERED:
+        source = replace(source, track_m=None)
+    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
+
+
+def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
 
-    told : called with what takes long, and which part of it is done
+    progress : called with the stage and its share that is done
 
     Raises
     ------
@@ -81,7 +91,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, told)
+    run = laser_run(source.path, _place(source), odom, scan, progress)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.drive_types import AUTO
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import interpolate, wrap
 
@@ -83,6 +84,7 @@ class Recording:
 
     origin_ns : what float times count from: the odometry's first stamp as it was recorded
     track_m : the robot's nominal track where it is known
+    drive_type : how its wheels steer it, see `drive_types`; "auto" where nobody said it
     notes : what reading it left out or noticed, in words
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
@@ -108,6 +110,7 @@ class Recording:
     stamp_error_s: float = 0.0
     localised: bool = False
     pulled_per_s: float = 0.0
+    drive_type: str = AUTO
 
     @property
     def headed(self) -> bool:

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.geometry.motion import error_of
@@ -28,9 +27,10 @@ from odomcorrupt.study.select.closed_loop import (
     of_pulls,
 )
 from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.terms.regressors import drives_sideways
+from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -81,26 +81,11 @@ class Candidate:
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
-    """Return every registered systematic effect that the model does not have, as a family of shapes worth trying.
-
-    Clocks are apart, a twin is named as an alternative of the one it cannot be told from, single wheels need a track,
-    and not every robot drives sideways.
-    """
+    """Return every systematic effect that the robot can have and the model does not, as a family of shapes."""
+    problem = fit.problem
     have = {effect.name for effect in fit.effects}
-    motions = fit.problem.motions
-    track, sideways = all(m.track_m is not None for m in motions), drives_sideways(motions)
-    kinds = [
-        kind
-        for name, kind in registry().items()
-        if name not in have
-        and kind.kind not in ("noise", "event")
-        and not kind.clock
-        and kind.twin_of is None
-        and (sideways or not kind.needs_sideways)
-        and (track or not kind.needs_track)
-    ]
-    families = [LibraryTerm.family(kind, motions) for kind in kinds]
-    return [family for family in families if family]
+    families = library_families(problem.recordings, problem.motions, have)
+    return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
 def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
@@ -148,7 +133,7 @@ def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
 def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
     """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
     if not score.separable:
-        return "cannot be told from what is in the model"
+        return "not separable from what is in the model"
     own = list(zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True))
     for p, value, error in own:
         least = 2.0 * error * decisions.testable_errors

@@ -18,7 +18,7 @@ from math import exp, inf, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.decisions import DECISIONS
 
 if TYPE_CHECKING:
@@ -38,14 +38,14 @@ class Evidence:
     own : what it gains, less its penalty
     rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
     left : what the plainest dependence still gains in the final model
-    wandering : what correlated noise in the final model gains
+    correlated : what correlated noise in the final model gains
     margin : by how much the final model prefers it to the best basis function in its place
     """
 
     own: float
     rivals: tuple[float, ...] = ()
     left: float = 0.0
-    wandering: float = 0.0
+    correlated: float = 0.0
     margin: float = inf
 
 
@@ -62,7 +62,7 @@ def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> floa
     rivals = sum(_exp(prior.temper * (g - evidence.own)) for g in evidence.rivals if isfinite(g))
     nothing = _exp(-prior.temper * evidence.own)
     dependence = _exp(prior.dependence_nats - prior.temper * evidence.margin)
-    rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.wandering, 0.0)
+    rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.correlated, 0.0)
     return rivals + nothing + dependence + prior.elsewhere + rest / evidence.own
 
 
@@ -99,6 +99,6 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         # what a filter that is given poses takes out passes for gains and biases of any kind
         rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
-    wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
+    correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(own, rivals, left, wandering, margin)
+    return Evidence(own, rivals, left, correlated, margin)

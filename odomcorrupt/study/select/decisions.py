@@ -62,7 +62,7 @@ class Decisions:
         more than the first factor, unless windows compared one by one show less than so many standard errors of it;
         by more than the second factor never. An effect that the drift hardly depends on moves it by about a hundredth
 
-    alternative_nats : effects within so much of the best one are alternatives, which the data cannot tell apart: odds
+    alternative_nats : effects within so much of the best one are alternatives, which the data do not separate: odds
         of 20 to 1
     replacement_nats : by how much a basis function has to explain more than an effect of the library to be included
         instead: a known cause is the likelier a priori

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import remeasured
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -86,7 +86,7 @@ def eliminate_random(
     least = decisions.drop_nats + decisions.correlated_nats * len(fit.random)
     if fit.log_likelihood - calm.log_likelihood >= least:
         return named, fit
-    return [one for one in named if one.effect.name not in WANDERING], calm
+    return [one for one in named if one.effect.name not in CORRELATED_NOISE], calm
 
 
 def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:

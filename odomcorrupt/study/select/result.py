@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects import registry
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
+from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.heterogeneity import Disagreement
+    from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.terms.drive_type import DriveType
 
 __all__ = ["Learned", "Step"]
 
@@ -50,8 +51,10 @@ class Step:
             return ()
         least = self.candidates[0].gain - self.alternative_nats
         near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
-        aliased = [name for name, kind in registry().items() if kind.twin_of in (self.added, *near)]
-        return (*near, *aliased)
+        drive = drive_type_of(self.before.problem.recordings)
+        own = self.candidates[0].score.estimated
+        aliased = [*readings_of(own, drive), *(twin for name in near for twin in readings_of(name, drive))]
+        return tuple(dict.fromkeys(name for name in (*near, *aliased) if name != self.added))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,10 +83,15 @@ class Learned:
     margins: Mapping[str, float]
     fit: Fit
     error_m: float
-    disagreements: tuple[Disagreement, ...] = ()
+    disagreements: tuple[ParameterDifference, ...] = ()
     contradictions: tuple[Candidate, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def drive_type(self) -> DriveType:
+        """How the robot's wheels steer it."""
+        return drive_type_of(self.fit.problem.recordings)
 
     @property
     def added(self) -> tuple[str, ...]:

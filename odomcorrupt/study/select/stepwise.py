@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
 from odomcorrupt.study.select.candidates import (
@@ -98,7 +98,7 @@ def learn(
         clocks=clocks.clocks,
         free_clocks=clocks.free,
         approach=approach,
-        random=[e for e in start if e.name in WANDERING],
+        random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}

@@ -19,7 +19,7 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import cutting_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
@@ -116,9 +116,9 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
 
 
 def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
-    """Return the clocks of recordings as they come, or with a model's effects taken out where that is plainly closer.
+    """Return the clocks of recordings as they come, or none, or those with a model applied: the closest.
 
-    Errors as large as a strong effect's hide a clock: it is looked for again in what the model leaves.
+    Errors as large as a strong effect's mask a clock, or imitate one: it is estimated again from the model's residuals.
     """
     plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
@@ -127,9 +127,15 @@ def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: Mo
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
-        return phased_rmse([headed_anew(undo(recording, effects)) for recording in on_time])
+        return phased_rmse([with_recomputed_headings(undo(recording, effects)) for recording in on_time])
 
-    return applied if error_m(applied.clocks) < _CLOSER * error_m(plain.clocks) else plain
+    found = plain
+    n = len(recordings)
+    none = replace(plain, clocks=(Clock(),) * n, free=((False, False),) * n, errors=((0.0, 0.0),) * n)
+    for other in (none, applied):
+        if error_m(other.clocks) < _CLOSER * error_m(found.clocks):
+            found = other
+    return found
 
 
 def _fitted_on(model: MotionModel) -> list[str]:

@@ -16,7 +16,7 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned
@@ -93,7 +93,9 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
     laws = tuple(one for one in learned.laws if one.name in kept)
-    noise = tuple(gain for gain in learned.noise if gain.effect.name not in WANDERING or gain.effect.name in kept)
+    noise = tuple(
+        gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
+    )
     return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
 
 

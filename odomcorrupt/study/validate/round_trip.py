@@ -23,7 +23,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["RUNS", "RoundTrip", "bound_notes", "proved"]
+__all__ = ["RUNS", "RoundTrip", "bound_notes", "verified_model"]
 
 RUNS = 20
 """Corrupted runs that have to succeed, where a model draws random effects; without them every run is the same."""
@@ -73,7 +73,7 @@ class _Drive:
     true_xyt: Array
 
 
-def proved(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
+def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs: int = RUNS) -> RoundTrip:
     """Return the model as it can be used, and what was changed.
 
     Parameters
@@ -129,7 +129,7 @@ def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str
         return []
     on_time = [aligned(r, _clock(model, r)) for r in recordings]
     robot, both = (
-        phased_rmse([headed_anew(undo(r, effects)) for r in on_time])
+        phased_rmse([with_recomputed_headings(undo(r, effects)) for r in on_time])
         for effects in (model.effects, (*model.effects, *model.setup.effects))
     )
     if not abs(robot - both) > _OTHER_ERROR * both:
@@ -152,7 +152,7 @@ def _on_bound(value: float, p: Parameter) -> bool:
 
 
 def _drive(model: MotionModel, recording: Recording) -> _Drive:
-    whole = overlapping(headed_anew(aligned(recording, _clock(model, recording))))
+    whole = overlapping(with_recomputed_headings(aligned(recording, _clock(model, recording))))
     smooth, _ = smooth_truth(whole)
     return _Drive(whole, whole.odometry.stamps_ns, whole.odometry_s, whole.odometry.xyt, smooth)
 
@@ -208,7 +208,9 @@ def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
     left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
     if not left_m > _HARM * plain_m:
         return ""
-    by_fit = phased_rmse([headed_anew(undo(d.recording, (*model.effects, *model.setup.effects))) for d in drives])
+    by_fit = phased_rmse(
+        [with_recomputed_headings(undo(d.recording, (*model.effects, *model.setup.effects))) for d in drives]
+    )
     if not left_m > _HARM * by_fit:
         return ""
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
@@ -226,7 +228,7 @@ def _corrected_error(effects: Sequence[Effect], model: MotionModel, drives: Sequ
     runs = []
     for drive in drives:
         odometry = Trajectory(drive.stamps_ns, drive.measured_xyt + _correction(effects, drive))
-        runs.append(headed_anew(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
+        runs.append(with_recomputed_headings(undo(replace(drive.recording, odometry=odometry), model.setup.effects)))
     return phased_rmse(runs)
 
 
