@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.reader import Source
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings"]
+__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings", "require_travel"]
 
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
@@ -86,6 +86,8 @@ def read_recordings(
     names: Sequence[str] = (),
     scan: str | None = None,
     laser_scale_accuracy: float = 0.003,
+    imu: str | None = None,
+    gyro_scale_accuracy: float = 0.01,
     progress: Callable[[str, float], None] | None = None,
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
@@ -108,6 +110,11 @@ def read_recordings(
         Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth.
     laser_scale_accuracy : float
         Standard deviation of the laser's own scale error: no scale is known better.
+    imu : str, optional
+        Topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows where the odometry's
+        heading comes from; without either it is the truth of headings, for `diagnose` alone.
+    gyro_scale_accuracy : float
+        Standard deviation of the gyro's own scale error: no gain of turns is known better where it is the truth.
     progress : callable, optional
         Called with what takes long, and which part of it is done.
 
@@ -153,6 +160,8 @@ def read_recordings(
                 name=name,
                 scan=scan,
                 truth_scale_error=laser_scale_accuracy,
+                imu=imu,
+                gyro_scale_error=gyro_scale_accuracy,
             )
             for path, truth_path, name in zip(files, each, called, strict=True)
         ],
@@ -178,6 +187,24 @@ def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None)
     if isinstance(given, Recordings):
         return given
     return read_recordings(given) if like is None else like.read_alike(given)
+
+
+def require_travel(runs: Recordings) -> Recordings:
+    """Return recordings whose truths measured travel.
+
+    Raises
+    ------
+    RecordingError
+        Where one has a gyro alone: a model without travel is none.
+
+    """
+    blind = [run.name for run in runs if not run.positioned]
+    if blind:
+        raise RecordingError(
+            f"{blind[0]}: wheels and a gyro alone say nothing of travel, and a model needs it: only diagnose can use "
+            "them; give a truth, scans or relative motions (--truth, --scan, --relative)"
+        )
+    return runs
 
 
 def describe(recording: Recording) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import Recordings, as_recordings
+from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 from odomcorrupt.extras import require
@@ -139,7 +139,7 @@ def fit(
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    runs = require_travel(as_recordings(recordings).on_track(None if begin is None else begin.track_m))
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))
@@ -275,7 +275,7 @@ def compare(
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    runs = as_recordings(recordings).on_track(track)
+    runs = require_travel(as_recordings(recordings).on_track(track))
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
@@ -397,9 +397,15 @@ class Diagnosis(_Findings):
         from odomcorrupt.report.text.brief import findings_brief
 
         found = self.result
-        return findings_brief(
+        brief = findings_brief(
             found.search, found.advice, found.sequence, notes=self.recordings.notes, following=_next(self.following)
         )
+        if all(run.positioned for run in self.recordings):
+            return brief
+        from odomcorrupt.report.text.summary import Line, Summary
+
+        said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
+        return Summary((*brief.lines, Line("travel", said, "warning")))
 
     def details(self) -> str:
         """Return the candidates, what was found, what each addition gains, and what is open."""
@@ -584,7 +590,7 @@ def learn(
     ('wheelbase',)
 
     """
-    runs = as_recordings(recordings)
+    runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot

@@ -36,6 +36,8 @@ class Reading:
     track: float | None = None
     scan: str | None = None
     laser_scale_accuracy: float = 0.003
+    imu: str | None = None
+    gyro_scale_accuracy: float = 0.01
 
     def stages(self, voice: Voice) -> Stages:
         """Return what says which stage is under way."""
@@ -74,6 +76,8 @@ class Reading:
             names=["stdin" if str(path) == "-" else "" for path in paths],
             scan=self.scan,
             laser_scale_accuracy=self.laser_scale_accuracy,
+            imu=self.imu,
+            gyro_scale_accuracy=self.gyro_scale_accuracy,
             progress=part_done,
         )
         for recording in runs:
@@ -86,6 +90,7 @@ class Reading:
         """Return the words of a command line that read the same recordings again."""
         words = [w for flag, value in (("--odom", self.odom), ("--truth", self.truth)) if value for w in (flag, value)]
         words += ["--scan", self.scan] if self.scan else []
+        words += ["--imu", self.imu] if self.imu else []
         words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
         if self.truth_shift_s:
             words += ["--truth-shift", repr(self.truth_shift_s)]
@@ -135,6 +140,20 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             default="0.3%",
             help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
             "[default: 0.3%]",
+        ),
+        click.option(
+            "--imu",
+            metavar="TOPIC",
+            help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only "
+            "one]",
+        ),
+        click.option(
+            "--gyro-scale-accuracy",
+            type=Share("a share as in 1% or 0.01", 0.0, 20.0),
+            metavar="SHARE",
+            default="1%",
+            help="How far the gyro's own scale may be off (one standard deviation), where it is the truth. "
+            "[default: 1%]",
         ),
         click.option(
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"

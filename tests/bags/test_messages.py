@@ -48,6 +48,9 @@ def build(types, name, rng, **given):
             values[field] = build(types, desc, rng, **inner)
         elif int(node) == 3:
             values[field] = rng.normal(size=desc[1])
+        elif int(desc[0][0]) == 1:
+            count, kind = given.get("count", 2), desc[0][1][0]
+            values[field] = [f"{field} {i}" for i in range(count)] if kind == "string" else rng.normal(size=count)
         else:
             values[field] = [build(types, desc[0][1], rng, **given) for _ in range(given.get("count", 2))]
     return cls(**values)
@@ -105,6 +108,7 @@ def block_of(messages, lead=3):
 
 
 PATHS = {
+    "angular_velocity": "angular_velocity.x angular_velocity.y angular_velocity.z",
     "lla": "latitude longitude altitude",
     "covariance": "position_covariance",
     "twist": " ".join(f"twist.twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"),
@@ -124,6 +128,8 @@ def oracle(message, field):
         field = next(f"{part} {field}" for part in ("transform", "point", "pose") if hasattr(message, part))
         while field.startswith("pose") and hasattr(message, "pose"):
             message = message.pose
+    if field in getattr(message, "name", ()):
+        return [message.position[message.name.index(field)]]
     found = [attrgetter(path)(message) for path in PATHS[field].split()]
     return list(found[0]) if np.ndim(found[0]) else found
 

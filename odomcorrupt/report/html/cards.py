@@ -54,7 +54,7 @@ def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float
     sure = step_sure(look, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
-    if twins := twins_of(effect.name):
+    if twins := twins_of(effect.name, look.alternatives):
         lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
     if rivals := [name for name in look.alternatives if name not in twins]:
         lines.append(f"<p>or {escape(', '.join(rivals))}: these data cannot tell</p>")

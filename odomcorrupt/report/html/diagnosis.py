@@ -108,7 +108,7 @@ def _verdict(story: Story) -> str:
 
 def _named(name: str, alternatives: Sequence[str]) -> str:
     """Return a name with its twins as readings of it, and its rivals after "or"."""
-    twins = twins_of(name)
+    twins = twins_of(name, alternatives)
     rivals = [other for other in alternatives if other not in twins]
     return " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
 

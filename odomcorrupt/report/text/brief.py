@@ -38,9 +38,9 @@ _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
 
 
-def readings(name: str) -> str:
-    """Return an effect's name with its twin: one error with two readings, which no recording can tell apart."""
-    twins = twins_of(name)
+def readings(name: str, alternatives: Sequence[str] | None = None) -> str:
+    """Return an effect's name with its twin: one error with two readings, which no recording of poses tells apart."""
+    twins = twins_of(name, alternatives)
     return f"{name} (= {', '.join(twins)})" if twins else name
 
 
@@ -106,7 +106,7 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
     for step in search.steps:
         if step.added is not None and step.added in own:
             values = ", ".join(numbers_text(*own[step.added]))
-            said = f"{readings(step.added)}  {values}  {sure_words(step_sure(step, search))}"
+            said = f"{readings(step.added, step.alternatives)}  {values}  {sure_words(step_sure(step, search))}"
             lines.append(Line("", said + _rivals(step)))
     for unknown in search.unknown[:2]:
         expression = told_expression(unknown, law_numbers(unknown, search, fit))

@@ -10,7 +10,7 @@ from odomcorrupt.study.estimate.random_process import WANDERING
 from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Collection, Iterator, Mapping
 
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -55,8 +55,13 @@ class LawNumber(NamedTuple):
     unit: str
 
 
-def twins_of(name: str) -> list[str]:
-    """Return the effects with the very same error as a named one: other readings of it, and no rivals."""
+def twins_of(name: str, among: Collection[str] | None = None) -> list[str]:
+    """Return the effects with the very same error as a named one: other readings of it, and no rivals.
+
+    among : alternatives that are left open, where these are known: a gyro in the bag may have settled which twin it is
+    """
+    if among is not None:
+        return [twin for twin in twins_of(name) if twin in among]
     kinds = registry()
     twins = [other for other, kind in kinds.items() if kind.twin_of == name]
     own = kinds[name].twin_of if name in kinds else None

@@ -101,7 +101,7 @@ def ladder_text(learned: Learned) -> str:
     for look in learned.steps:
         if look.added is not None:
             before, after = look.candidates[0].rmse
-            twins = twins_of(look.added)
+            twins = twins_of(look.added, look.alternatives)
             others = [name for name in look.alternatives if name not in twins]
             rivals = f" (= {', '.join(twins)}: one error, two readings)" if twins else ""
             rivals += f" (or {', '.join(others)}: these data cannot tell)" if others else ""

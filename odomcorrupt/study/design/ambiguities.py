@@ -9,6 +9,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.information import separation
+from odomcorrupt.study.select.heading_source import GAIN, heading_source_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,8 +67,9 @@ def open_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]:
         found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
         told.append(gain)
     said = {look.added, *(name for choice in found for name in choice.names)}
+    settled = bool(heading_source_of(drives.learned.fit.problem.recordings))
     for twin, kind in kinds.items():
-        if kind.twin_of in said:
+        if kind.twin_of in said and not (kind.twin_of == GAIN and settled):
             hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
             found.append(Choice((str(kind.twin_of), twin), "", None, 0.0, hint))
     return found, told

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE_ACCURACY
+from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
@@ -18,7 +21,7 @@ from odomcorrupt.study.io.segments import independent_parts, without_frozen, wit
 from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
-from odomcorrupt.study.io.topic_selection import FLAGS
+from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
 
 if TYPE_CHECKING:
@@ -45,6 +48,8 @@ class Source:
     name : what to call the run, where not by its path
     scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
     truth_scale_error : standard deviation of the laser's own scale error
+    imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
+    gyro_scale_error : standard deviation of the gyro's own scale error
     """
 
     path: Path
@@ -56,6 +61,8 @@ class Source:
     name: str = ""
     scan: str | None = None
     truth_scale_error: float = SCALE_ACCURACY
+    imu: str | None = None
+    gyro_scale_error: float = GYRO_SCALE_ACCURACY
 
 
 def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
@@ -72,11 +79,20 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
 
     """
     scan = source.scan or automatic_scan(source)
-    if scan is None:
-        odometry, truth = _read(source)
-        return recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
-    if source.truth is not None or source.truth_path is not None:
-        raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+    if scan is not None:
+        if source.truth is not None or source.truth_path is not None:
+            raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+        return _by_laser(source, scan, told)
+    imu = source.imu or automatic_imu(source)
+    if imu is not None and not _is_truth_there(source):
+        return _by_gyro(source, imu)
+    odometry, truth = _read(source)
+    runs = recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+    return _witnessed(source, imu, odometry, runs)
+
+
+def _by_laser(source: Source, scan: str, told: Callable[[str, float], None] | None) -> list[Recording]:
+    """Return the recordings of a run whose truth is its laser."""
     odom = parse_address(source.odom) if source.odom is not None else None
     run = laser_run(source.path, _place(source), odom, scan, told)
     found: list[Recording] = []
@@ -93,7 +109,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
     error = source.truth_scale_error
     said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
-    return [
+    runs = [
         replace(
             r,
             name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
@@ -102,6 +118,52 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
             notes=(r.notes[0], *([chosen] if chosen and i == 0 else []), *r.notes[1:], *([said] if i == 0 else [])),
         )
         for i, r in enumerate(found)
+    ]
+    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, runs)
+
+
+def _by_gyro(source: Source, imu: str) -> list[Recording]:
+    """Return the recordings of a run that has nothing but odometry and a gyro: a truth of headings alone."""
+    place = _place(source)
+    odom = parse_address(source.odom) if source.odom is not None else None
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
+    truth = gyro_truth(odometry, gyro)
+    runs = recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+    error = source.gyro_scale_error
+    said = (
+        (
+            f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
+            "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)"
+        ),
+        f"the gyro's turns are good to {error:.2%}: no gain of turns is known better (--gyro-scale-accuracy)",
+    )
+    return [
+        replace(
+            r,
+            positioned=False,
+            turn_scale_error=error,
+            turn_bias_error=gyro.bias_error_radps,
+            heading_source=gyro.heading_source,
+            notes=(*r.notes, *(said if i == 0 else ())),
+        )
+        for i, r in enumerate(runs)
+    ]
+
+
+def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
+    """Return recordings that know what a gyro beside their truth shows: where the odometry's heading comes from."""
+    if imu is None:
+        return runs
+    try:
+        gyro = yaw_gyro(read_gyro(source.path, _place(source), imu), in_order(odometry))
+    except RecordingError as error:
+        if source.imu is not None:
+            raise
+        return [replace(runs[0], notes=(*runs[0].notes, f"the gyro is left out: {error}")), *runs[1:]]
+    return [
+        replace(r, heading_source=gyro.heading_source, notes=(*r.notes, *(gyro.notes if i == 0 else ())))
+        for i, r in enumerate(runs)
     ]
 
 
@@ -141,6 +203,19 @@ def automatic_scan(source: Source) -> str | None:
     if source.truth is not None or source.truth_path is not None or is_text(source.path):
         return None
     return only_scan(source.path)
+
+
+def automatic_imu(source: Source) -> str | None:
+    """Return the only gyro of a bag, where none is named."""
+    return None if is_text(source.path) else only_imu(source.path)
+
+
+def _is_truth_there(source: Source) -> bool:
+    """Whether a truth is named, or the bag holds something that could be one."""
+    if source.truth is not None or source.truth_path is not None or is_text(source.path):
+        return True
+    with open_reader(source.path) as reader:
+        return has_truth(reader.channels.values())
 
 
 def _place(source: Source) -> str:

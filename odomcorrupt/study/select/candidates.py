@@ -20,6 +20,7 @@ from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
 from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.heading_source import is_nameable, with_known_heading
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.regressors import drives_sideways
@@ -60,7 +61,8 @@ class Candidate:
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     """Return every registered systematic effect that the model does not have, as a family of shapes worth trying.
 
-    Clocks are apart, a twin is named as an alternative of the one it cannot be told from, single wheels need a track,
+    Clocks are apart, a twin is named as an alternative of the one it cannot be told from (unless a gyro in the bag
+    tells them apart), single wheels need a track,
     and not every robot drives sideways.
     """
     have = {effect.name for effect in fit.effects}
@@ -72,11 +74,11 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
         if name not in have
         and kind.kind not in ("noise", "event")
         and not kind.clock
-        and kind.twin_of is None
+        and is_nameable(kind, fit.problem.recordings)
         and (sideways or not kind.needs_sideways)
         and (track or not kind.needs_track)
     ]
-    families = [LibraryTerm.family(kind, motions) for kind in kinds]
+    families = [with_known_heading(LibraryTerm.family(kind, motions), fit.problem.recordings) for kind in kinds]
     return [family for family in families if family]
 
 

@@ -24,6 +24,7 @@ from odomcorrupt.study.select.candidates import Candidate, library_candidates, w
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import backward_eliminate, eliminate_random, iterate, one_heading
+from odomcorrupt.study.select.heading_source import GAIN, heading_source_of
 from odomcorrupt.study.select.heterogeneity import Disagreement, disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
@@ -80,8 +81,10 @@ class Step:
             return ()
         least = self.candidates[0].gain - self.alternative_nats
         near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
-        aliased = [name for name, kind in registry().items() if kind.twin_of in (self.added, *near)]
-        return (*near, *aliased)
+        named = {self.added, *near}
+        if heading_source_of(self.before.problem.recordings):
+            named -= {GAIN}
+        return (*near, *(name for name, kind in registry().items() if kind.twin_of in named))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
