@@ -88,6 +88,8 @@ def read_recordings(
     laser_scale_accuracy: float = 0.003,
     imu: str | None = None,
     gyro_scale_accuracy: float = 0.01,
+    joints: tuple[str, str] | None = None,
+    relative: PathLikes = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
@@ -115,6 +117,11 @@ def read_recordings(
         heading comes from; without either it is the truth of headings, for `diagnose` alone.
     gyro_scale_accuracy : float
         Standard deviation of the gyro's own scale error: no gain of turns is known better where it is the truth.
+    joints : (str, str), optional
+        Left and right wheel in JointState, whose angles are to be the odometry. Without them, joints whose names say
+        that they are wheels give the nominal track alone.
+    relative : path or several, optional
+        CSV file of relative motions (t0,t1,dx,dy,dyaw) that are to be the truth: one for all, or one for each.
     progress : callable, optional
         Called with what takes long, and which part of it is done.
 
@@ -146,6 +153,10 @@ def read_recordings(
         raise RecordingError("no recording given; name a bag with odometry and truth")
     if len(truths) > 1 and len(truths) != len(files):
         raise RecordingError(f"{len(truths)} truth bags for {len(files)} recordings; name one for all, or one for each")
+    motions = as_paths(relative)
+    if len(motions) not in (0, 1, len(files)):
+        raise RecordingError(f"{len(motions)} files of relative motions for {len(files)} recordings; give each its own")
+    each_motions = motions if len(motions) > 1 else [*motions, None][:1] * len(files)
     each = truths if len(truths) > 1 else [*truths, None][:1] * len(files)
     called = [*names, *[""] * (len(files) - len(names))]
     return _read(
@@ -162,8 +173,10 @@ def read_recordings(
                 truth_scale_error=laser_scale_accuracy,
                 imu=imu,
                 gyro_scale_error=gyro_scale_accuracy,
+                joints=joints,
+                relative=motion_path,
             )
-            for path, truth_path, name in zip(files, each, called, strict=True)
+            for path, truth_path, motion_path, name in zip(files, each, each_motions, called, strict=True)
         ],
         progress,
     )

@@ -63,7 +63,7 @@ def serialise(wire, message, name):
     return data if wire != "xcdr2" else to_xcdr2(message, name)
 
 
-def to_xcdr2(message, name):
+def to_xcdr2(message, name):  # noqa: C901 - a branch for each kind of field
     """Serialise plainly with doubles aligned to four bytes."""
     out = bytearray(b"\x00\x07\x00\x00")
 
@@ -87,7 +87,16 @@ def to_xcdr2(message, name):
             else:
                 put(len(member), "<u4")
                 for one in member:
-                    write(one, desc[0][1])
+                    write_one(one, desc[0][1])
+
+    def write_one(one, kind):
+        if isinstance(one, str):
+            put(len(one) + 1, "<u4")
+            out.extend(one.encode() + b"\0")
+        elif isinstance(one, float):
+            put(one, "<f8")
+        else:
+            write(one, kind)
 
     write(message, name)
     return bytes(out)

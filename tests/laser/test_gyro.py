@@ -79,7 +79,7 @@ def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, capsys
     path = bag(tmp_path / "run.mcap", simulated)
     assert run(["diagnose", str(path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
-    effects = {one["name"]: one for one in said["found"] if one["kind"] == "effect"}
+    effects = {one["effect"]: one for one in said["found"] if one["kind"] == "effect"}
     assert list(effects) == ["wheelbase"]
     value = effects["wheelbase"]["parameters"]["e"]
     assert value["value"] == pytest.approx(simulated.answer["causes"]["wheelbase"]["e"], abs=0.02)

@@ -17,12 +17,14 @@ from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
+from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -34,6 +36,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.topic_selection import Role
 
 __all__ = ["Source", "read_runs", "recordings_of"]
+
+_OTHER_TRACK = 0.01
+"""Relative difference from which a track that is named is said to be another than the odometry's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,9 @@ class Source:
     truth_scale_error : standard deviation of the laser's own scale error
     imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
     gyro_scale_error : standard deviation of the gyro's own scale error
+    relative : file of relative motions that are to be the truth, see `relative_motions`
+    joints : left and right wheel in JointState, whose angles are to be the odometry; None takes what their names say
+        for the nominal track alone
     """
 
     path: Path
@@ -63,6 +71,8 @@ class Source:
     truth_scale_error: float = SCALE_ACCURACY
     imu: str | None = None
     gyro_scale_error: float = GYRO_SCALE_ACCURACY
+    joints: tuple[str, str] | None = None
+    relative: Path | None = None
 
 
 def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
@@ -78,6 +88,8 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
         Where what is there cannot be odometry and truth of one run; the message says why.
 
     """
+    if source.relative is not None:
+        return _by_motions(source, source.relative)
     scan = source.scan or automatic_scan(source)
     if scan is not None:
         if source.truth is not None or source.truth_path is not None:
@@ -87,20 +99,24 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     if imu is not None and not _is_truth_there(source):
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
-    runs = recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
-    return _witnessed(source, imu, odometry, runs)
+    wheels = _with_wheels(source, odometry)
+    name = source.name or source.path.name
+    runs = recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s)
+    return _witnessed(source, imu, odometry, wheels.noted(runs))
 
 
 def _by_laser(source: Source, scan: str, told: Callable[[str, float], None] | None) -> list[Recording]:
     """Return the recordings of a run whose truth is its laser."""
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, told)
+    place = _place(source)
+    wheels = _with_wheels(source, in_order(_one(source.path, place, "odometry", odom)))
+    run = laser_run(source.path, place, odom, scan, told, odometry=wheels.odometry)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)
     for part in parts:
         try:
-            found += recordings_of(name, run.odometry, part, source.track_m, source.truth_shift_s)
+            found += recordings_of(name, run.odometry, part, wheels.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
                 raise
@@ -119,7 +135,44 @@ def _by_laser(source: Source, scan: str, told: Callable[[str, float], None] | No
         )
         for i, r in enumerate(found)
     ]
-    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, runs)
+    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
+
+
+def _by_motions(source: Source, path: Path) -> list[Recording]:
+    """Return the recordings of a run whose truth is a file of relative motions: one for each chain of them."""
+    place = _place(source)
+    if source.truth is not None or source.truth_path is not None or source.scan is not None:
+        raise RecordingError(f"{place}: --relative {path} and a truth or scans; name one of them")
+    odom = parse_address(source.odom) if source.odom is not None else None
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    wheels = _with_wheels(source, odometry)
+    motions = read_motions(path)
+    shift = round(source.truth_shift_s * 1e9)
+    motions = motions._replace(start_ns=motions.start_ns + shift, end_ns=motions.end_ns + shift)
+    found: list[Recording] = []
+    chains = chains_of(motions, wheels.odometry)
+    name = source.name or source.path.name
+    for chain in chains:
+        try:
+            found += recordings_of(name, wheels.odometry, chain, wheels.track_m)
+        except RecordingError:
+            if len(chains) == 1:
+                raise
+    if not found:
+        raise RecordingError(f"{place}: no chain of motions carries a study; record longer")
+    error = source.truth_scale_error
+    said = f"lengths of the motions are good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    runs = [
+        replace(
+            r,
+            name=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
+            truth_scale_error=error,
+            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
+            notes=(*r.notes, *([said] if i == 0 else [])),
+        )
+        for i, r in enumerate(found)
+    ]
+    return _witnessed(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
 
 
 def _by_gyro(source: Source, imu: str) -> list[Recording]:
@@ -128,8 +181,10 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
     odom = parse_address(source.odom) if source.odom is not None else None
     odometry = in_order(_one(source.path, place, "odometry", odom))
     gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
-    truth = gyro_truth(odometry, gyro)
-    runs = recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+    wheels = _with_wheels(source, odometry)
+    truth = gyro_truth(wheels.odometry, gyro)
+    name = source.name or source.path.name
+    runs = wheels.noted(recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
     error = source.gyro_scale_error
     said = (
         (
@@ -165,6 +220,43 @@ def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Re
         replace(r, heading_source=gyro.heading_source, notes=(*r.notes, *(gyro.notes if i == 0 else ())))
         for i, r in enumerate(runs)
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Wheeled:
+    """The odometry to learn from, the track of its robot, and what its wheels' angles show, in words."""
+
+    odometry: Samples
+    track_m: float | None
+    notes: tuple[str, ...] = ()
+
+    def noted(self, runs: list[Recording]) -> list[Recording]:
+        """Return recordings with what the wheels show."""
+        return [replace(runs[0], notes=(*runs[0].notes, *self.notes)), *runs[1:]]
+
+
+def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
+    """Return what the wheels' angles in the bag tell of the odometry; in its place where their joints are named."""
+    plain = _Wheeled(odometry, source.track_m)
+    if is_text(source.path):
+        return plain
+    angles = read_wheels(source.path, _place(source), source.joints)
+    if angles is None:
+        return plain
+    try:
+        wheels = wheels_of(angles, odometry)
+    except RecordingError as error:
+        if source.joints is not None:
+            raise
+        return replace(plain, notes=(f"the wheels' angles are left out: {error}",))
+    track_m, notes = source.track_m, wheels.notes
+    if track_m is None and wheels.heading:
+        track_m = wheels.track_m
+    elif track_m is not None and wheels.heading and abs(track_m / wheels.track_m - 1.0) > _OTHER_TRACK:
+        notes = (*notes, f"--track {track_m:g} m is not the {wheels.track_m:.4g} m that the odometry is made with")
+    if source.joints is not None:
+        return _Wheeled(odometry_of_wheels(angles, wheels, odometry), track_m, notes)
+    return _Wheeled(odometry, track_m, notes)
 
 
 def recordings_of(
