@@ -108,7 +108,6 @@ def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     errors = result.model.standard_errors
     theirs = {"left": 0.0205898, "right": 0.0207204, "axle": 0.0880134}
     mean, half = radius * (1.0 + values["wheel_scale.e"]), values["unequal_wheels.curvature"] * track / 2.0
-    print(values, errors, runs[0].notes)
     assert mean == pytest.approx((theirs["left"] + theirs["right"]) / 2.0, rel=0.01)
     assert 2.0 * half == pytest.approx(theirs["right"] / theirs["left"] - 1.0, abs=0.004)
     assert track * (1.0 + values["wheelbase.e"]) == pytest.approx(theirs["axle"], rel=0.015)
