@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 from test_gyro import drive
 
+from odomcorrupt.api.returns import fit_returns
+from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import RecordingError
@@ -87,7 +89,7 @@ def test_motions_that_do_not_join_are_refused_and_loop_closures_left_out(tmp_pat
 @pytest.mark.slow
 def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     """IEEE T-RO 29(2), 2013: diameters 41.18 and 41.44 mm, axle 88.0 mm, sensor at -89.3 deg (their own output)."""
-    table = np.genfromtxt(KHEPERA, delimiter=",", names=True, skip_header=1)[:1200]
+    table = np.genfromtxt(KHEPERA, delimiter=",", names=True, skip_header=1)[1200:2100]
     radius, track = 0.0205, 0.09
     angle = np.stack((table["phi_l"], table["phi_r"]), axis=1) * table["T"][:, None]
     stop = np.cumsum(table["T"])
@@ -113,3 +115,33 @@ def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     assert track * (1.0 + values["wheelbase.e"]) == pytest.approx(theirs["axle"], rel=0.015)
     assert all(errors[name] < 0.05 for name in ("wheel_scale.e", "wheelbase.e"))
     assert any("-89" in note or "-90" in note or "-88" in note for note in runs[0].notes)
+
+
+def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
+    """Squares both ways by a robot whose wheels and track are wrong, as Borenstein & Feng drive them."""
+    curvature, e, side, track = 0.01, 0.03, 3.0, 0.4
+    files = []
+    for way in (1.0, -1.0):
+        leg = np.tile([side / 100.0, 0.0], (100, 1))
+        corner = np.tile([0.0, way * np.pi / 200.0], (100, 1))
+        real = np.concatenate([leg, corner] * 4)
+        # what a driver with equal wheels and the nominal track makes of them
+        ds, dtheta = real.T
+        seen = (dtheta - curvature * ds) * (1.0 + e)
+        xyt = accumulate(np.zeros(3), Increments(ds, np.zeros_like(ds), seen))
+        t_s = 0.05 * np.arange(len(xyt))
+        files.append(written(tmp_path / f"square{way:+.0f}.csv", "time [s],x,y,yaw", t_s, *xyt.T))
+    found = {row["parameter"]: row for row in fit_returns(files, track_m=track).rows()}
+    assert found["wheelbase.e"]["value"] == pytest.approx(e, abs=2e-3)
+    assert abs(found["unequal_wheels.curvature"]["value"]) == pytest.approx(curvature, rel=0.05)
+
+
+def test_squares_one_way_round_do_not_tell_wheels_from_track(tmp_path, capsys):
+    square = np.concatenate([np.tile([0.03, 0.0], (100, 1)), np.tile([0.0, np.pi / 200.0], (100, 1))] * 4)
+    ds, dtheta = square.T
+    xyt = accumulate(np.zeros(3), Increments(ds, np.zeros_like(ds), dtheta))
+    path = written(tmp_path / "square.csv", "time [s],x,y,yaw", 0.05 * np.arange(len(xyt)), *xyt.T)
+    assert run(["fit", str(path), "--returns"]) == 1
+    assert "the other way round" in capsys.readouterr().err
+    assert run(["fit", str(path), "--end", "0,0"]) == 2
+    assert "x,y,yaw" in capsys.readouterr().err

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.io.recording import Recording, Trajectory
     from odomcorrupt.study.io.topic_selection import Role
 
-__all__ = ["Source", "read_runs", "recordings_of"]
+__all__ = ["Source", "read_odometry", "read_runs", "recordings_of"]
 
 _OTHER_TRACK = 0.01
 """Relative difference from which a track that is named is said to be another than the odometry's."""
@@ -103,6 +103,25 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     name = source.name or source.path.name
     runs = recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s)
     return _witnessed(source, imu, odometry, wheels.noted(runs))
+
+
+def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
+    """Return the odometry of a run alone, and the track where it is named or the wheels' angles show it.
+
+    Raises
+    ------
+    TopicError, RecordingError
+        Where there is none, or it cannot be odometry.
+
+    """
+    place = _place(source)
+    odom = parse_address(source.odom) if source.odom is not None else None
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    if not odometry.headed:
+        raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
+    check_itself(without_outliers(odometry))
+    wheels = _with_wheels(source, odometry)
+    return wheels.odometry.trajectory(), wheels.track_m
 
 
 def _by_laser(source: Source, scan: str, told: Callable[[str, float], None] | None) -> list[Recording]:

@@ -40,6 +40,7 @@ _JOINED = 0.02
 """Motions join where the time between them is at most this part of the shorter one."""
 _TURNED_RAD = np.radians(15.0)
 _LEAST_S = 15.0
+_GROSS, _UNKNOWN_M2 = 10.0, 100.0
 
 
 class Motions(NamedTuple):
@@ -112,7 +113,7 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
         Where no chain lasts 15 s.
 
     """
-    xyt, said = _on_robot(motions, odometry)
+    motions, said = _on_robot(motions, odometry)
     chains = _chains(motions)
     lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _LEAST_S]
     if not lasting:
@@ -127,14 +128,14 @@ def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
             f"{used} of {len(motions.start_ns)} motions join end to end in {len(lasting)} chains that last; the others "
             "(overlaps, loop closures, strays) are left out"
         )
-    found = [_chain(motions, xyt, np.array(c)) for c in lasting]
+    found = [_chain(motions, np.array(c)) for c in lasting]
     found[0] = found[0].noted(*said)
     return found
 
 
-def _chain(motions: Motions, xyt: Array, rows: NDArray[np.int64]) -> Samples:
+def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
     """Return a chain as a truth: poses summed from its motions."""
-    poses = np.zeros((len(rows) + 1, 3))
+    poses, xyt = np.zeros((len(rows) + 1, 3)), motions.xyt
     for k, row in enumerate(rows):
         poses[k + 1] = compose(poses[k], xyt[row])
         poses[k + 1, 2] = poses[k, 2] + wrap(xyt[row, 2])
@@ -176,25 +177,42 @@ def _chains(motions: Motions) -> list[list[int]]:
     return chains
 
 
-def _on_robot(motions: Motions, odometry: Samples) -> tuple[Array, list[str]]:
-    """Return the motions (n, 3) of the robot, where the sensor sits turned on it, and what was found, in words."""
+def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
+    """Return the motions of the robot, gross errors marked as unknown, and what was found, in words.
+
+    Where the sensor sits turned on the robot, that is taken out; motions that differ from the odometry's ten times as
+    much as is usual are failures of a matcher, and get a covariance of which nothing follows.
+    """
     path, origin = odometry.trajectory(), int(odometry.stamps_ns[0])
     start: Array = (motions.start_ns - origin).astype(np.float64) * 1e-9
     end: Array = (motions.end_ns - origin).astype(np.float64) * 1e-9
     last = float(odometry.stamps_ns[-1] - origin) * 1e-9
-    inside = (start >= 0.0) & (end <= last)
-    if np.count_nonzero(inside) < _FEWEST:
+    inside = np.flatnonzero((start >= 0.0) & (end <= last) & (end > start))
+    if len(inside) < _FEWEST:
         raise RecordingError(
-            f"{motions.place}: {np.count_nonzero(inside)} of {len(start)} motions lie in the time of {odometry.name}: "
-            "give their times on the odometry's clock (--truth-shift moves them)"
+            f"{motions.place}: {len(inside)} of {len(start)} motions lie in the time of {odometry.name}: give their "
+            "times on the odometry's clock (--truth-shift moves them)"
         )
     own = between(path.at(start[inside], origin), path.at(end[inside], origin))
-    mount = hand_eye(own, motions.xyt[inside])
-    if mount is None or abs(float(wrap(mount[2]))) < _TURNED_RAD:
-        return motions.xyt, []
-    where = f"{mount[0]:.3f} m, {mount[1]:.3f} m, {np.degrees(mount[2]):.1f} deg"
-    robot = compose(compose(np.broadcast_to(mount, motions.xyt.shape), motions.xyt), inverse(mount))
-    return robot, [f"its sensor is found to sit at {where} on the robot; taken out"]
+    seen, said = motions.xyt, []
+    further = np.abs(np.hypot(*own[:, :2].T) - np.hypot(*seen[inside, :2].T))
+    plain = further <= _GROSS * float(np.median(further)) + 1e-6
+    mount = hand_eye(own[plain], seen[inside][plain])
+    if mount is not None and abs(float(wrap(mount[2]))) > _TURNED_RAD:
+        seen = compose(compose(np.broadcast_to(mount, seen.shape), seen), inverse(mount))
+        where = f"{mount[0]:.3f} m, {mount[1]:.3f} m, {np.degrees(mount[2]):.1f} deg"
+        said.append(f"its sensor is found to sit at {where} on the robot; taken out")
+    miss = seen[inside] - own
+    away, turned = np.hypot(miss[:, 0], miss[:, 1]), np.abs(wrap(miss[:, 2]))
+    gross = inside[(away > _GROSS * np.median(away) + 1e-6) | (turned > _GROSS * np.median(turned) + 1e-6)]
+    covariance = motions.covariance
+    if len(gross):
+        if covariance is None:
+            covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(seen), 3, 3))
+        covariance = covariance.copy()
+        covariance[gross] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
+        said.append(f"{len(gross)} motions differ grossly from the odometry's: nothing follows from them")
+    return motions._replace(xyt=seen, covariance=covariance), said
 
 
 def _layout(header: Sequence[str], place: str) -> _Layout:
