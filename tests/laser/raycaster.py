@@ -36,12 +36,10 @@ def path(duration_s=36.0, rate_hz=20.0, *, straight=False):
     return t_s, np.stack([np.interp(t_s, fine, column) for column in poses.T], axis=1), fine, poses
 
 
-def ranges(
-    pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, view=2 * np.pi, flipped=False, noise=0.008, seed=1
-):
+def ranges(pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008):
     """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above."""
-    rng = np.random.default_rng(seed)
-    bearing = -view / 2 + view * np.arange(beams) / beams
+    rng = np.random.default_rng(1)
+    bearing = -np.pi + 2 * np.pi * np.arange(beams) / beams
     out = []
     for start in starts_s:
         pose = pose_at(start + sweep_s * np.arange(beams) / beams)
