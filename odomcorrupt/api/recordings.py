@@ -12,6 +12,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
+    from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.study.io.reader import Source
     from odomcorrupt.study.io.recording import Recording
 
@@ -64,6 +65,17 @@ class Recordings(Sequence["Recording"]):
             tuple(replace(run, track_m=track_m) for run in self.runs),
             tuple(replace(source, track_m=track_m) for source in self.sources),
         )
+
+    @property
+    def geodetic_origin(self) -> Origin | None:
+        """Origin of the frame of satellite fixes; None where no truth is of these."""
+        return next((run.geodetic_origin for run in self.runs if run.geodetic_origin is not None), None)
+
+    def in_frame(self, origin: Origin | None) -> Recordings:
+        """Return the same recordings with satellite fixes in the frame of another origin; None leaves them."""
+        from odomcorrupt.study.io.geodesy import in_frame
+
+        return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
 
     def read_alike(self, paths: PathLikes) -> Recordings:
         """Return other files, read with the topics, clock shift and track of the first of these."""
@@ -185,7 +197,8 @@ def read_recordings(
 def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
     from odomcorrupt.study.io.reader import read_runs
 
-    return Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+    runs = Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+    return runs.in_frame(runs.geodetic_origin)
 
 
 def as_paths(paths: PathLikes) -> list[Path]:

@@ -19,8 +19,8 @@ from odomcorrupt.batching.manifest import (
     write_manifest,
 )
 from odomcorrupt.batching.parameter_draws import spreads_of, stated_spreads
+from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.batching.sweep import variants
-from odomcorrupt.batching.tum import read_tum, write_npz
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.model.model_file import format_model, parse_model
@@ -53,6 +53,7 @@ class BatchSpec:
     output : whole bags, changed topics only, or paths
     split : whether changed messages are written in chunks of their own
     condition : map to which every run is constrained
+    suffix : of the names of whole bags, which says what they become; None: that of the input
     model_words : command-line arguments for the model of a single run; None: the directory's model.toml
     map_words : command-line arguments for the map
     """
@@ -68,6 +69,7 @@ class BatchSpec:
     output: Output = "full"
     split: bool = False
     condition: MapCondition | None = None
+    suffix: str | None = None
     model_words: tuple[str, ...] | None = None
     map_words: tuple[str, ...] = ()
 
@@ -92,11 +94,8 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     for source in inputs:
         if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
             raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
-        if spec.split and _is_sqlite(source, spec.container):
-            raise BatchError(
-                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
-                "again; leave --layout out"
-            )
+        if spec.split:
+            _require_chunks(source, spec)
         for variant in variants(spec.model, spec.sweeps, spec.points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
@@ -128,14 +127,27 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
                     shown_source=str(source),
                     shown_directory=str(directory),
                     condition=spec.condition,
+                    suffix=spec.suffix,
                 )
             )
     return jobs
 
 
-def _is_sqlite(source: Path, container: Container) -> bool:
-    with open_reader(source, recover=container.recover) as reader:
-        return reader.kind == "sqlite3"
+def _require_chunks(source: Path, spec: BatchSpec) -> None:
+    """Raise BatchError for runs that do not have the chunks of the input, which alone can be split."""
+    with open_reader(source, recover=spec.container.recover) as reader:
+        if reader.kind == "sqlite3":
+            raise BatchError(
+                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
+                "again; leave --layout out"
+            )
+        modes = {getattr(reader, "mode", "none"), spec.container.compression}
+    c = spec.container
+    if spec.suffix is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+        raise BatchError(
+            f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
+            "--layout out"
+        )
 
 
 def _drift_words(options: Options) -> str | None:
@@ -157,6 +169,9 @@ def _option_words(options: Options, container: Container) -> list[str]:
         ("--new-odom-frame", options.new_odom_frame),
         ("--compression", container.compression),
         ("--level", container.level),
+        ("--ros", container.ros),
+        ("--storage", container.storage),
+        *(("--exclude-topic", topic) for topic in container.exclude),
     )
     words = [word for flag, value in values if value is not None for word in (flag, str(value))]
     return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover
@@ -172,7 +187,7 @@ def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.container.recover) as reader:
-            Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
+            Transform(job.model_of(0), job.seed, 0, job.options).odometry.prepare(reader, reader.name)
 
 
 @dataclass(frozen=True, slots=True)

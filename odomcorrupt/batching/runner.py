@@ -2,46 +2,83 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, portions
-from odomcorrupt.batching.progress import Watched
-from odomcorrupt.batching.run_state import RunState
-from odomcorrupt.batching.shared import SharedTransform
-from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink
+from odomcorrupt.batching.run_state import RunState, SharedTransform
+from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.batching.split_layout import Rests, SplitSink
-from odomcorrupt.batching.tum import TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.preview.forecast import read_clean_drive
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Container, Iterator, Sequence
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.bags.block import BagReader, Block, Message
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
-    from odomcorrupt.batching.progress import ProgressCallback
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.preview.forecast import CleanDrive
 
-__all__ = ["Failure", "attempt", "make"]
+__all__ = ["PAUSE_S", "Failure", "ProgressCallback", "Watched", "attempt", "make"]
+
+PAUSE_S = 0.3
+"""Time between two beats."""
+
+
+class ProgressCallback(Protocol):
+    """Callback for progress."""
+
+    def __call__(self, part: float | None, past_s: float, /) -> None:
+        """Process the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
+
+
+class Watched:
+    """A reader that reports progress; otherwise equal to the given reader."""
+
+    def __init__(self, reader: BagReader, beat: ProgressCallback) -> None:
+        self._reader = reader
+        self._beat = beat
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the reader's blocks."""
+        next_s = time.monotonic() + PAUSE_S
+        first_ns: int | None = None
+        for block in self._reader.blocks(only):
+            yield block
+            if len(block.table):
+                first_ns = int(block.table["log_ns"][0]) if first_ns is None else first_ns
+            if first_ns is not None and len(block.table) and time.monotonic() >= next_s:
+                next_s = time.monotonic() + PAUSE_S
+                past_s = (int(block.table["log_ns"][-1]) - first_ns) * 1e-9
+                self._beat(getattr(self._reader, "part_read", None), past_s)
+
 
 CLEAN = "clean.tum"
 """The path without any noise, beside the runs."""
+
+_OVERLAY = Form("mcap", directory=False, ros=None)
+"""An overlay holds the messages as the input has them."""
 
 _STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 
@@ -97,8 +134,9 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
         with ExitStack() as stack:
             threads = default_threads() if job.container.threads is None else job.container.threads
             workers = stack.enter_context(Workers(threads))
-            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
-            records = _make(task, room, whole, stack, reader, part(reader), workers)
+            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
+            records = _make(task, room, whole, stack, output, part(output.reader), workers)
         contents = [content_of(room / record["file"]) for record in records]
         note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
         for record in records:
@@ -112,7 +150,7 @@ def _make(
     room: Path,
     whole: set[int],
     stack: ExitStack,
-    reader: BagReader,
+    output: Target,
     part: BagReader,
     workers: Workers,
 ) -> list[dict[str, Any]]:
@@ -120,9 +158,9 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     shared = SharedTransform(job.options)
-    shared.driver.prepare(reader, reader.name)
-    rests = Rests()
-    runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
+    shared.odometry.prepare(output.reader, output.reader.name)
+    rests, drive = Rests(), _drive(job)
+    runs = [_begin(job, run, output, (rests, workers), drive) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -147,9 +185,9 @@ def _make(
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
     """Return the transforms that a run adds to each block; None where it adds none."""
-    if one.edge is None or shared.driver.frames is None:
+    if one.edge is None or shared.odometry.frames is None:
         return None
-    return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
+    return one.strand.edges(portion, one.edge, shared.odometry.frames.odom)
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,20 +200,28 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
-    model = job.model_of(run)
-    within = None if job.condition is None else job.condition.path(model, job.seed, run)
+def _drive(job: Job) -> CleanDrive | None:
+    """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
+    if job.condition is None:
+        return None
+    with open_reader(job.source, recover=job.container.recover) as reader:
+        return read_clean_drive(reader, job.model, job.options)
+
+
+def _begin(job: Job, run: int, output: Target, shared: tuple[Rests, Workers], drive: CleanDrive | None) -> _Run:
+    model, (rests, workers) = job.model_of(run), shared
+    within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
         return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
     strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
-        return _Run(strand, OverlaySink(job, run, reader), patches=True)
+        return _Run(strand, OverlaySink(job, run, output.reader), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader, workers)
+    sink = SplitSink(job, run, output, rests) if job.split else FullSink(job, run, output, workers)
     frame = job.options.new_odom_frame
-    edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
+    edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
 
 

@@ -1,9 +1,13 @@
-"""Outputs of a run of a batch: a whole bag, an overlay of the changed topics, or its path."""
+"""Outputs of a run of a batch: a whole bag, an overlay of the changed topics, or its path as TUM and npz."""
 
 from __future__ import annotations
 
+import io
+import zipfile
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol, Self
+
+import numpy as np
 
 import odomcorrupt
 from odomcorrupt.bags.block import Block, Message, PartFraming
@@ -11,21 +15,148 @@ from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.rosbag2.writer import Foreign
+from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
     from types import TracebackType
 
-    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
+    from odomcorrupt.corruption.path import PathSamples
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Added", "BagSink", "FullSink", "MultiSink", "OverlaySink", "Sink", "provenance"]
+__all__ = [
+    "Added",
+    "BagSink",
+    "FullSink",
+    "MultiSink",
+    "OverlaySink",
+    "Sink",
+    "TumPath",
+    "TumSink",
+    "provenance",
+    "read_tum",
+    "write_npz",
+]
+
+_LINE = "%d.%09d %.9f %.9f 0 0 0 %.12f %.12f\n"
+
+
+class TumPath:
+    """A path: stamps_ns (n,), xyt (n, 3) in metres and radians."""
+
+    __slots__ = ("stamps_ns", "xyt")
+
+    def __init__(self, stamps_ns: NDArray[np.int64], xyt: Array) -> None:
+        self.stamps_ns = stamps_ns
+        self.xyt = xyt
+
+
+def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
+    """Return TUM lines (time, position, unit quaternion) of planar poses xyt (n, 3), metres and radians."""
+    seconds, rest = np.divmod(stamps_ns, 1_000_000_000)
+    half = xyt[:, 2] / 2.0
+    columns = (seconds, rest, xyt[:, 0], xyt[:, 1], np.sin(half), np.cos(half))
+    values = [value for row in zip(*(column.tolist() for column in columns), strict=True) for value in row]
+    return (_LINE * len(stamps_ns) % tuple(values)).encode()
+
+
+def read_tum(path: Path) -> TumPath:
+    """Return the planar poses of a TUM file, with stamps to the nanosecond."""
+    text = path.read_bytes()
+    stamps = [line.split(b" ", 1)[0] for line in text.splitlines()]
+    numbers = np.loadtxt(io.BytesIO(text), ndmin=2)
+    whole = np.array([int(stamp.replace(b".", b"")) for stamp in stamps], dtype=np.int64)
+    return TumPath(whole, np.column_stack((numbers[:, 1:3], yaw_from_quaternion(numbers[:, 4:8]))))
+
+
+class TumSink:
+    """TUM file of one run's path, or without a model of the clean path; clock effects shift the stamps as in a bag."""
+
+    def __init__(self, path: Path, model: MotionModel | None) -> None:
+        self._output = Output(path, overwrite=True)
+        self._clean = model is None
+        self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and acts(e))
+        self._waiting: list[PathSamples] = []
+
+    def restart(self) -> None:
+        """Do nothing: a TUM file has no stretches."""
+
+    def add(self, samples: PathSamples) -> None:
+        """Take the next part of the path."""
+        self._waiting.append(samples)
+
+    def put(self, portion: Portion, _data: NDArray[np.uint8], _added: object = None) -> None:
+        """Write the path so far."""
+        for samples in self._waiting:
+            xyt = samples.clean_xyt if self._clean else samples.clean_xyt + samples.error_xyt
+            t_s = (samples.stamps_ns - portion.first_ns) * np.float64(1e-9)
+            shift_s = sum((effect.stamp_shift_s(t_s) for effect in self._clocks), start=np.zeros(len(samples)))
+            stamps_ns = samples.stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
+            self._output.write(format_tum(stamps_ns, xyt))
+        self._waiting.clear()
+
+    def __enter__(self) -> Self:
+        self._output.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._output.commit()
+        finally:
+            self._output.discard()
+
+
+def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[Path]) -> None:
+    """Write all paths of a batch to an npz file, with one run in memory at a time.
+
+    Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
+    """
+    output = Output(path, overwrite=True)
+    output.open()
+    try:
+        with zipfile.ZipFile(_Sink(output), "w", zipfile.ZIP_STORED) as archive:
+            for name, array in (("runs", np.array(runs)), ("stamps_ns", clean.stamps_ns), ("clean_xyt", clean.xyt)):
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+            with archive.open("xyt.npy", "w", force_zip64=True) as member:
+                shape = (len(files), *clean.xyt.shape)
+                head = {"descr": "<f8", "fortran_order": False, "shape": shape}
+                np.lib.format.write_array_header_2_0(member, head)
+                for file in files:
+                    member.write(np.ascontiguousarray(read_tum(file).xyt, dtype="<f8").tobytes())
+        output.commit()
+    finally:
+        output.discard()
+
+
+class _Sink(io.RawIOBase):
+    """An output as a stream without seeking, for zip files."""
+
+    def __init__(self, output: Output) -> None:
+        self._output = output
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: object, /) -> int:
+        view = memoryview(data)  # type: ignore[arg-type]  # zipfile passes bytes
+        self._output.write(view)
+        return len(view)
 
 
 Added = list[list[Message]] | None
@@ -102,10 +233,16 @@ class MultiSink:
 class FullSink(BagSink):
     """A whole bag, byte-identical to that of a single run."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
+    def __init__(self, job: Job, run: int, output: Target, workers: Workers) -> None:
         c = job.container
         writer = open_writer(
-            job.path_of(run), reader, overwrite=True, compression=c.compression, level=c.level, workers=workers
+            job.path_of(run),
+            output.reader,
+            overwrite=True,
+            compression=c.compression,
+            level=c.level,
+            workers=workers,
+            form=output.form,
         )
         super().__init__(job, run, writer)
 
@@ -119,25 +256,13 @@ class FullSink(BagSink):
         self._writer.settle()
 
 
-class _Foreign:
-    """A reader presented as one of another format, so that a writer assigns new ids and definitions."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind = "ros1" if ros1 else reader.kind
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition = reader.definition
-
-
 class OverlaySink(BagSink):
     """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.container
-        foreign: Any = _Foreign(reader)
-        codec = None if c.compression == "bz2" else c.compression
+        foreign: Any = Foreign(reader)
+        codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)
         super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
@@ -151,4 +276,5 @@ class OverlaySink(BagSink):
 
 
 def _is_mcap(reader: BagReader) -> bool:
-    return reader.kind == "mcap"
+    """Whether blocks hold the records of an MCAP, which bare messages decompressed one by one are not."""
+    return reader.kind == "mcap" and getattr(reader, "mode", "none") != "message"

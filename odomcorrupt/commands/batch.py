@@ -34,6 +34,10 @@ _MAP_WORDS = {
 }  # fmt: skip
 
 
+_SUFFIXES = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
+"""Of the names of runs, by what they become."""
+
+
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
     name = "I/N"
 
@@ -62,6 +66,11 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     type=click.Choice(["same", "split"]),
     default="same",
     help="Chunks as in the input, or changed messages in chunks of their own: faster. [default: same]",
+)
+@click.option(
+    "--to",
+    type=click.Choice(["bag", "mcap", "db3", "directory"]),
+    help="Kind of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
 )
 @click.option(
     "--robots",
@@ -99,10 +108,10 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.api.corruption import Batch
+    from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.plan import require_odometry, run_batch
-    from odomcorrupt.commands._eta import Rate
+    from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
     jobs = _jobs(inputs, target, given)
@@ -119,7 +128,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
             jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
         )
     done = Batch(target, tuple(jobs), made.runs, made.failures)
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 1 if made.failures else 3 if done.losses else 0
 
 
@@ -138,7 +147,7 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
-    from odomcorrupt.api.corruption import split_options
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)
@@ -151,6 +160,9 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
             raise click.UsageError(
                 f"{flag}: adds messages, and --output {given['output']} has only what changes; leave one of them out"
             )
+    for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
+        if given[name] and given["output"] != "full":
+            raise click.UsageError(f"{flag}: is for whole bags; --output {given['output']} has no use for it")
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     if given["shard"] and given["seed"] is None:
@@ -169,6 +181,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         output=given["output"],
         split=given["layout"] == "split",
         condition=choose_condition_of_run(given, inputs[0], options),
+        suffix=_SUFFIXES.get(given["to"]),
         model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
         map_words=tuple(_map_words(given)),
     )
@@ -179,7 +192,7 @@ def _model(given: dict[str, Any]) -> MotionModel:
     """Return the model that was asked for, or that of a fleet."""
     if not given["fleet"]:
         return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
-    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.batching.parameter_draws import fleet_model
     from odomcorrupt.model.model_file import read_model
 
     other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]

@@ -9,8 +9,11 @@ import click
 from odomcorrupt.commands._standard import standard_options
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
 
@@ -38,7 +41,7 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     if name is not None:
         kind = effect_named(name)
-        voice.say(_page(kind), _page(kind), _facts(kind))
+        voice.say(_brief_page(kind), _page(kind), _facts(kind))
         return
     kinds = registry()
     effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
@@ -50,7 +53,40 @@ def command(name: str | None, *, voice: Voice) -> None:
             "odomcorrupt effects NAME explains one",
         ]
     )
-    voice.say(text, text, {"schema": 2, "effects": effects})
+    voice.say(_brief(kinds), text, {"schema": 2, "effects": effects})
+
+
+_FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
+"""Labels of the kinds of effects, in the order in which they are listed."""
+
+
+def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
+    """Return the names by kind."""
+    from odomcorrupt.report.text.summary import Line, Summary
+
+    lines = [
+        Line(label, ", ".join(name for name, one in kinds.items() if one.kind == kind))
+        for kind, label in _FAMILIES.items()
+    ]
+    return Summary((*lines, Line("next", "odomcorrupt effects NAME, or -v for all in words", "command")))
+
+
+def _brief_page(kind: type[Effect]) -> Summary:
+    """Return what an effect does, its parameters, and a command that puts it into a bag."""
+    from odomcorrupt.effects.effect import choices, parameters
+    from odomcorrupt.report.text.summary import Line, Summary
+
+    lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
+    own = parameters(kind)
+    lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in own]
+    lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
+    if kind.twin_of is not None:
+        lines.append(Line("twin", f"{kind.twin_of}: no recording of poses tells them apart"))
+    if kind.about is not None:
+        lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
+    values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
+    command = f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
+    return Summary((*lines, Line("next", command, "command")))
 
 
 def _facts(kind: type[Effect]) -> dict[str, Any]:
@@ -105,7 +141,7 @@ def _page(kind: type[Effect]) -> str:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
     if kind.twin_of is not None:
-        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can tell them apart")
+        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can separate them")
     values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
     lines += ["", f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"]
     return "\n".join(lines)

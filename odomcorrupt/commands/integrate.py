@@ -12,8 +12,11 @@ from odomcorrupt.commands._standard import chosen_output, output_option, overwri
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
@@ -60,9 +63,8 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError, OdomCorruptError
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
+    from odomcorrupt.trajectories.integrate import integrate, noisy_twists, rewrite_path
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
-    from odomcorrupt.trajectories.rewrite import rewrite_path
 
     if output is not None or output_option is not None:
         output = Path(chosen_output(None if output is None else str(output), output_option))
@@ -82,9 +84,10 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     truth = None if truth_topic is None else read_poses(input_, truth_topic)
     said = [_about(drive, rule, given["hold"]), *drive.notes]
     clean = integrate(drive.xyt[0], drive.twist, drive.t_s, rule, hold=given["hold"])
-    said += _compared(drive, clean, truth, truth_topic)
+    compared = _compared(drive, clean, truth, truth_topic)
+    said += compared
     written, provenance = clean, {"command": "integrate", "rule": rule, "hold": given["hold"]}
-    runs = None
+    runs, spread = None, []
     if noise is not None:
         seed = draw_seed() if given["seed"] is None else given["seed"]
         try:
@@ -93,8 +96,13 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
             raise click.UsageError(str(error)) from error
         runs = integrate(drive.xyt[0], twists, drive.t_s, rule, hold=given["hold"])
         written, provenance = runs[0], provenance | {"seed": str(seed), "twist_noise": f"{noise[0]} {noise[1]}"}
-        said += _spread(runs, clean, noise, seed)
-    voice.say("\n".join(said), "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
+        spread = _spread(runs, clean, noise, seed)
+        said += spread
+    following = ["info", output] if output is not None else ["integrate", input_, "--plot", "errors.png"]
+    brief = _brief(
+        drive, f"{rule}, a twist holds {_held(given['hold'])}", {"error": compared, "noise": spread}, following
+    )
+    voice.say(brief, "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
     if output is not None:
         done = rewrite_path(input_, output, drive, written, provenance, overwrite=given["overwrite"])
         voice.note(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms")
@@ -102,12 +110,26 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         _draw(plot, drive, clean, runs, truth, rule, noise)
 
 
+def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
+    """Return what was integrated, its errors, what noise does to it, and what to type next."""
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
+
+    whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
+    lines = [Line("INTEGRATED", whole, "good"), Line("rule", rule)]
+    lines += [Line("note", note, "warning") for note in drive.notes]
+    lines += [Line("" if i else label, one) for label, said in found.items() for i, one in enumerate(said)]
+    return Summary((*lines, command_line(["odomcorrupt", *following])))
+
+
+def _held(hold: str) -> str:
+    return "until the next stamp" if hold == "next" else "since the previous stamp"
+
+
 def _about(drive: Drive, rule: str, hold: str) -> str:
     hertz = (len(drive) - 1) / float(drive.t_s[-1])
-    when = "until the next stamp" if hold == "next" else "since the previous stamp"
     return (
         f"{drive.topic}: {len(drive)} twists in {drive.t_s[-1]:.4g} s ({hertz:.3g} Hz), {drive.distance_m[-1]:.4g} m; "
-        f"rule {rule}, each twist holds {when}"
+        f"rule {rule}, each twist holds {_held(hold)}"
     )
 
 
@@ -115,7 +137,7 @@ def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | No
     """Return how far integrated odometry is from the truth, and from the bag's own poses."""
     import numpy as np
 
-    from odomcorrupt.trajectories.trajectory_error import path_error
+    from odomcorrupt.trajectories.integrate import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
     own = path_error(drive.stamps_ns, xyt, drive.trajectory)
@@ -133,8 +155,8 @@ def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) ->
     ends = runs[:, -1] - clean[-1]
     position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
     return [
-        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
         f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
+        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
     ]
 
 
@@ -147,8 +169,8 @@ def _draw(
     rule: str,
     noise: tuple[float, float] | None,
 ) -> None:
-    from odomcorrupt.report.plots.odometry import draw_errors, draw_runs
-    from odomcorrupt.trajectories.trajectory_error import path_error
+    from odomcorrupt.report.plots.paths import draw_errors, draw_runs
+    from odomcorrupt.trajectories.integrate import path_error
 
     reference = drive.trajectory if truth is None else truth
     error = path_error(drive.stamps_ns, clean, reference)

@@ -1,32 +1,125 @@
-"""Corruption of one bag: reader, transform, writer."""
+"""Corruption of one bag: reader, transform, writer; an output without changes is a copy of the input's bytes."""
 
 from __future__ import annotations
 
+import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import open_reader, open_writer, target_of
+from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.convert.message_types import Generation
+    from odomcorrupt.bags.open import Form, Target
     from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
-    from odomcorrupt.corruption.targets import Frames
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Container", "Outcome", "corrupt_bag"]
+__all__ = [
+    "Container",
+    "Outcome",
+    "TeeReader",
+    "corrupt_bag",
+    "may_stay",
+    "outcome_of",
+    "provenance",
+    "write_as_it_was",
+]
+
+_PIECE_BYTES = 1 << 16
+
+
+def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
+    """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
+    if (source is not None and source.is_dir()) or getattr(reader, "mode", "none") != "none":
+        return False
+    if source is not None and reader.kind == "sqlite3":
+        from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
+
+        if has_log(source):
+            return False
+    return not form.directory and form.kind == reader.kind
+
+
+class TeeReader:
+    """Stream that records the bytes read from a pipe, so that they can be copied to an output."""
+
+    def __init__(self, stream: BinaryIO | None = None) -> None:
+        self._stream: BinaryIO = sys.stdin.buffer if stream is None else stream
+        self._kept = bytearray()
+        self._output: Output | None = None
+        self._recording = True
+
+    def read(self, size: int = -1) -> bytes:
+        """Read bytes."""
+        data = self._stream.read(size)
+        self._take(data)
+        return data
+
+    def readinto(self, view: memoryview) -> int:
+        """Read bytes into a buffer."""
+        got: int = self._stream.readinto(view)  # type: ignore[attr-defined] # a buffered stream has it
+        self._take(view[:got])
+        return got
+
+    def _take(self, data: bytes | memoryview) -> None:
+        if self._output is not None:
+            self._output.write(data)
+        elif self._recording:
+            self._kept += data
+
+    def play(self, output: Output) -> None:
+        """Write the bytes read so far to an output, and from now on all that are read."""
+        self._output = output
+        output.write(bytes(self._kept))
+        self._kept.clear()
+
+    def stop(self) -> None:
+        """Stop recording."""
+        self._recording = False
+        self._kept.clear()
+
+
+def write_as_it_was(
+    bag: TeeReader | Path,
+    target: Path | None,
+    blocks: Iterable[Block],
+    watch: Callable[[Block], None],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block."""
+    output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
+    output.open()
+    output.summing = False
+    try:
+        if isinstance(bag, TeeReader):
+            bag.play(output)
+        for block in blocks:
+            watch(block)
+        with nullcontext(bag) if isinstance(bag, TeeReader) else bag.open("rb") as rest:
+            while piece := rest.read(_PIECE_BYTES):
+                if rest is not bag:
+                    output.write(piece)
+        output.commit()
+    except BaseException:
+        output.discard()
+        raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +129,9 @@ class Container:
     overwrite : replace an existing output
     compression, level : of the output, None for those of the input
     recover : read the intact parts of a damaged input
+    ros : generation of ROS of the output's messages, where its format leaves a choice
+    storage : "mcap" or "sqlite3", of an output that is a directory
+    exclude : topics left out
     threads : number of threads; None: one per core, at most four
     """
 
@@ -43,18 +139,26 @@ class Container:
     compression: str | None = None
     level: int | None = None
     recover: bool = False
+    ros: Generation | None = None
+    storage: str | None = None
+    exclude: tuple[str, ...] = ()
     threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
         """Whether an output without changes may be a byte copy of the input."""
-        return self.compression is None and self.level is None and not self.recover
+        return self.compression is None and self.level is None and not self.recover and not self.exclude
+
+    def target(self, path: Path | None, reader: BagReader) -> Target:
+        """Return an output, with a reader of the input that yields the messages as the output has them."""
+        return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """Result of one run.
 
+    odometry : name of the odometry source
     channels : those that carried messages
     restarts : number of jumps back in time
     late : odometry messages too late to be put in order
@@ -67,12 +171,13 @@ class Outcome:
     placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
     stayed : TF edges that are not moved, "parent -> child"
     faults : counts of unusable odometry poses
+    remarks : what the output's message types cannot hold, in sentences
     """
 
     model: MotionModel
     seed: int
     run: int
-    driver: str
+    odometry: str
     frames: Frames
     changes: Changes
     drift: Drift
@@ -88,6 +193,7 @@ class Outcome:
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
+    remarks: tuple[str, ...] = ()
 
 
 def corrupt_bag(
@@ -101,14 +207,14 @@ def corrupt_bag(
     container: Container,
     watch: Callable[[Block], None] = lambda _: None,
     path: PathSource | None = None,
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
     source, target : bags; None is a pipe
     watch : called with every block written
     path : corrupted path, instead of the noisy path that the model draws
-    told : further metadata for the output, besides model, seed, run and version
+    metadata : further metadata for the output, besides model, seed, run and version
 
     Raises
     ------
@@ -127,9 +233,11 @@ def corrupt_bag(
     threads = default_threads() if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
-        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as raw,
     ):
-        transform.driver.prepare(reader, reader.name)
+        output = container.target(target, raw)
+        reader = output.reader
+        transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target,
             reader,
@@ -137,8 +245,9 @@ def corrupt_bag(
             compression=container.compression,
             level=container.level,
             workers=workers,
+            form=output.form,
         )
-        if silent and not adds and container.as_it_was and may_stay(source, target, reader):
+        if silent and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
@@ -150,33 +259,37 @@ def corrupt_bag(
                     watch(block)
                 transform.require_frame()
                 if not silent:
-                    writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
-        drift = transform.drift.result()
-        assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-        frames = transform.driver.frames
-        assert frames is not None  # noqa: S101 - as above
-        losses = tuple(reader.losses)
-        channels = tuple(reader.channels[number] for number in sorted(transform.seen))
+                    writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
+        return outcome_of(transform, reader, model, seed=seed, run=run)
+
+
+def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
+    """Return the result of a transform that has read a bag to its end."""
+    drift = transform.drift.result()
+    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+    frames = transform.odometry.frames
+    assert frames is not None  # noqa: S101 - as above
     return Outcome(
         model=model,
         seed=seed,
         run=run,
-        driver=transform.driver.name,
+        odometry=transform.odometry.name,
         frames=frames,
         changes=transform.changes,
         drift=drift,
-        channels=channels,
+        channels=tuple(reader.channels[number] for number in sorted(transform.seen)),
         restarts=transform.order.restarts,
         late=transform.order.late,
         leaps=transform.order.leaps,
         unusable=transform.unusable,
         added=_added(transform),
-        losses=losses,
+        losses=tuple(reader.losses),
         swapped=transform.order.swapped,
-        zero_stamps=transform.driver.zero_stamps,
+        zero_stamps=transform.odometry.zero_stamps,
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
-        faults=transform.driver.faults,
+        faults=transform.odometry.faults,
+        remarks=tuple(getattr(reader, "remarks", ())),
     )
 
 
@@ -184,10 +297,12 @@ def _added(transform: Transform) -> Mapping[str, int]:
     added = {}
     if transform.truth is not None:
         added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
-    if transform.edge is not None and transform.driver.frames is not None:
-        added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
+    if transform.edge is not None and transform.odometry.frames is not None:
+        added[f"transforms {transform.edge.frame} -> {transform.odometry.frames.odom}"] = transform.edge.count
     return added
 
 
-def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:
-    return {"version": odomcorrupt.__version__, "seed": str(seed), "run": str(run), "model": format_model(model)}
+def provenance(model: MotionModel, **numbers: int) -> dict[str, str]:
+    """Return what is noted in an output: version, model, and numbers such as seed and run."""
+    texts = {name: str(number) for name, number in numbers.items()}
+    return {"version": odomcorrupt.__version__, **texts, "model": format_model(model)}

@@ -26,7 +26,7 @@ class SideSlip(Effect):
         drive="the same turn slowly and fast",
     )
 
-    k: float = parameter("s", "sideways speed per speed and yaw rate", low=-0.5, high=0.5, typical=0.03)
+    k: float = parameter("s", "sideways speed per speed and yaw rate", low=0.0, high=0.5, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a sideways error in turns."""

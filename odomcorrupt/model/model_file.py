@@ -14,7 +14,7 @@ from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
 from odomcorrupt.model.correlation import Correlation
-from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, Step, TruthNoise, parse_alpha
+from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
 from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ _COEFFICIENTS = {
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
 _TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
+_ORIGIN = {"latitude": "latitude_deg", "longitude": "longitude_deg", "altitude": "altitude_m"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
 
@@ -136,7 +137,7 @@ def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
-    _only(table, (*_TRUTH, "effect", "clock"), "[setup]")
+    _only(table, (*_TRUTH, "origin", "effect", "clock"), "[setup]")
     known = {field: _number(table[key], key)[0] for key, field in _TRUTH.items() if key in table}
     if any(value < 0.0 for value in known.values()):
         raise ModelError("[setup]: noise of the truth below zero")
@@ -150,7 +151,18 @@ def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
             _number(item.get("time_offset", 0.0), "time_offset")[0],
             _number(item.get("clock_skew", 0.0), "clock_skew")[0],
         )
-    return Setup(_effects(table.get("effect", []), errors), TruthNoise(**known) if known else None, clocks)
+    truth = TruthNoise(**known) if known else None
+    return Setup(_effects(table.get("effect", []), errors), truth, clocks, _origin(_table(table, "origin")))
+
+
+def _origin(table: Mapping[str, Any]) -> Origin | None:
+    _only(table, _ORIGIN, "setup.origin")
+    if not table:
+        return None
+    for key in ("latitude", "longitude"):
+        if key not in table:
+            raise ModelError(f"setup.origin: {key} is missing; write degrees")
+    return Origin(**{_ORIGIN[key]: _number(value, f"setup.origin.{key}")[0] for key, value in table.items()})
 
 
 def _source(table: Mapping[str, Any]) -> Mapping[str, str | float | list[str]]:
@@ -252,6 +264,9 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
     if setup.truth is not None:
         units = {"truth_xy": "m", "truth_yaw": "rad", "truth_wander": "m per sqrt(s)"}
         lines += [f"{key} = {_figure(getattr(setup.truth, field))}  # {units[key]}" for key, field in _TRUTH.items()]
+    if setup.origin is not None:
+        place = ", ".join(f"{key} = {_figure(getattr(setup.origin, field), 12)}" for key, field in _ORIGIN.items())
+        lines.append(f"origin = {{ {place} }}  # deg, deg, m: places of effects are metres east and north of it")
     for effect in setup.effects:
         lines += ["", "[[setup.effect]]", *_effect_lines(effect, errors)]
     for recording, (offset, rate) in setup.clocks.items():

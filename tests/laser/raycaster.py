@@ -94,7 +94,7 @@ def drive(
         points = [
             np.concatenate([np.column_stack((r * np.cos(bearing), r * np.sin(bearing), r * np.tan(tilt)))
                             for tilt in np.radians((-8.0, 0.0, 8.0))])
-            for r in seen
+            for r in np.where(np.isfinite(seen), seen, np.nan)
         ]  # fmt: skip
         groups.append(laserbags.clouds(stamps(starts + 0.5 * sweep_s), points))
     else:

@@ -89,7 +89,7 @@ def test_motions_that_do_not_join_are_refused_and_loop_closures_left_out(tmp_pat
 @pytest.mark.slow
 def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     """IEEE T-RO 29(2), 2013: diameters 41.18 and 41.44 mm, axle 88.0 mm, sensor at -89.3 deg (their own output)."""
-    table = np.genfromtxt(KHEPERA, delimiter=",", names=True, skip_header=1)[1200:2100]
+    table = np.genfromtxt(KHEPERA, delimiter=",", names=True, skip_header=1)[::4]
     radius, track = 0.0205, 0.09
     angle = np.stack((table["phi_l"], table["phi_r"]), axis=1) * table["T"][:, None]
     stop = np.cumsum(table["T"])

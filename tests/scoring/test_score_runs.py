@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odomcorrupt.batching.tum import format_tum, read_tum
+from odomcorrupt.batching.sinks import format_tum, read_tum
 from odomcorrupt.cli import run
 from odomcorrupt.scoring import Limits, score
 from odomcorrupt.scoring.errors import ScoreError
@@ -157,6 +157,18 @@ def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, capsys,
     error = capsys.readouterr().err
     assert said in error
     assert error.count("\n") == 1
+
+
+def test_a_score_is_eight_lines_and_begins_with_what_failed(batch, estimates, capsys):
+    words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
+    for label, code, gate in (("HELD", 0, []), ("FAILED", 1, ["--fail-if", "ate_median > 0"])):
+        assert run([*words, *gate]) == code
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0].startswith(label)
+        assert len(lines) <= 8
+        assert max(map(len, lines)) <= 80
+        assert any(line.startswith("next") for line in lines)
+        assert any(line.startswith("gate") for line in lines) == bool(gate)
 
 
 def test_the_json_page_names_every_key(batch, estimates, capsys):

@@ -16,6 +16,7 @@ from odomcorrupt.geometry.increments import accumulate
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.round_trip import proved
 
 NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
@@ -88,3 +89,13 @@ def test_a_sound_model_is_left_as_it_is(drive):
     found = proved(model, [drive])
     assert found.changes == ()
     assert found.model == model
+
+
+def test_a_law_that_reads_more_out_of_rough_odometry_than_the_fit_did_is_left_out(drive):
+    # the fit smooths speeds on both sides; as they come they seem to brake hard half of the time
+    rough = drive.odometry.xyt + np.random.default_rng(2).normal(0.0, [1e-3, 1e-3, 0.0], drive.odometry.xyt.shape)
+    run = replace(drive, odometry=Trajectory(drive.odometry.stamps_ns, rough))
+    brakes = user_effect("brakes", "along += abs(v) * (k * where(a < -1.5, 1, 0))", {"k": 0.3})
+    found = proved(MotionModel(NOISE, (brakes,)), [run])
+    assert found.model.effects == ()
+    assert "`correct` with it leaves" in found.changes[0]

@@ -6,13 +6,17 @@ from collections import Counter
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
     from odomcorrupt.scoring.statistics import Quantile
 
-__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_text", "sentences"]
+__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_brief", "score_text", "sentences"]
 
 METRIC_WORDS = {
     "ate_m": "ATE, position", "ate_rad": "ATE, heading", "max_m": "largest position error",
@@ -27,7 +31,7 @@ _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unre
 
 
 def metric_text(metric: str, value: float) -> str:
-    """Return a metric in a unit that a person thinks in; "-" where it is not known."""
+    """Return a metric in a common unit; "-" where it is not known."""
     if value != value:  # noqa: PLR0124 - NaN alone
         return "-"
     if not isfinite(value):
@@ -64,14 +68,56 @@ def score_text(report: ScoreReport, *, every: bool = False) -> str:
     return "\n".join(lines)
 
 
+def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
+    """Return how many runs failed, the gate's verdicts, the errors, the break-down point and the covariances.
+
+    Parameters
+    ----------
+    report : scores of the runs
+    verdicts : of the gate's rules
+    following : words of the command to type next
+    """
+    counts = Counter(run.status for run in report.runs)
+    failed = sum(report.failed(run) for run in report.runs)
+    told = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
+    said = f"{failed} of {len(report.counted)} counted runs failed{f' ({told})' if told else ''}"
+    gate = [verdict for verdict in verdicts if verdict.failed]
+    lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
+    # a gate's verdict is what a script is asked for: failed rules come first
+    lines += [
+        Line("gate", verdict.sentence, "bad" if verdict.failed else "good")
+        for verdict in sorted(verdicts, key=lambda verdict: not verdict.failed)
+    ]
+    for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
+        s = report.summary(name)
+        if s.n:
+            values = (metric_text(name, value) for value in (s.median.value, s.p90.value, s.max))
+            lines.append(Line(label, "median {}, p90 {}, max {}".format(*values)))
+    lines.append(Line("breaks", _breakdown_brief(report)))
+    nees = report.summary("nees")
+    if nees.n:
+        lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
+    lines += [Line("note", note, "warning") for note in report.notes]
+    return Summary((*lines, command_line(following)))
+
+
+def _breakdown_brief(report: ScoreReport) -> str:
+    found = report.breakdown
+    drifts = [run.drift for run in report.counted if isfinite(run.drift)]
+    if not drifts:
+        return "unknown: the drift of these runs is not known"
+    span = f"drifts {_percent(min(drifts))} to {_percent(max(drifts))} per 10 m"
+    return f"5 % fail at a drift of {_percent(found.drift)}; {span}" if found.drift is not None else f"no point; {span}"
+
+
 def sentences(report: ScoreReport) -> list[str]:
     """Return what there is to say of all runs, a sentence each, the most important first."""
     counts = Counter(run.status for run in report.runs)
     failed = sum(report.failed(run) for run in report.runs)
-    told = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
+    parts = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
     lines = [
         f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed"
-        + (f" ({', '.join(told)})" if told else "")
+        + (f" ({', '.join(parts)})" if parts else "")
         + "."
     ]
     left = len(report.runs) - len(report.counted)
@@ -129,21 +175,21 @@ def _breakdown_sentence(report: ScoreReport) -> str:
 
 
 def _place_sentences(report: ScoreReport) -> list[str]:
-    told = []
+    parts = []
     known = [s for s in report.sections if s.runs]
     worst = max(known, key=lambda s: s.median_m, default=None)
     if worst is not None:
-        told.append(
+        parts.append(
             f"Errors are largest {worst.from_m:.1f} to {worst.to_m:.1f} m along the path, about ({worst.xy_m[0]:.1f}, "
             f"{worst.xy_m[1]:.1f}): median {metric_text('_m', worst.median_m)}, p90 {metric_text('_m', worst.p90_m)}."
         )
     most = max(known, key=lambda s: s.failures, default=None)
     if most is not None and most.failures > 1:
-        told.append(
+        parts.append(
             f"{most.failures} of {sum(s.failures for s in known)} losses begin {most.from_m:.1f} to {most.to_m:.1f} m "
             f"along the path, about ({most.xy_m[0]:.1f}, {most.xy_m[1]:.1f})."
         )
-    return told
+    return parts
 
 
 def run_heads() -> list[str]:

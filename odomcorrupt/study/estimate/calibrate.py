@@ -12,7 +12,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import LAWS
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, levelled
 from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -91,6 +91,7 @@ def fit_robot(
         clocks = find_clocks(recordings, approach)
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
         start_noise = clocks.noise
+    recordings = levelled(recordings, clocks)
     fitted = fit(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
@@ -140,6 +141,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
             clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
+            origin=next((r.geodetic_origin for r in problem.recordings if r.geodetic_origin is not None), None),
         ),
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={

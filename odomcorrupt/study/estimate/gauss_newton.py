@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "design_matrix", "fit"]
+__all__ = ["Fit", "carried", "design_matrix", "fit"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
@@ -155,7 +155,7 @@ def fit(
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         if before is not None and weights is not None:
-            weights = _carried(weights, before, problem)
+            weights = carried(weights, before, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.nodes, problem.steps)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
@@ -200,7 +200,7 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
 
 
-def _carried(weights: Array, before: Problem, now: Problem) -> Array:
+def carried(weights: Array, before: Problem, now: Problem) -> Array:
     """Return the weights (K,) that nodes had on those of now: a clock that moves may win or lose one, or shift them."""
     if np.array_equal(before.nodes.start_s, now.nodes.start_s):
         return weights

@@ -112,7 +112,7 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
         for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
     ]
     wander = np.zeros_like(a)
-    wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
+    wander[:, [0, 1], [0, 1]] = (nodes.wander_level**2 * (nodes.end_s - nodes.start_s))[:, None]
     pieces.append((wander, np.zeros_like(a[1:])))
     return pieces
 

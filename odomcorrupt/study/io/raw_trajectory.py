@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Origin
 
 __all__ = ["Samples"]
 
@@ -36,6 +37,8 @@ class Samples:
     child : the frame that moves, "" where nobody says
     relative : whether motions from pose to pose were measured, see `Trajectory`
     notes : what was noticed or left out so far, in words
+    geodetic_origin : of its frame, where it was satellite fixes
+    localised : whether it is the corrections of a localisation, whose errors are alike over some length of path
     """
 
     place: str
@@ -50,6 +53,8 @@ class Samples:
     covariance: Array | None = None
     child: str = ""
     relative: bool = False
+    geodetic_origin: Origin | None = None
+    localised: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -11,15 +12,18 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE_ACCURACY
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
@@ -100,8 +104,7 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
         return _by_gyro(source, imu)
     odometry, truth = _read(source)
     wheels = _with_wheels(source, odometry)
-    name = source.name or source.path.name
-    runs = recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s)
+    runs = _between_clock_steps(replace(source, track_m=wheels.track_m), wheels.odometry, truth)
     return _witnessed(source, imu, odometry, wheels.noted(runs))
 
 
@@ -216,6 +219,7 @@ def _by_gyro(source: Source, imu: str) -> list[Recording]:
         replace(
             r,
             positioned=False,
+            pulled_per_s=0.0,
             turn_scale_error=error,
             turn_bias_error=gyro.bias_error_radps,
             heading_source=gyro.heading_source,
@@ -278,6 +282,23 @@ def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
     return _Wheeled(odometry, track_m, notes)
 
 
+def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
+    """Return the recordings of a run, those before and after a step of a clock apart."""
+    name = source.name or source.path.name
+    pairs = [(one, other) for one in between_steps(odometry) for other in between_steps(truth)]
+    found: list[Recording] = []
+    why: RecordingError | None = None
+    for one, other in pairs:
+        part = f"{name} clock {len(found) + 1}" if len(pairs) > 1 else name
+        try:
+            found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
+        except RecordingError as error:
+            why = error
+    if why is not None and not found:
+        raise why
+    return found
+
+
 def recordings_of(
     name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
 ) -> list[Recording]:
@@ -290,12 +311,16 @@ def recordings_of(
 
     """
     odometry, truth = in_order(odometry), in_order(truth)
+    rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))
+    odometry, truth = even_stamps(odometry), even_stamps(truth)
     if truth_shift_s:
         shift = round(truth_shift_s * 1e9)
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     truth = without_constant_heading(odometry, truth)
+    if not truth.relative:
+        truth = corrections_alone(odometry, truth)
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
@@ -306,7 +331,16 @@ def recordings_of(
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
-    return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
+    return [
+        replace(
+            r,
+            notes=(opening, *r.notes, *said),
+            stamp_error_s=rounded_s / math.sqrt(12.0),
+            localised=truth.localised,
+            pulled_per_s=max(pull_of(calm, real)),
+        )
+        for r in recordings
+    ]
 
 
 def automatic_scan(source: Source) -> str | None:

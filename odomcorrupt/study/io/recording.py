@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Origin
 
 __all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
 
@@ -93,6 +94,11 @@ class Recording:
     turn_scale_error : standard deviation of a scale error that all turns of the truth may share (a gyro's)
     turn_bias_error : standard deviation of an offset that all yaw rates of the truth may share, rad/s
     heading_source : what a gyro in the bag shows the odometry's heading to come from: "wheels", "gyro", or "" unknown
+    geodetic_origin : of the truth's frame, where it was satellite fixes
+    localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
+    pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
+    truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
+    stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
     """
 
     name: str
@@ -118,6 +124,12 @@ class Recording:
     def axes(self) -> list[int]:
         """Which of along (0), across (1) and yaw (2) the truth measured."""
         return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
+
+    geodetic_origin: Origin | None = None
+    truth_level: tuple[float, float] = (1.0, 1.0)
+    stamp_error_s: float = 0.0
+    localised: bool = False
+    pulled_per_s: float = 0.0
 
     @property
     def headed(self) -> bool:

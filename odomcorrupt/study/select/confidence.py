@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["Evidence", "confidence", "evidence_of", "odds_against", "odds_formula"]
+__all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "odds_against", "odds_formula"]
 
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
@@ -80,15 +80,24 @@ def _exp(nats: float) -> float:
     return exp(min(max(nats, -700.0), 700.0))
 
 
+def held_out_limit(name: str, nats: float, learned: Learned) -> float:
+    """Return the nats that a part of a model gains on the fitted data, no more than data that were not fitted allow."""
+    most, error = learned.held_out.get(name, (inf, 0.0))
+    return min(nats, max(most + HELD_OUT_ERRORS * error, 0.0))
+
+
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence for the effect that a step included, in the light of the final model."""
-    # what data say that were not fitted limits the gain on fitted ones
-    nats, error = learned.held_out.get(step.added or "", (inf, 0.0))
-    own = min(step.candidates[0].gain, max(nats + HELD_OUT_ERRORS * error, 0.0))
-    rivals = tuple(c.gain for c in step.candidates[1:] if not c.refused)
+    gain = step.candidates[0].gain
+    own = held_out_limit(step.added or "", gain, learned)
+    # what chance gave to the effect on the fitted data it gave to its rivals, too
+    rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
     if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
         # the clock that was left out is a rival like any other; it explains no more than all of what this one does
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
+    if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
+        # what a filter that is given poses takes out passes for gains and biases of any kind
+        rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
     wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
     margin = learned.margins.get(step.added or "", inf)

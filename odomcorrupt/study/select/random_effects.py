@@ -91,8 +91,8 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
 
 
 def _matched(fit: Fit) -> bool:
-    """Whether a truth comes from matched scans."""
-    return any(recording.matched for recording in fit.problem.recordings)
+    """Whether a truth comes from matched scans: a laser's own, or a localisation's."""
+    return any(r.matched or r.localised for r in fit.problem.recordings)
 
 
 def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:

@@ -200,6 +200,11 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
         notes.append(
             f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
         )
+    elif any(piece.truth.xy_m != model.setup.truth.xy_m for piece in pieces if piece.headed and not piece.refitted):
+        own = ", ".join(f"{piece.truth.xy_m * 1e3:.2g} mm" for piece in pieces)
+        notes.append(
+            f"its truth is noisier or better than that of the fitted recordings, and was judged as such ({own})"
+        )
     if not all(piece.headed for piece in pieces):
         notes.append("the truth has positions only: nothing is said of yaw")
     return tuple(notes)

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
+_OTHER_NATS_PER_NODE = 0.3
+"""A truth is another one where its own noise explains so much more of each interval: as noise half as large again
+does where it is most of the residual."""
 _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
@@ -102,6 +105,8 @@ def evaluate_stretch(
     q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
     truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
+    if model.setup.truth is not None and not refitted:
+        truth = _own_truth(nodes, q, truth, headed=headed)
     band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in WANDERING]
     white = widened(band, problem, random)
@@ -140,6 +145,20 @@ def horizons_of(pieces: Sequence[Evaluation], distances_m: Sequence[float]) -> t
 def _noisy(model: MotionModel) -> list[Effect]:
     """Return what is still random when the odometry is put right where it shows what was lost."""
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
+
+
+def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, *, headed: bool) -> TruthNoise:
+    """Return the noise of a recording's truth where it plainly is another than a model states of its own recordings.
+
+    The noise of a truth is no property of the robot: a model may be fitted to motion capture and judged on AMCL.
+    """
+    own = _truth_noise(nodes, q, headed=headed)
+
+    def nats(truth: TruthNoise) -> float:
+        white = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        return white.log_likelihood(white.whiten(nodes.residual))
+
+    return own if nats(own) - nats(stated) > _OTHER_NATS_PER_NODE * len(nodes) else stated
 
 
 def _truth_noise(nodes: Intervals, q: Array, *, headed: bool) -> TruthNoise:

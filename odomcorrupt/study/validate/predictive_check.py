@@ -84,7 +84,7 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     )
     poses = np.empty((runs, len(kept), 3))
     for run in range(runs):
-        error = NoisyPath(model, seed, run).feed(stamps, smooth).error_xyt
+        error = NoisyPath(model, seed, run, covariance=False).feed(stamps, smooth).error_xyt
         poses[run] = truth[kept] + error[kept]
         # nobody knows the true start: the truth's own noise turns and shifts the whole run
         first = truth[0]

@@ -1,0 +1,198 @@
+"""Whole bags from end to end: the fixtures in, read again, compared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bagged import messages_of, read
+from drives import model, silent
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.corruption.run import Container, corrupt_bag
+from odomcorrupt.corruption.summary import holonomic_words, summary
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.errors import TopicError
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import wrap, yaw_from_quaternion
+from odomcorrupt.model.noise_laws import Coefficients
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+BAGS = ["office.bag", "office.mcap", "office_ros2"]
+
+
+def corrupt(source, target, chosen, seed=3, **container):
+    return corrupt_bag(source, target, chosen, seed=seed, run=0, options=Options(), container=Container(**container))
+
+
+def content(path):
+    """Return a bag's blocks and channels by topic."""
+    with open_reader(path) as reader:
+        blocks = list(reader.blocks())
+        return blocks, {channel.topic: channel for channel in reader.channels.values()}
+
+
+def bytes_of(path):
+    """Return a bag's files, by name."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return {file.relative_to(path).as_posix(): file.read_bytes() for file in files}
+
+
+def planar(blocks, channel, edge=None):
+    _, position = read(blocks, channel, "position", edge)
+    _, quat = read(blocks, channel, "orientation", edge)
+    return np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
+
+
+@pytest.fixture(scope="module", params=BAGS)
+def both(request, tmp_path_factory):
+    source = FIXTURES / request.param
+    target = tmp_path_factory.mktemp("out") / request.param
+    outcome = corrupt(source, target, model())
+    return content(source), content(target), outcome
+
+
+def test_everything_but_odometry_and_its_edge_is_bit_identical(both):
+    (before, channels), (after, after_channels), _ = both
+    assert list(channels) == list(after_channels)
+    moved = {channels["/odom"].id, channels["/tf"].id}
+    was, now = messages_of(before), messages_of(after)
+    assert len(was) == len(now)
+    for (channel, log, data), (same_channel, same_log, new) in zip(was, now, strict=True):
+        assert (channel, log, len(data)) == (same_channel, same_log, len(new))
+        if channel not in moved:
+            assert data == new
+
+
+def test_odometry_drifts_and_its_transform_agrees(both):
+    (before, channels), (after, _), outcome = both
+    noisy = planar(after, channels["/odom"])
+    edge = planar(after, channels["/tf"], ("odom", "base_link"))
+    clean = planar(before, channels["/odom"])
+    assert np.array_equal(noisy[0], clean[0])
+    assert np.hypot(*(noisy - clean)[-1, :2]) == pytest.approx(outcome.drift.end_drawn_m, abs=1e-9)
+    assert np.abs(noisy - clean).max() > 0.05
+    assert edge[:, :2] == pytest.approx(noisy[:, :2], abs=1e-12)
+    assert np.abs(wrap(edge[:, 2] - noisy[:, 2])).max() < 1e-12
+
+
+def test_added_twist_integrates_to_the_added_motion(both):
+    """Fixtures' own twists are not exact, so what counts is that both differ from clean by the same motion."""
+    (before, channels), (after, _), _ = both
+    odom = channels["/odom"]
+    stamps, twist = read(after, odom, "twist")
+    clean_twist = read(before, odom, "twist")[1]
+    clean, noisy = planar(before, odom), planar(after, odom)
+    dt = np.diff(stamps)[:, None] * 1e-9
+    turn = wrap(np.diff(clean[:, 2]))
+    middle = clean[:-1, 2] + turn / 2
+    dx, dy = np.diff(clean[:, 0]), np.diff(clean[:, 1])
+    c, s = np.cos(middle), np.sin(middle)
+    body = np.stack((c * dx + s * dy, c * dy - s * dx, turn), 1) + (twist - clean_twist)[1:, [0, 1, 5]] * dt
+    path = accumulate(noisy[0], Increments(*np.ascontiguousarray(body.T)))
+    assert path[:, :2] == pytest.approx(noisy[:, :2], abs=1e-8)
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_the_same_seed_gives_the_same_file(name, tmp_path):
+    for number, seed in enumerate((3, 3, 4)):
+        corrupt(FIXTURES / name, tmp_path / f"{number}{name}", model(), seed)
+    first, second, third = (list(bytes_of(tmp_path / f"{number}{name}").values()) for number in range(3))
+    assert first == second
+    assert first != third
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_a_silent_model_copies_the_bag(name, tmp_path):
+    corrupt(FIXTURES / name, tmp_path / name, silent([effect_from_values("wheelbase", {})]))
+    assert bytes_of(tmp_path / name) == bytes_of(FIXTURES / name)
+
+
+@pytest.mark.parametrize("name", ["office.bag", "office.mcap"])
+def test_a_silent_model_with_another_compression_keeps_every_message(name, tmp_path):
+    corrupt(FIXTURES / name, tmp_path / f"plain_{name}", silent(), compression="none")
+    assert bytes_of(tmp_path / f"plain_{name}") != bytes_of(FIXTURES / name)
+    assert messages_of(content(tmp_path / f"plain_{name}")[0]) == messages_of(content(FIXTURES / name)[0])
+
+
+def test_ros1_messages_may_leave_in_an_mcap_with_the_same_bytes(tmp_path):
+    corrupt(FIXTURES / "office.bag", tmp_path / "out.bag", model())
+    corrupt(FIXTURES / "office.bag", tmp_path / "out.mcap", model(), ros=1)
+    as_bag, as_mcap = (content(tmp_path / name)[0] for name in ("out.bag", "out.mcap"))
+    assert [data for _, _, data in messages_of(as_bag)] == [data for _, _, data in messages_of(as_mcap)]
+
+
+def test_model_seed_and_run_are_stored_in_an_mcap(tmp_path):
+    corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=77)
+    data = (tmp_path / "out.mcap").read_bytes()
+    assert b"rot_trans = 0.03" in data
+    assert b"77" in data
+
+
+def test_the_summary_tells_counts_drift_and_oddities(tmp_path):
+    outcome = corrupt(
+        FIXTURES / "office.mcap", tmp_path / "out.mcap", model("linear", Coefficients(0.1, 0.1, 0.1, 0.1))
+    )
+    text = summary(outcome, "typed")
+    assert "3000 messages on /odom, 3000 transforms odom -> base_link, driven by /odom (25.05 m in 59.98 s)" in text
+    assert f"at the end {outcome.drift.end_drawn_m:.3g} m" in text
+    assert f"at this bag's {outcome.drift.rate_hz:.3g} Hz" in text
+    assert "\n" not in text
+    outcome.changes.held = 4
+    assert "held for 4 of these" in summary(outcome, "")
+
+
+def test_the_summary_expects_no_noise_of_effects_and_no_place_of_a_lost_heading(tmp_path):
+    gyro = effect_from_values("gyro_bias", {"bias": 0.001})
+    text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "a.mcap", silent([gyro])), "")
+    assert "Drift: at the end " in text
+    assert "expected" not in text
+    wild = corrupt(FIXTURES / "office.mcap", tmp_path / "b.mcap", model(coefficients=Coefficients(5, 5, 5, 5)))
+    assert "deg, and so any place)" in summary(wild, "")
+
+
+def test_the_summary_counts_stamps_of_zero_and_messages_put_in_order(tmp_path):
+    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
+    assert (outcome.swapped, outcome.zero_stamps) == (0, 0)
+    text = summary(replace(outcome, swapped=3, zero_stamps=7), "")
+    assert "7 odometry stamps are zero: log times were used instead." in text
+    assert "3 odometry messages came behind later ones: they were put in order." in text
+
+
+@pytest.mark.parametrize(
+    ("law", "sideways_m", "said"),
+    [
+        ("linear", 4.0, "The robot moves sideways (4 m of 10 m), which the law linear does not know; --law omni does."),
+        ("linear", 0.5, ""),
+        ("omni", 4.0, ""),
+        ("omni", 0.0, "The law omni is for robots that move sideways, and this one does not; leave --law out."),
+    ],
+)
+def test_a_law_that_does_not_fit_the_robot_is_warned_of(law, sideways_m, said):
+    assert " ".join(holonomic_words(model(law), sideways_m, 10.0)) == said
+
+
+def test_a_silent_summary_promises_no_drift(tmp_path):
+    text = summary(corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", silent()), "")
+    assert text.startswith("Nothing to change: ")
+    assert "Drift" not in text
+
+
+def test_where_no_edge_is_moved_the_summary_names_those_there_are(tmp_path):
+    outcome = corrupt(FIXTURES / "office.mcap", tmp_path / "out.mcap", model())
+    moved = summary(outcome, "")
+    assert "transforms odom -> base_link" in moved
+    assert "TF has" not in moved
+    elsewhere = replace(outcome, changes=replace(outcome.changes, edges={}), stayed=frozenset({"map -> base_link"}))
+    assert "no transform from odom (TF has map -> base_link)" in summary(elsewhere, "")
+
+
+def test_a_frame_that_is_nowhere_is_refused(tmp_path):
+    with pytest.raises(TopicError, match="--odom-frame nope: no odometry message and no transform has this frame"):
+        corrupt_bag(
+            FIXTURES / "office.mcap", tmp_path / "out.mcap", model(), seed=3, run=0,
+            options=Options(odom_frame="nope"), container=Container(),
+        )  # fmt: skip
