@@ -109,11 +109,13 @@ def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     values = {f"{e.name}.{p.name}": getattr(e, p.name) for e in result.model.effects for p in amplitudes(e)}
     errors = result.model.standard_errors
     theirs = {"left": 0.0205898, "right": 0.0207204, "axle": 0.0880134}
-    mean, half = radius * (1.0 + values["wheel_scale.e"]), values["unequal_wheels.curvature"] * track / 2.0
-    assert mean == pytest.approx((theirs["left"] + theirs["right"]) / 2.0, rel=0.01)
-    assert 2.0 * half == pytest.approx(theirs["right"] / theirs["left"] - 1.0, abs=0.004)
-    assert track * (1.0 + values["wheelbase.e"]) == pytest.approx(theirs["axle"], rel=0.015)
-    assert all(errors[name] < 0.05 for name in ("wheel_scale.e", "wheelbase.e"))
+    # all within three standard errors, of a quarter of the data
+    mean = radius * (1.0 + values["wheel_scale.e"])
+    assert abs(mean / (0.5 * (theirs["left"] + theirs["right"])) - 1.0) < 3.0 * errors["wheel_scale.e"]
+    ratio, error = values["unequal_wheels.curvature"] * track, errors["unequal_wheels.curvature"] * track
+    assert abs(ratio - (theirs["right"] / theirs["left"] - 1.0)) < 3.0 * error < 0.01
+    assert abs(track * (1.0 + values["wheelbase.e"]) / theirs["axle"] - 1.0) < 3.0 * errors["wheelbase.e"]
+    assert all(errors[name] < 0.01 for name in ("wheel_scale.e", "wheelbase.e"))
     assert any("-89" in note or "-90" in note or "-88" in note for note in runs[0].notes)
 
 
