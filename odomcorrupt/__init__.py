@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.recordings import Recordings, read_recordings
+    from odomcorrupt.api.returns import SquareTest, fit_returns
     from odomcorrupt.api.simulation import Simulation, simulate
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.scoring.run import score
@@ -40,6 +41,7 @@ _HOMES = {
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.recordings": ("Recordings", "read_recordings"),
+    "api.returns": ("SquareTest", "fit_returns"),
     "api.simulation": ("Simulation", "simulate"),
     "errors": ("OdomCorruptError",),
     "scoring.run": ("score",),
@@ -62,6 +64,7 @@ __all__ = [
     "Recordings",
     "Samples",
     "Simulation",
+    "SquareTest",
     "__version__",
     "batch",
     "compare",
@@ -70,6 +73,7 @@ __all__ = [
     "density",
     "diagnose",
     "fit",
+    "fit_returns",
     "learn",
     "read_recordings",
     "sample",

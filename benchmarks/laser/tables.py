@@ -16,7 +16,8 @@ _CLOCKS = ("time_offset", "clock_skew")
 def tables(rows: list[dict[str, Any]]) -> str:
     """Return all tables as text in Markdown, misses listed by name."""
     broken = [r["key"] for r in rows if "failed" in r]
-    rows = [r for r in rows if "failed" not in r]
+    refused = [r for r in rows if "refused" in r]
+    rows = [r for r in rows if "failed" not in r and "refused" not in r]
     lines = [f"{len(rows)} drives; {len(broken)} broke: {', '.join(broken) or 'none'}", ""]
     lines += ["| measured | by the laser | by motion capture | goal |", "|---|---|---|---|"]
     controls, single = (_arm(rows, arm) for arm in ("controls", "single"))
@@ -38,6 +39,8 @@ def tables(rows: list[dict[str, Any]]) -> str:
     lines.append(_row("wrong and sure (0.9)", _share(sure), "", "at most 1 %"))
     corridor = _arm(rows, "corridor")
     false = [[n for n in _robots(r, "answer") if not right(n, r)] for r in corridor]
+    turned_down = [r["case"]["arm"] == "corridor" and "not testable" in r["refused"] for r in refused]
+    lines.append(_row("refused, of these corridors with what is not testable", _share(turned_down), "", ""))
     lines.append(_row("corridor: anything false", _share([bool(f) for f in false]), "", "none"))
     blind = [r for r in corridor if r["case"]["causes"] and r["case"]["causes"][0] in ("wheel_scale", "speed_scale")]
     said = [r["case"]["causes"][0] in r["untestable"] for r in blind]

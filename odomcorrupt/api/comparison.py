@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import as_recordings
+from odomcorrupt.api.recordings import as_recordings, require_travel
 from odomcorrupt.api.result import Result, next_line
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
@@ -146,7 +146,12 @@ def compare(
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
     drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
-    runs = as_recordings(recordings).on_track(track).of_drive_type(drive_type).in_frame(_shared_origin(named))
+    runs = (
+        require_travel(as_recordings(recordings))
+        .on_track(track)
+        .of_drive_type(drive_type)
+        .in_frame(_shared_origin(named))
+    )
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))

@@ -133,9 +133,15 @@ class Diagnosis(Findings):
         from odomcorrupt.report.text.brief import findings_brief
 
         found = self.result
-        return findings_brief(
+        brief = findings_brief(
             found.search, found.advice, found.sequence, notes=self.recordings.notes, following=next_line(self.following)
         )
+        if all(run.positioned for run in self.recordings):
+            return brief
+        from odomcorrupt.report.text.summary import Line, Summary
+
+        said = "cannot be known from wheels and a gyro alone: not testable are wheel_scale, speed_scale and the like"
+        return Summary((*brief.lines, Line("travel", said, "warning")))
 
     def details(self) -> str:
         """Return the candidates, what was found, what each addition gains, and what is open."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model, as_model
-from odomcorrupt.api.recordings import Recordings, as_recordings
+from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import Result, next_line
 from odomcorrupt.extras import require
 
@@ -120,7 +120,7 @@ def fit(
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings)
+    runs = require_travel(as_recordings(recordings))
     if begin is not None:
         runs = runs.on_track(begin.track_m).of_drive_type(begin.setup.drive_type).in_frame(begin.setup.origin)
     if law_name == "all":

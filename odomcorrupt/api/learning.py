@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.model import Model
-from odomcorrupt.api.recordings import Recordings, as_recordings
+from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
 from odomcorrupt.api.result import next_line
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def learn(
     ('wheelbase',)
 
     """
-    runs = as_recordings(recordings)
+    runs = require_travel(as_recordings(recordings))
     held_out = validate if isinstance(validate, Recordings) or validate else ()
     others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot

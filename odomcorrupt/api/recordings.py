@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.reader import Source
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings"]
+__all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings", "require_travel"]
 
 PathLikes = str | PathLike[str] | Iterable[str | PathLike[str]]
 """One path or several."""
@@ -111,6 +111,10 @@ def read_recordings(
     scan: str | None = None,
     laser_scale_accuracy: float = 0.003,
     drive_type: str = AUTO,
+    imu: str | None = None,
+    gyro_scale_accuracy: float = 0.01,
+    joints: tuple[str, str] | None = None,
+    relative: PathLikes = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
@@ -135,6 +139,16 @@ def read_recordings(
         Standard deviation of the laser's own scale error: no scale is known better.
     drive_type : str
         How the robot's wheels steer it: differential, skid, car, tricycle or omni; by default guessed from its motion.
+    imu : str, optional
+        Topic of a gyro; by default the only Imu of a bag. Beside a truth or a laser it shows where the odometry's
+        heading comes from; without either it is the truth of headings, for `diagnose` alone.
+    gyro_scale_accuracy : float
+        Standard deviation of the gyro's own scale error: no gain of turns is known better where it is the truth.
+    joints : (str, str), optional
+        Left and right wheel in JointState, whose angles are to be the odometry. Without them, joints whose names say
+        that they are wheels give the nominal track alone.
+    relative : path or several, optional
+        CSV file of relative motions (t0,t1,dx,dy,dyaw) that are to be the truth: one for all, or one for each.
     progress : callable, optional
         Called with what takes long, and which part of it is done.
 
@@ -168,6 +182,10 @@ def read_recordings(
         raise RecordingError("no recording given; name a bag with odometry and truth")
     if len(truths) > 1 and len(truths) != len(files):
         raise RecordingError(f"{len(truths)} truth bags for {len(files)} recordings; name one for all, or one for each")
+    motions = as_paths(relative)
+    if len(motions) not in (0, 1, len(files)):
+        raise RecordingError(f"{len(motions)} files of relative motions for {len(files)} recordings; give each its own")
+    each_motions = motions if len(motions) > 1 else [*motions, None][:1] * len(files)
     each = truths if len(truths) > 1 else [*truths, None][:1] * len(files)
     called = [*names, *[""] * (len(files) - len(names))]
     return _read(
@@ -183,8 +201,12 @@ def read_recordings(
                 scan=scan,
                 truth_scale_error=laser_scale_accuracy,
                 drive_type=drive_type,
+                imu=imu,
+                gyro_scale_error=gyro_scale_accuracy,
+                joints=joints,
+                relative=motion_path,
             )
-            for path, truth_path, name in zip(files, each, called, strict=True)
+            for path, truth_path, motion_path, name in zip(files, each, each_motions, called, strict=True)
         ],
         progress,
     )
@@ -209,6 +231,24 @@ def as_recordings(given: Recordings | PathLikes, like: Recordings | None = None)
     if isinstance(given, Recordings):
         return given
     return read_recordings(given) if like is None else like.read_alike(given)
+
+
+def require_travel(runs: Recordings) -> Recordings:
+    """Return recordings whose truths measured travel.
+
+    Raises
+    ------
+    RecordingError
+        Where one has a gyro alone: a model without travel is none.
+
+    """
+    blind = [run.name for run in runs if not run.positioned]
+    if blind:
+        raise RecordingError(
+            f"{blind[0]}: wheels and a gyro alone say nothing of travel, and a model needs it: only diagnose can use "
+            "them; give a truth, scans or relative motions (--truth, --scan, --relative)"
+        )
+    return runs
 
 
 def describe(recording: Recording) -> str:

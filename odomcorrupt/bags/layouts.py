@@ -35,7 +35,8 @@ class Item:
     stamp : offset of the stamp (two 32-bit words, seconds and nanoseconds) from the message's start, bytes
     fields : name to (offset from the message's start in bytes, count of float64): "position" 3, "orientation" 4
         (xyzw), "pose_covariance" 36, "twist" 6, "twist_covariance" 36, "lla" 3 (degrees, degrees, metres),
-        "covariance" 9 (of a NavSatFix); in Odometry and TF, orientation follows position directly
+        "covariance" 9 (of a NavSatFix), "angular_velocity" 3 (of an Imu), and of a JointState the position of each
+        joint, 1, by its name; in Odometry and TF, orientation follows position directly
     status : offset of the signed byte NavSatStatus.status of a NavSatFix, None elsewhere
     """
 
@@ -202,6 +203,20 @@ def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
     return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}, status),)
 
 
+def _imu(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    cursor.doubles(4 + 9)  # orientation and its covariance
+    return (Item(frame, "", stamp, {"angular_velocity": cursor.doubles(3)}),)
+
+
+def _joint_state(cursor: _Cursor) -> tuple[Item, ...]:
+    stamp, frame = cursor.header()
+    names = [cursor.string() for _ in range(cursor.count())]
+    count = cursor.count()
+    start, _ = cursor.doubles(count) if count else (0, 0)
+    return (Item(frame, "", stamp, {name: (start + 8 * i, 1) for i, name in enumerate(names[:count])}),)
+
+
 PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
     "nav_msgs/msg/Odometry": _odometry,
     "tf2_msgs/msg/TFMessage": _transforms,
@@ -211,5 +226,7 @@ PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {
     "geometry_msgs/msg/PointStamped": _point,
     "geometry_msgs/msg/TransformStamped": _transform,
     "sensor_msgs/msg/NavSatFix": _nav_sat_fix,
+    "sensor_msgs/msg/Imu": _imu,
+    "sensor_msgs/msg/JointState": _joint_state,
 }
 """What can be read, by message type."""

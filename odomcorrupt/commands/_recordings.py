@@ -38,6 +38,10 @@ class Reading:
     scan: str | None = None
     laser_scale_accuracy: float = 0.003
     drive_type: str = AUTO
+    imu: str | None = None
+    gyro_scale_accuracy: float = 0.01
+    joints: tuple[str, str] | None = None
+    relative: tuple[Path, ...] = ()
 
     def stages(self, voice: Voice) -> Stages:
         """Return what says which stage is under way."""
@@ -53,17 +57,27 @@ class Reading:
     ) -> tuple[Recordings, Recordings | None]:
         """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
         count = len(paths) + len(held_out)
-        if len(self.truth_bags) > 1 and len(self.truth_bags) != count:
-            raise click.UsageError(
-                f"{len(self.truth_bags)} --truth-bag for {count} recordings; name one for all, or one for each"
-            )
-        first, others = self.truth_bags, self.truth_bags
-        if len(self.truth_bags) > 1:
-            first, others = first[: len(paths)], others[len(paths) :]
-        runs = self._read(paths, first, voice, track)
-        return runs, self._read(held_out, others, voice, track) if held_out else None
+        for flag, files in (("--truth-bag", self.truth_bags), ("--relative", self.relative)):
+            if len(files) > 1 and len(files) != count:
+                raise click.UsageError(f"{len(files)} {flag} for {count} recordings; name one for all, or one for each")
 
-    def _read(self, paths: Sequence[Path], truth_bags: Sequence[Path], voice: Voice, track: float | None) -> Recordings:
+        def part(files: Sequence[Path], rows: slice) -> Sequence[Path]:
+            return files[rows] if len(files) > 1 else files
+
+        first, others = slice(len(paths)), slice(len(paths), None)
+        runs = self._read(paths, part(self.truth_bags, first), part(self.relative, first), voice, track)
+        if not held_out:
+            return runs, None
+        return runs, self._read(held_out, part(self.truth_bags, others), part(self.relative, others), voice, track)
+
+    def _read(
+        self,
+        paths: Sequence[Path],
+        truth_bags: Sequence[Path],
+        motions: Sequence[Path],
+        voice: Voice,
+        track: float | None,
+    ) -> Recordings:
         from odomcorrupt.api.recordings import describe, read_recordings
 
         runs = read_recordings(
@@ -77,6 +91,10 @@ class Reading:
             scan=self.scan,
             laser_scale_accuracy=self.laser_scale_accuracy,
             drive_type=self.drive_type,
+            imu=self.imu,
+            gyro_scale_accuracy=self.gyro_scale_accuracy,
+            joints=self.joints,
+            relative=motions,
             progress=part_done,
         )
         for recording in runs:
@@ -89,6 +107,9 @@ class Reading:
         """Return the words of a command line that read the same recordings again."""
         words = [w for flag, value in (("--odom", self.odom), ("--truth", self.truth)) if value for w in (flag, value)]
         words += ["--scan", self.scan] if self.scan else []
+        words += ["--imu", self.imu] if self.imu else []
+        words += ["--joints", *self.joints] if self.joints else []
+        words += [w for path in self.relative for w in ("--relative", str(path))]
         words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
         if self.truth_shift_s:
             words += ["--truth-shift", repr(self.truth_shift_s)]
@@ -145,6 +166,33 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             default="0.3%",
             help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
             "[default: 0.3%]",
+        ),
+        click.option(
+            "--imu",
+            metavar="TOPIC",
+            help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only "
+            "one]",
+        ),
+        click.option(
+            "--gyro-scale-accuracy",
+            type=Share("a share as in 1% or 0.01", 0.0, 20.0),
+            metavar="SHARE",
+            default="1%",
+            help="How far the gyro's own scale may be off (one standard deviation), where it is the truth. "
+            "[default: 1%]",
+        ),
+        click.option(
+            "--joints",
+            nargs=2,
+            metavar="LEFT RIGHT",
+            help="Wheels in JointState whose angles are to be the odometry. [default: wheels by name, for the track]",
+        ),
+        click.option(
+            "--relative",
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            multiple=True,
+            help="CSV of relative motions (t0,t1,dx,dy,dyaw) to learn from, as scan matchers and visual odometry write "
+            "them: one for all, or one for each.",
         ),
         click.option(
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"

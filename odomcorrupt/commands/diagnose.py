@@ -58,6 +58,9 @@ def command(
 
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:
     """Return the command that adds what is missing; "" where nothing is."""
+    if not all(run.positioned for run in result.recordings):
+        # a model needs travel, too
+        return ""
     if result.result.search.laws:
         # a dependence is written by `learn` alone, and what is added holds beside it only
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,8 @@ from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
@@ -27,6 +30,18 @@ __all__ = ["command"]
 @click.option("--start", type=click.Path(dir_okay=False, path_type=Path), help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
 @click.option("--law", help="Noise law, or all: the likeliest. [default: that of the start model, or diffusion]")
+@click.option(
+    "--returns",
+    is_flag=True,
+    help="The drives ended where they began, or at --end: the only truth, as in a square test (UMBmark).",
+)
+@click.option(
+    "--end",
+    "ends",
+    multiple=True,
+    metavar="X,Y,YAW",
+    help="Where a drive really ended, seen from where it began (m, m, deg): once for all, or for each.",
+)
 @overwrite_option()
 @standard_options
 def command(
@@ -37,6 +52,8 @@ def command(
     start: Path | None,
     add: tuple[str, ...],
     law: str | None,
+    returns: bool,
+    ends: tuple[str, ...],
     overwrite: bool,
     voice: Voice,
 ) -> None:
@@ -52,6 +69,9 @@ def command(
     if models:
         raise click.UsageError(f"{models[0]} is a model; pass it with --start")
     refuse_existing(output, overwrite=overwrite)
+    if returns or ends:
+        _square_test(paths, ends or ("0,0,0",), reading, add, output, voice)
+        return
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
     with reading.stages(voice) as stages:
@@ -64,3 +84,43 @@ def command(
     if output is not None:
         result.model.save(output, overwrite=True)
         voice.note(f"wrote {output}")
+
+
+def _square_test(
+    paths: Sequence[Path],
+    ends: Sequence[str],
+    reading: Reading,
+    add: Sequence[str],
+    output: Path | None,
+    voice: Voice,
+) -> None:
+    """Fit what a square test measures to the ends of drives."""
+    from odomcorrupt.api.returns import fit_returns
+
+    given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--scan": reading.scan, "--imu": reading.imu,
+             "--relative": reading.relative}  # fmt: skip
+    for flag, value in given.items():
+        if value:
+            raise click.UsageError(f"--returns and {flag}: the ends are the only truth then; leave one of them out")
+    poses = [_end(text) for text in ends]
+    if len(poses) not in (1, len(paths)):
+        raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
+    with reading.stages(voice) as stages:
+        stages("fit", 0.0)
+        result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track)
+    voice.show(result)
+    if output is not None:
+        result.model.save(output, overwrite=True)
+        voice.note(f"wrote {output}")
+
+
+def _end(text: str) -> tuple[float, float, float]:
+    """Return the pose that x,y,yaw says, the yaw in degrees."""
+    parts = text.split(",")
+    try:
+        x, y, yaw = (float(part) for part in parts)
+    except ValueError:
+        raise click.UsageError(f"--end {text}: write x,y,yaw in metres and degrees") from None
+    if not all(math.isfinite(value) for value in (x, y, yaw)):
+        raise click.UsageError(f"--end {text}: write finite numbers")
+    return x, y, math.radians(yaw)

@@ -156,8 +156,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     write_text(files[".yaml"], text)
     write_text(files[".tum"], tum_text(maps.trajectory))
     save_picture(files[".png"], draw_surveys(maps.surveys, WINDOW_M, "added by the odometry"))
-    for path in files.values():
-        voice.note(f"wrote {path}")
+    for end in (".yaml", ".pgm", ".tum"):
+        voice.note(f"wrote {files[end]}")
 
 
 def _brief(surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], bag: Path) -> Summary:

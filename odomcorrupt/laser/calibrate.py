@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.sweep import Sweep, Sweeps
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["Calibration", "Motion", "calibrate", "deskewed"]
+__all__ = ["Calibration", "Motion", "calibrate", "deskewed", "hand_eye"]
 
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15
@@ -136,7 +136,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     found = None
     for _ in range(2):
         motion = Motion(odometry, origin_ns, _lag(pairs, motion), motion.mount)
-        found = _hand_eye(pairs, motion)
+        found = _mounting(pairs, motion)
         if found is not None and (told is None or abs(wrap(np.asarray(found[2] - mount[2]))) > _DIFFERS_RAD):
             motion = Motion(odometry, origin_ns, motion.lag_s, found)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
@@ -275,16 +275,24 @@ def _lag(pairs: _Pairs, motion: Motion) -> float:
     return float(np.clip(-near[1] / (2.0 * near[0]), lags[best] - 0.04, lags[best] + 0.04))
 
 
-def _hand_eye(pairs: _Pairs, motion: Motion) -> Array | None:
-    """Return the laser's pose (3,) on the robot; None where the drive does not show it.
-
-    With O the robot's motion, L the laser's and X the mounting, O X = X L: t_O + (R_O - I) t_X = k R_X t_L.
-    """
+def _mounting(pairs: _Pairs, motion: Motion) -> Array | None:
+    """Return the laser's pose (3,) on the robot; None where the drive does not show it."""
     plain = pairs.ratio > _PLAIN_RATIO
     if plain.sum() < _LEAST_PAIRS:
         return None
     own = between(motion.robot(pairs.first_s[plain]), motion.robot(pairs.second_s[plain]))
-    seen = pairs.pose[plain]
+    return hand_eye(own, pairs.pose[plain])
+
+
+def hand_eye(own: Array, seen: Array) -> Array | None:
+    """Return the pose (3,) on the robot of a sensor whose motions are known beside the robot's; None where none fits.
+
+    With O the robot's motion, L the sensor's and X the mounting, O X = X L: t_O + (R_O - I) t_X = k R_X t_L. The scale
+    k between the two is free.
+
+    own : (n, 3) motions of the robot by its odometry
+    seen : (n, 3) motions of the sensor over the same times
+    """
     n = len(own)
     rows = np.zeros((n, 2, 4))
     c, s = np.cos(seen[:, 2]) - 1.0, np.sin(seen[:, 2])

@@ -48,6 +48,9 @@ def build(types, name, rng, **given):
             values[field] = build(types, desc, rng, **inner)
         elif int(node) == 3:
             values[field] = rng.normal(size=desc[1])
+        elif int(desc[0][0]) == 1:
+            count, kind = given.get("count", 2), desc[0][1][0]
+            values[field] = [f"{field} {i}" for i in range(count)] if kind == "string" else rng.normal(size=count)
         else:
             values[field] = [build(types, desc[0][1], rng, **given) for _ in range(given.get("count", 2))]
     return cls(**values)
@@ -60,7 +63,7 @@ def serialise(wire, message, name):
     return data if wire != "xcdr2" else to_xcdr2(message, name)
 
 
-def to_xcdr2(message, name):
+def to_xcdr2(message, name):  # noqa: C901 - a branch for each kind of field
     """Serialise plainly with doubles aligned to four bytes."""
     out = bytearray(b"\x00\x07\x00\x00")
 
@@ -84,7 +87,16 @@ def to_xcdr2(message, name):
             else:
                 put(len(member), "<u4")
                 for one in member:
-                    write(one, desc[0][1])
+                    write_one(one, desc[0][1])
+
+    def write_one(one, kind):
+        if isinstance(one, str):
+            put(len(one) + 1, "<u4")
+            out.extend(one.encode() + b"\0")
+        elif isinstance(one, float):
+            put(one, "<f8")
+        else:
+            write(one, kind)
 
     write(message, name)
     return bytes(out)
@@ -105,6 +117,7 @@ def block_of(messages, lead=3):
 
 
 PATHS = {
+    "angular_velocity": "angular_velocity.x angular_velocity.y angular_velocity.z",
     "lla": "latitude longitude altitude",
     "covariance": "position_covariance",
     "twist": " ".join(f"twist.twist.{part}.{axis}" for part in ("linear", "angular") for axis in "xyz"),
@@ -124,6 +137,8 @@ def oracle(message, field):
         field = next(f"{part} {field}" for part in ("transform", "point", "pose") if hasattr(message, part))
         while field.startswith("pose") and hasattr(message, "pose"):
             message = message.pose
+    if field in getattr(message, "name", ()):
+        return [message.position[message.name.index(field)]]
     found = [attrgetter(path)(message) for path in PATHS[field].split()]
     return list(found[0]) if np.ndim(found[0]) else found
 

@@ -56,5 +56,8 @@ def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion"
         spacing_s = _BLIND_NODE_S
     elif noise_m > _COARSE_TRUTH_M or any(r.localised for r in recordings):
         spacing_s = max([_COARSE_NODE_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
+    # motions are no shorter than they were measured
+    usual_s = [float(np.median(np.diff(r.truth.stamps_ns))) * 1e-9 for r in recordings if r.truth.relative]
+    spacing_s = max([spacing_s, *usual_s])
     sides = {choose_side(r, spacing_s) for r in recordings}
     return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)

@@ -26,15 +26,15 @@ _LEVEL = 1e-4
 
 
 def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) -> tuple[Effect, ...]:
-    """Return lever arm and mounting yaw, to be free in every fit, where the truth is a laser's; nothing otherwise.
+    """Return lever arm and mounting yaw, to be free in every fit, where the truth is that of a sensor on the robot.
 
     Where a laser sits is never known as well as its scans show it. Those among the effects beside are left out.
     """
     kinds = registry()
-    matched = any(recording.truth.covariance is not None for recording in recordings)
+    aboard = any(r.positioned and (r.matched or r.truth.relative) for r in recordings)
     there = {name for effect in beside for name in (effect.name, effect.twin_of)}
     there |= {name for name, kind in kinds.items() if kind.twin_of in there}
-    return tuple(kinds[name]() for name in _QUANTITIES if matched and name not in there)
+    return tuple(kinds[name]() for name in _QUANTITIES if aboard and name not in there)
 
 
 def find_setup(

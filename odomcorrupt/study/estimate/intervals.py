@@ -75,7 +75,7 @@ class Intervals:
     truth_step : (K, 3) D, the truth's motion over the interval in the frame of its start
     odometry_step : (K, 3) U, the odometry's
     residual : (K, 3) e = log(D^-1 U): along, across (m), yaw (rad), in the frame of the interval's end
-    linked : (K,) whether the interval starts at the node where the one before it ended
+    linked : (K,) whether the interval starts at the node where the one before it ended, and shares its error
     first : (K,) index of each interval's first step
     source, share : (n,) which increment of the odometry a step is of, and which part of it
     axis : (n, 2) forward axis of the step's middle, seen from the interval's end
@@ -258,7 +258,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         truth_step=truth_step,
         odometry_step=odometry_step,
         residual=_log(between(truth_step, odometry_step)),
-        linked=np.concatenate(([False], np.diff(kept) == 1)),
+        linked=np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
         first=np.searchsorted(k, np.arange(len(kept))),
         source=source,
         share=share,
@@ -330,14 +330,14 @@ def _noise_shape(covariance: Array | None, count: int) -> tuple[Array, Array]:
     if covariance is None:
         return np.broadcast_to(np.eye(3), (count, 3, 3)), unseen
     values, vectors = np.linalg.eigh(covariance[:, :2, :2])
-    blind = values[:, 1] > UNKNOWN_M2
-    worst = vectors[:, :, 1]
-    unseen[:, :2, :2] = (blind * values[:, 1])[:, None, None] * worst[:, :, None] * worst[:, None, :]
-    values[blind, 1] = values[blind, 0]
+    blind = values > UNKNOWN_M2
+    unseen[:, :2, :2] = (vectors * (blind * values)[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    values[blind[:, 1], 1] = values[blind[:, 1], 0]
+    neither = blind[:, 0]
+    usual = max(float(np.median(values[~neither, 0])), 1e-12) if not neither.all() else 1.0
+    values[neither] = usual
     shape = np.zeros((count, 3, 3))
-    shape[:, :2, :2] = (
-        (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2) / max(float(np.median(values[:, 0])), 1e-12)
-    )
+    shape[:, :2, :2] = (vectors * values[:, None, :]) @ np.swapaxes(vectors, 1, 2) / usual
     shape[:, 2, 2] = covariance[:, 2, 2] / max(float(np.median(covariance[:, 2, 2])), 1e-12)
     return shape, unseen
 

@@ -66,7 +66,7 @@ def in_frame(recording: Recording, origin: Origin | None) -> Recording:
         return recording
     frame = frame_of(own, origin)
     truth = recording.truth
-    moved = Trajectory(truth.stamps_ns, compose(frame, truth.xyt), truth.covariance)
+    moved = Trajectory(truth.stamps_ns, compose(frame, truth.xyt), truth.covariance, truth.relative)
     note = f"truth put into the frame of {origin}, {np.hypot(frame[0], frame[1]):.0f} m away"
     return replace(recording, truth=moved, geodetic_origin=origin, notes=(*recording.notes, note))
 

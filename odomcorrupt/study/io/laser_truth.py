@@ -68,10 +68,17 @@ def only_scan(path: Path) -> str | None:
 
 
 def laser_run(
-    path: Path, place: str, odom: Address | None, scan: str | None, progress: Callable[[str, float], None] | None = None
+    path: Path,
+    place: str,
+    odom: Address | None,
+    scan: str | None,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    odometry: Samples | None = None,
 ) -> LaserRun:
     """Read odometry and scans of one run, and return its trajectory by the laser.
 
+    odometry : where it was read already, or comes from elsewhere
     progress : called with the stage and its share that is done
 
     Raises
@@ -82,7 +89,7 @@ def laser_run(
         Where the scans carry no trajectory; the message says why.
 
     """
-    odometry = in_order(read_bag(path, place, {"odometry": odom})["odometry"])
+    odometry = in_order(odometry or read_bag(path, place, {"odometry": odom})["odometry"])
     return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), progress)
 
 

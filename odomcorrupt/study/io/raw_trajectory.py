@@ -35,6 +35,7 @@ class Samples:
     variance_m2 : (n,) what the recorder claims of x plus y; empty where it claims nothing
     covariance : (n, 3, 3) of each pose in its own axes, where its source measured it
     child : the frame that moves, "" where nobody says
+    relative : whether motions from pose to pose were measured, see `Trajectory`
     notes : what was noticed or left out so far, in words
     geodetic_origin : of its frame, where it was satellite fixes
     localised : whether it is the corrections of a localisation, whose errors are alike over some length of path
@@ -51,6 +52,7 @@ class Samples:
     notes: tuple[str, ...] = ()
     covariance: Array | None = None
     child: str = ""
+    relative: bool = False
     geodetic_origin: Origin | None = None
     localised: bool = False
 
@@ -101,4 +103,4 @@ class Samples:
             raise RecordingError(f"{self.place} holds {len(self)} usable poses; it takes many more")
         yaw = np.unwrap(self.yaw_rad) if self.headed else self.yaw_rad
         xyt = np.concatenate((self.xyz[:, :2], yaw[:, None]), axis=1)
-        return Trajectory(self.stamps_ns, xyt, self.covariance)
+        return Trajectory(self.stamps_ns, xyt, self.covariance, self.relative)

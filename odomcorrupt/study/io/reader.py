@@ -8,23 +8,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import pull_of
+from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE_ACCURACY
+from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
+from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
 from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
-from odomcorrupt.study.io.topic_selection import FLAGS
+from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
 from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
+from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,10 +37,13 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
-    from odomcorrupt.study.io.recording import Recording
+    from odomcorrupt.study.io.recording import Recording, Trajectory
     from odomcorrupt.study.io.topic_selection import Role
 
-__all__ = ["Source", "read_runs", "recordings_of"]
+__all__ = ["Source", "read_odometry", "read_runs", "recordings_of"]
+
+_OTHER_TRACK = 0.01
+"""Relative difference from which a track that is named is said to be another than the odometry's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +59,11 @@ class Source:
     drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
     scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
     truth_scale_error : standard deviation of the laser's own scale error
+    imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
+    gyro_scale_error : standard deviation of the gyro's own scale error
+    relative : file of relative motions that are to be the truth, see `relative_motions`
+    joints : left and right wheel in JointState, whose angles are to be the odometry; None takes what their names say
+        for the nominal track alone
     """
 
     path: Path
@@ -63,6 +76,10 @@ class Source:
     scan: str | None = None
     truth_scale_error: float = SCALE_ACCURACY
     drive_type: str = AUTO
+    imu: str | None = None
+    gyro_scale_error: float = GYRO_SCALE_ACCURACY
+    joints: tuple[str, str] | None = None
+    relative: Path | None = None
 
 
 def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
@@ -85,19 +102,53 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
         Where what is there cannot be odometry and truth of one run; the message says why.
 
     """
+    if source.relative is not None:
+        return _by_motions(source, source.relative)
     scan = source.scan or automatic_scan(source)
-    if scan is None:
-        return _between_clock_steps(source, *_read(source))
-    if source.truth is not None or source.truth_path is not None:
-        raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+    if scan is not None:
+        if source.truth is not None or source.truth_path is not None:
+            raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
+        return _by_laser(source, scan, progress)
+    imu = source.imu or automatic_imu(source)
+    if imu is not None and not _is_truth_there(source):
+        return _by_gyro(source, imu)
+    odometry, truth = _read(source)
+    wheels = _with_wheels(source, odometry)
+    runs = _between_clock_steps(replace(source, track_m=wheels.track_m), wheels.odometry, truth)
+    return _witnessed(source, imu, odometry, wheels.noted(runs))
+
+
+def read_odometry(source: Source) -> tuple[Trajectory, float | None]:
+    """Return the odometry of a run alone, and the track where it is named or the wheels' angles show it.
+
+    Raises
+    ------
+    TopicError, RecordingError
+        Where there is none, or it cannot be odometry.
+
+    """
+    place = _place(source)
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, progress)
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    if not odometry.headed:
+        raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
+    check_itself(without_outliers(odometry))
+    wheels = _with_wheels(source, odometry)
+    return wheels.odometry.trajectory(), wheels.track_m
+
+
+def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] | None) -> list[Recording]:
+    """Return the recordings of a run whose truth is its laser."""
+    odom = parse_address(source.odom) if source.odom is not None else None
+    place = _place(source)
+    wheels = _with_wheels(source, in_order(_one(source.path, place, "odometry", odom)))
+    run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)
     for part in parts:
         try:
-            found += recordings_of(name, run.odometry, part, source.track_m, source.truth_shift_s)
+            found += recordings_of(name, run.odometry, part, wheels.track_m, source.truth_shift_s)
         except RecordingError:
             if len(parts) == 1:
                 raise
@@ -106,7 +157,7 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
     chosen = "" if source.scan else f"no truth: the laser on {scan} is learned from; --scan says so without this line"
     error = source.truth_scale_error
     said = f"the laser is a ruler good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
-    return [
+    runs = [
         replace(
             r,
             name=f"{r.name}, map part {i + 1}" if len(parts) > 1 else r.name,
@@ -116,6 +167,129 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
         )
         for i, r in enumerate(found)
     ]
+    return _witnessed(source, source.imu or automatic_imu(source), run.odometry, wheels.noted(runs))
+
+
+def _by_motions(source: Source, path: Path) -> list[Recording]:
+    """Return the recordings of a run whose truth is a file of relative motions: one for each chain of them."""
+    place = _place(source)
+    if source.truth is not None or source.truth_path is not None or source.scan is not None:
+        raise RecordingError(f"{place}: --relative {path} and a truth or scans; name one of them")
+    odom = parse_address(source.odom) if source.odom is not None else None
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    wheels = _with_wheels(source, odometry)
+    motions = read_motions(path)
+    shift = round(source.truth_shift_s * 1e9)
+    motions = motions._replace(start_ns=motions.start_ns + shift, end_ns=motions.end_ns + shift)
+    found: list[Recording] = []
+    chains = chains_of(motions, wheels.odometry)
+    name = source.name or source.path.name
+    for chain in chains:
+        try:
+            found += recordings_of(name, wheels.odometry, chain, wheels.track_m)
+        except RecordingError:
+            if len(chains) == 1:
+                raise
+    if not found:
+        raise RecordingError(f"{place}: no chain of motions carries a study; record longer")
+    error = source.truth_scale_error
+    said = f"lengths of the motions are good to {error:.2%}: no scale is known better (--laser-scale-accuracy)"
+    runs = [
+        replace(
+            r,
+            name=f"{r.name}, chain {i + 1}" if len(found) > 1 else r.name,
+            truth_scale_error=error,
+            clock=r.clock or (f"{name} from {r.origin_ns}" if len(found) > 1 else ""),
+            notes=(*r.notes, *([said] if i == 0 else [])),
+        )
+        for i, r in enumerate(found)
+    ]
+    return _witnessed(source, source.imu or automatic_imu(source), odometry, wheels.noted(runs))
+
+
+def _by_gyro(source: Source, imu: str) -> list[Recording]:
+    """Return the recordings of a run that has nothing but odometry and a gyro: a truth of headings alone."""
+    place = _place(source)
+    odom = parse_address(source.odom) if source.odom is not None else None
+    odometry = in_order(_one(source.path, place, "odometry", odom))
+    gyro = yaw_gyro(read_gyro(source.path, place, imu), odometry)
+    wheels = _with_wheels(source, odometry)
+    truth = gyro_truth(wheels.odometry, gyro)
+    name = source.name or source.path.name
+    runs = wheels.noted(recordings_of(name, wheels.odometry, truth, wheels.track_m, source.truth_shift_s))
+    error = source.gyro_scale_error
+    said = (
+        (
+            f"no truth, no laser: wheels and the gyro on {imu} alone. What they disagree about is an error of one of "
+            "them; travel cannot be known (not testable: wheel_scale, speed_scale and all else that is travel)"
+        ),
+        f"the gyro's turns are good to {error:.2%}: no gain of turns is known better (--gyro-scale-accuracy)",
+    )
+    return [
+        replace(
+            r,
+            positioned=False,
+            pulled_per_s=0.0,
+            turn_scale_error=error,
+            turn_bias_error=gyro.bias_error_radps,
+            heading_source=gyro.heading_source,
+            notes=(*r.notes, *(said if i == 0 else ())),
+        )
+        for i, r in enumerate(runs)
+    ]
+
+
+def _witnessed(source: Source, imu: str | None, odometry: Samples, runs: list[Recording]) -> list[Recording]:
+    """Return recordings that know what a gyro beside their truth shows: where the odometry's heading comes from."""
+    if imu is None:
+        return runs
+    try:
+        gyro = yaw_gyro(read_gyro(source.path, _place(source), imu), in_order(odometry))
+    except RecordingError as error:
+        if source.imu is not None:
+            raise
+        return [replace(runs[0], notes=(*runs[0].notes, f"the gyro is left out: {error}")), *runs[1:]]
+    return [
+        replace(r, heading_source=gyro.heading_source, notes=(*r.notes, *(gyro.notes if i == 0 else ())))
+        for i, r in enumerate(runs)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class _Wheeled:
+    """The odometry to learn from, the track of its robot, and what its wheels' angles show, in words."""
+
+    odometry: Samples
+    track_m: float | None
+    notes: tuple[str, ...] = ()
+
+    def noted(self, runs: list[Recording]) -> list[Recording]:
+        """Return recordings with what the wheels show."""
+        return [replace(runs[0], notes=(*runs[0].notes, *self.notes)), *runs[1:]]
+
+
+def _with_wheels(source: Source, odometry: Samples) -> _Wheeled:
+    """Return what the wheels' angles in the bag tell of the odometry; in its place where their joints are named."""
+    plain = _Wheeled(odometry, source.track_m)
+    if is_text(source.path):
+        return plain
+    angles = read_wheels(source.path, _place(source), source.joints)
+    if angles is None:
+        return plain
+    try:
+        wheels = wheels_of(angles, odometry)
+    except RecordingError as error:
+        if source.joints is not None:
+            raise
+        return replace(plain, notes=(f"the wheels' angles are left out: {error}",))
+    track_m, notes = source.track_m, wheels.notes
+    if track_m is None and wheels.heading:
+        track_m = wheels.track_m
+    elif track_m is not None and wheels.heading and abs(track_m / wheels.track_m - 1.0) > _OTHER_TRACK:
+        notes = (*notes, f"--track {track_m:g} m is not the {wheels.track_m:.4g} m that the odometry is made with")
+    if source.joints is not None:
+        return _Wheeled(odometry_of_wheels(angles, wheels, odometry), track_m, notes)
+    return _Wheeled(odometry, track_m, notes)
 
 
 def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
@@ -154,7 +328,9 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = corrections_alone(odometry, without_constant_heading(odometry, truth))
+    truth = without_constant_heading(odometry, truth)
+    if not truth.relative:
+        truth = corrections_alone(odometry, truth)
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
@@ -182,6 +358,19 @@ def automatic_scan(source: Source) -> str | None:
     if source.truth is not None or source.truth_path is not None or is_text(source.path):
         return None
     return only_scan(source.path)
+
+
+def automatic_imu(source: Source) -> str | None:
+    """Return the only gyro of a bag, where none is named."""
+    return None if is_text(source.path) else only_imu(source.path)
+
+
+def _is_truth_there(source: Source) -> bool:
+    """Whether a truth is named, or the bag holds something that could be one."""
+    if source.truth is not None or source.truth_path is not None or is_text(source.path):
+        return True
+    with open_reader(source.path) as reader:
+        return has_truth(reader.channels.values())
 
 
 def _place(source: Source) -> str:

@@ -31,11 +31,14 @@ class Trajectory:
     xyt : (n, 3) metres and radians, headings unwrapped; NaN headings in a truth of positions alone
     covariance : (n, 3, 3) of each pose in its own axes, where its source says it: only their shapes count, the level
         is estimated; None where all poses are equally good
+    relative : whether motions from pose to pose were measured and the poses are their sum, so that each motion has an
+        error of its own, independent of the others'
     """
 
     stamps_ns: NDArray[np.int64]
     xyt: Array
     covariance: Array | None = None
+    relative: bool = False
 
     def __post_init__(self) -> None:
         if len(self.stamps_ns) < 2:
@@ -89,6 +92,10 @@ class Recording:
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
+    positioned : whether the truth measured positions; a gyro's are the odometry's travel along its headings
+    turn_scale_error : standard deviation of a scale error that all turns of the truth may share (a gyro's)
+    turn_bias_error : standard deviation of an offset that all yaw rates of the truth may share, rad/s
+    heading_source : what a gyro in the bag shows the odometry's heading to come from: "wheels", "gyro", or "" unknown
     geodetic_origin : of the truth's frame, where it was satellite fixes
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
     pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
@@ -105,6 +112,21 @@ class Recording:
     heading_error_rad: float | None = None
     clock: str = ""
     truth_scale_error: float = 0.0
+    positioned: bool = True
+    turn_scale_error: float = 0.0
+    turn_bias_error: float = 0.0
+    heading_source: str = ""
+
+    @property
+    def matched(self) -> bool:
+        """Whether the truth comes from scans matched with a map."""
+        return self.truth.covariance is not None and not self.truth.relative
+
+    @property
+    def axes(self) -> list[int]:
+        """Which of along (0), across (1) and yaw (2) the truth measured."""
+        return [*([0, 1] if self.positioned else []), *([2] if self.headed else [])]
+
     geodetic_origin: Origin | None = None
     truth_level: tuple[float, float] = (1.0, 1.0)
     stamp_error_s: float = 0.0

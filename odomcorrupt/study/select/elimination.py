@@ -12,6 +12,7 @@ from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import remeasured
 from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.terms.heading_source import heading_source_of
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     either = [e for e in fit.effects if "heading" in choices(e) and e.name not in given]
     words = {getattr(e, "heading", "") for e in either}
     known = any(e.name == "gyro_bias" for e in fit.effects)
-    if not words or ("gyro" not in words and not known):
+    if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
     found: dict[str, Fit] = {}
     for word in ("wheels", "gyro"):

@@ -29,6 +29,7 @@ from odomcorrupt.study.estimate.random_process import (
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.drive_type import drive_type_of
+from odomcorrupt.study.terms.heading_source import sees_travel
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -71,10 +72,12 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
-    drive = drive_type_of(fit.problem.recordings)
+    drive, blind = drive_type_of(fit.problem.recordings), not sees_travel(fit.problem.recordings)
     for process in processes():
         if not drive.admits(process.kind):
             continue
+        if blind and process.unit is bias_of:
+            continue  # it is the gyro's own
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, design, process)
@@ -92,7 +95,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
 
 def _matched(fit: Fit) -> bool:
     """Whether a truth comes from matched scans: a laser's own, or a localisation's."""
-    return any(r.truth.covariance is not None or r.localised for r in fit.problem.recordings)
+    return any(r.matched or r.localised for r in fit.problem.recordings)
 
 
 def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
@@ -123,8 +126,9 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Rand
     bursts = slip_bursts(fit)
     if bursts is not None:
         return [RandomCoefficient(bursts, decisions.counted_nats)]
-    # matches of a laser have heavy tails of their own
-    heavy = heavy_tails(fit) if tails and not _matched(fit) else None
+    # matches of a laser have heavy tails of their own, and a gyro shows one axis of three
+    told = tails and not _matched(fit) and sees_travel(fit.problem.recordings)
+    heavy = heavy_tails(fit) if told else None
     return [RandomCoefficient(*heavy)] if heavy is not None else []
 
 

@@ -8,7 +8,7 @@ type then chooses the name.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +20,13 @@ from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.geometry.increments import increments
 from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
 from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.study.terms.heading_source import (
+    heading_source_of,
+    is_nameable,
+    is_settled,
+    sees_travel,
+    with_known_heading,
+)
 from odomcorrupt.study.terms.regressors import drives_sideways
 from odomcorrupt.study.terms.term import LibraryTerm
 
@@ -60,12 +67,16 @@ class DriveType:
     reason : why, where it was guessed; "" where it was given, or where nothing speaks against a differential drive
     stated : whether it was given
     gyro : whether the heading may be a gyro's; a steered robot's is not where the odometry does not turn at rest
+    heading_source : what a gyro in the bag shows the heading to come from: "wheels", "gyro", or ""
+    travel : whether a truth measured travel, and not headings alone
     """
 
     name: str
     reason: str = ""
     gyro: bool = True
     stated: bool = False
+    heading_source: str = ""
+    travel: bool = True
 
     @property
     def known(self) -> bool:
@@ -84,11 +95,18 @@ class DriveType:
 
     def admits(self, kind: type[Effect]) -> bool:
         """Tell whether a robot of this type can have an effect, twins and all."""
-        return (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
+        possible = (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
+        return possible and is_nameable(kind, self.heading_source, travel=self.travel)
 
 
 def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
     """Return the drive type of the robot in recordings: as the first that names one says, or guessed from all."""
+    return replace(
+        _stated_or_guessed(recordings), heading_source=heading_source_of(recordings), travel=sees_travel(recordings)
+    )
+
+
+def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
     given = next((r.drive_type for r in recordings if r.drive_type != AUTO), None)
     slow = [_slow_driving(r) for r in recordings]
     turns_at_rest = any(s.turned_at_rest > _GYRO_RAD for s in slow)
@@ -130,7 +148,7 @@ def library_families(
         wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
         if wanted and possible:
-            family = LibraryTerm.family(kind, motions)
+            family = with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
             if drive.steered:  # it has no two wheels that odometry compares
                 family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
             families.append(family)
@@ -142,7 +160,7 @@ def _leads(kind: type[Effect], drive: DriveType) -> bool:
     if not drive.admits(kind):
         return False
     # a lever arm has a second number, so what a steered robot's has one of is tested beside it
-    return kind.twin_of is None or (drive.steered and kind.drives is not None)
+    return kind.twin_of is None or (drive.steered and kind.drives is not None) or is_settled(kind, drive.heading_source)
 
 
 def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[str, ...]:
@@ -155,7 +173,10 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
     own = kinds[name].twin_of if name in kinds else None
     twins = [other for other, kind in kinds.items() if kind.twin_of == name]
     either = (*twins, *([own] if own else []))
-    return tuple(n for n in either if (drive is None or drive.admits(kinds[n])) and _admits(kinds[n], effect))
+    # a guess may be wrong: the names for the other drive type stay beside it
+    if drive is not None and (drive.stated or not drive.steered):
+        either = tuple(other for other in either if drive.admits(kinds[other]))
+    return tuple(other for other in either if _admits(kinds[other], effect))
 
 
 def _admits(kind: type[Effect], effect: Effect | str) -> bool:

@@ -162,9 +162,9 @@ def _judgement(
 ) -> Judgement:
     every = horizons_of(pieces, sorted({*HORIZONS_M, *CURVE_M}))
     horizons = tuple(h for h in every if h.distance_m in HORIZONS_M)
-    width = 3 if all(piece.headed for piece in pieces) else 2
-    chains = [chain[:, :width] for piece in pieces for chain in piece.chains()]
-    pits, whiteness = pits_of(chains), whiteness_of(chains)
+    axes = min((piece.recording.axes for piece in pieces), key=len)
+    chains = [chain[:, : len(axes)] for piece in pieces for chain in piece.chains()]
+    pits, whiteness = pits_of(chains, axes), whiteness_of(chains, axes)
     return Judgement(
         name=name,
         refitted=any(piece.refitted for piece in pieces),

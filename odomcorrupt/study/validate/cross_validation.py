@@ -137,7 +137,7 @@ def _pieces(run: Sequence[Recording], middle: _Middle | None, spacing_s: float) 
         for side, word, rows in zip(sides, ("first", "second"), (slice(at), slice(at, None)), strict=True):
             if len(truth.stamps_ns[rows]) > LEAST_NODES:
                 known = truth.covariance[rows] if truth.covariance is not None else None
-                part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known)
+                part = Trajectory(truth.stamps_ns[rows], truth.xyt[rows], known, truth.relative)
                 side.append(replace(recording, name=f"{recording.name}, {word} half", truth=part))
     first, second = (tuple(r for r in side if count_nodes(r, spacing_s) >= LEAST_NODES) for side in sides)
     return Pieces(names, first, second)

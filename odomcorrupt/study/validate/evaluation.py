@@ -75,12 +75,14 @@ class Evaluation:
         return interval_covariance(self.problem.nodes, self.q, self.truth)
 
     def chains(self) -> list[Array]:
-        """Return the innovations as unbroken chains (m, 3), or (m, 2) without headings."""
-        rows = self.innovations.reshape(-1, 3)[:, : 3 if self.headed else 2]
+        """Return the innovations as unbroken chains (m, c), c the axes that the truth measured."""
+        rows = self.innovations.reshape(-1, 3)[:, self.recording.axes]
         return np.split(rows, np.flatnonzero(~self.problem.nodes.linked)[1:])
 
     def windows(self, distance_m: float) -> tuple[WindowErrors, ParameterUncertainty] | None:
-        """Return the errors after a length of path, and how uncertain the model is of them."""
+        """Return the errors after a length of path, and how uncertain the model is of them; None without positions."""
+        if not self.recording.positioned:
+            return None
         windows = distance_windows(self.left, distance_m)
         if not len(windows):
             return None

@@ -82,15 +82,15 @@ class Verdict:
         return bool(self.against)
 
 
-def pits_of(chains: Sequence[Array]) -> dict[str, Pit]:
-    """Return the PIT of every channel of chains of innovations (m, c)."""
+def pits_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> dict[str, Pit]:
+    """Return the PIT of every channel of chains of innovations (m, c), whose columns are these axes."""
     rows = np.concatenate(chains)
-    return {CHANNELS[c]: pit_of(rows[:, c]) for c in range(rows.shape[1])}
+    return {CHANNELS[axes[c]]: pit_of(rows[:, c]) for c in range(rows.shape[1])}
 
 
-def whiteness_of(chains: Sequence[Array]) -> dict[str, Whiteness]:
-    """Return the whiteness of every channel."""
-    return {CHANNELS[c]: ljung_box([chain[:, c] for chain in chains]) for c in range(chains[0].shape[1])}
+def whiteness_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> dict[str, Whiteness]:
+    """Return the whiteness of every channel of chains, whose columns are these axes."""
+    return {CHANNELS[axes[c]]: ljung_box([chain[:, c] for chain in chains]) for c in range(chains[0].shape[1])}
 
 
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:

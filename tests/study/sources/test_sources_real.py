@@ -75,7 +75,6 @@ def test_bags_as_found_say_what_is_odd_about_them(name, asked, said):
         ("evo/tf_example", {"odom": "/tf:odom.base_link", "truth": "/tf:odom.base_footprint"}, "the same odometry"),
         ("polimi/bag1.bag", {}, r"no topic that could be odometry \(found /robot/pose"),
         ("malformed/unindexed.bag", {}, "not indexed"),
-        ("robot_localization/test2.bag", {}, r"no topic that could be truth \(found /imu/data"),
     ],
 )
 def test_bags_that_hold_no_run_say_why(name, asked, words):

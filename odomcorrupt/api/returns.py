@@ -1,0 +1,171 @@
+"""A square test: effects from drives that end where they began, with nothing but odometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.model import Model
+from odomcorrupt.api.recordings import PathLikes, as_paths
+from odomcorrupt.api.result import Result
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.study.estimate.returns import ReturnsFit
+
+__all__ = ["SquareTest", "fit_returns"]
+
+END = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SquareTest(Result):
+    """What the ends of drives say of systematic errors.
+
+    result : everything that was computed
+    """
+
+    result: ReturnsFit
+
+    @property
+    def model(self) -> Model:
+        """The effects as a model without noise: a few ends say nothing of that."""
+        from odomcorrupt.effects.effect import amplitudes
+        from odomcorrupt.model.motion_model import MotionModel, Noise
+        from odomcorrupt.model.noise_laws import Coefficients
+
+        found = self.result
+        names = [f"{e.name}.{p.name}" for e in found.effects for p in amplitudes(e)]
+        return Model.of(
+            MotionModel(
+                noise=Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)),
+                effects=found.effects,
+                track_m=found.recordings[0].track_m,
+                standard_errors=dict(zip(names, map(float, found.standard_errors), strict=True)),
+                source={"recordings": [r.name for r in found.recordings]},
+            )
+        )
+
+    def summary(self) -> Summary:
+        """Return the effects with their errors, and how far from their start the drives end before and after."""
+        from odomcorrupt.report.text.summary import Line, Summary
+        from odomcorrupt.report.text.tables import numbers_text
+
+        found, at = self.result, 0
+        lines: list[Line] = []
+        for effect, count in zip(found.effects, self._counts(), strict=True):
+            own = found.standard_errors[at : at + count].tolist()
+            lines.append(
+                Line("" if lines else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, own))}", "good")
+            )
+            at += count
+        before, after = (self._rms(ends) for ends in (found.before, found.after))
+        lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
+        lines.append(
+            Line("open", "travel: a drive that comes back hides wheel_scale; drive a measured straight", "warning")
+        )
+        return Summary(tuple(lines))
+
+    def details(self) -> str:
+        """Return the summary and every drive's end before and after."""
+        lines = [self.summary().text()]
+        for drive, before, after in zip(self.result.recordings, self.result.before, self.result.after, strict=True):
+            said = " -> ".join(self._end(end) for end in (before, after))
+            lines.append(f"  {drive.name}: {said}")
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return effects with standard errors, and the ends before and after, m and rad."""
+        return {
+            "schema": 2,
+            "parameters": {row["parameter"]: row for row in self.rows()},
+            "ends_before": self.result.before.tolist(),
+            "ends_after": self.result.after.tolist(),
+            "spread": self.result.spread,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each parameter: value and standard error."""
+        model = self.model.motion_model
+        from odomcorrupt.effects.effect import amplitudes
+
+        values = {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in amplitudes(e)}
+        return [
+            {"parameter": name, "value": value, "standard_error": model.standard_errors.get(name)}
+            for name, value in values.items()
+        ]
+
+    def _counts(self) -> list[int]:
+        from odomcorrupt.effects.effect import amplitudes
+
+        return [len(amplitudes(effect)) for effect in self.result.effects]
+
+    @staticmethod
+    def _end(end: Any) -> str:
+        from math import degrees
+
+        along, across, yaw = end.tolist()
+        return f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, {degrees(yaw):.2f} deg"
+
+    @staticmethod
+    def _rms(ends: Any) -> str:
+        import numpy as np
+
+        distance = float(np.sqrt(np.mean(np.sum(ends[:, :2] ** 2, axis=1))))
+        return f"{1e3 * distance:.1f} mm, {np.degrees(np.sqrt(np.mean(ends[:, 2] ** 2))):.2f} deg"
+
+
+def fit_returns(
+    paths: PathLikes,
+    ends: Sequence[tuple[float, float, float]] = (END,),
+    *,
+    effects: Sequence[str] = (),
+    odom: str | None = None,
+    track_m: float | None = None,
+) -> SquareTest:
+    """Fit systematic errors to drives that end where they began, or at a known pose: a square test on any path.
+
+    Parameters
+    ----------
+    paths : path or several
+        Bags, TUM or CSV files with odometry, one drive each, round both ways.
+    ends : sequence of (float, float, float)
+        Where the drives really ended, seen from where they began: m, m, rad; one for all, or one for each.
+    effects : sequence of str
+        Effects to fit, unequal_wheels and wheelbase by default.
+    odom : str, optional
+        Topic of the odometry, where there are several.
+    track_m : float, optional
+        Nominal distance between the wheels, metres.
+
+    Returns
+    -------
+    SquareTest
+        `model` holds the effects; `details()` every drive's end before and after.
+
+    Raises
+    ------
+    FitError
+        Where the drives do not tell the effects apart.
+
+    """
+    require("scipy", "the study needs it", "study")
+    import numpy as np
+
+    from odomcorrupt.study.estimate.returns import USUAL, closed_drive
+    from odomcorrupt.study.estimate.returns import fit_returns as fit
+    from odomcorrupt.study.io.reader import Source, read_odometry
+
+    files = as_paths(paths)
+    if len(ends) not in (1, len(files)):
+        raise RecordingError(f"{len(ends)} ends for {len(files)} drives; give one for all, or one for each")
+    each = list(ends) if len(ends) > 1 else list(ends) * len(files)
+    drives = []
+    for path, end in zip(files, each, strict=True):
+        odometry, track = read_odometry(Source(path, odom=odom, track_m=track_m))
+        drives.append(closed_drive(path.name, odometry, np.array(end), track))
+    return SquareTest(fit(drives, effects or USUAL))

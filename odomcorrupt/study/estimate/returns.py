@@ -1,0 +1,162 @@
+"""Drives that end where they began: systematic errors from where odometry says that they ended.
+
+A square test (UMBmark: Borenstein & Feng 1996, IEEE T-RA 12(6)) by the regression that every other truth is fitted
+with: the end of each drive, seen from its start, is one interval whose residual is linear in small changes of the
+parameters, and effects are undone exactly before the next step. Any path that turns both ways serves as well.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import t as student
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.errors import FitError
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.intervals import intervals, join
+from odomcorrupt.study.estimate.problem import Problem, undo
+from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.terms.regressors import driving_motion
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["USUAL", "ReturnsFit", "closed_drive", "fit_returns"]
+
+USUAL = ("unequal_wheels", "wheelbase")
+"""What a square test measures: wheels of unequal size (E_d) and the track (E_b)."""
+_PLACED = np.array([5e-3, 5e-3, 0.01])
+"""Standard deviations with which a robot is put back where it was, m and rad."""
+_NOISE = Coefficients(rot_rot=0.02, rot_trans=0.01, trans_trans=0.02, trans_rot=0.0)
+_ROUNDS, _STEP = 20, 1e-7
+_ALIASED = 0.99
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnsFit:
+    """Effects fitted to the ends of drives.
+
+    effects, standard_errors : the errors (p,) of their amplitudes in order, widened by Student's t for few drives
+    before, after : (d, 3) odometry's end less the real one, along, across (m) and yaw (rad) in the end's own frame,
+        as it came and with the effects taken out
+    spread : by what factor the ends scatter more (above 1) or less than placing and usual noise make them
+    """
+
+    recordings: tuple[Recording, ...]
+    effects: tuple[Effect, ...]
+    standard_errors: Array
+    before: Array
+    after: Array
+    spread: float
+
+
+def closed_drive(name: str, odometry: Trajectory, end_xyt: Array, track_m: float | None) -> Recording:
+    """Return a drive as a recording whose truth is its two ends alone.
+
+    end_xyt : (3,) where it really ended, seen from where it began; zeros where it came back
+    """
+    start = odometry.xyt[0]
+    real = compose(start, np.asarray(end_xyt, dtype=np.float64))
+    truth = Trajectory(odometry.stamps_ns[[0, -1]], np.stack((start, real)))
+    return Recording(name, odometry, truth, int(odometry.stamps_ns[0]), track_m)
+
+
+def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> ReturnsFit:
+    """Fit effects to the ends of drives by generalised least squares, undoing them exactly until nothing changes.
+
+    Raises
+    ------
+    FitError
+        Where the drives do not tell the effects apart: driven one way round alone, for instance.
+
+    """
+    effects: tuple[Effect, ...] = tuple(effect_from_values(name, {}) for name in names)
+    count = sum(len(amplitudes(e)) for e in effects)
+    first: Array | None = None
+    covariance = np.eye(count)
+    for _ in range(_ROUNDS):
+        problem = _problem(drives, effects)
+        nodes = problem.nodes
+        first = nodes.residual if first is None else first
+        weight = np.linalg.inv(_covariance(problem))
+        columns = np.concatenate([problem.columns(e) for e in effects], axis=2)
+        normal = np.einsum("kip,kij,kjq->pq", columns, weight, columns)
+        _check(normal, effects, 3 * len(nodes))
+        covariance = np.linalg.inv(normal)
+        theta = covariance @ np.einsum("kip,kij,kj->p", columns, weight, nodes.residual)
+        effects = _moved(effects, theta)
+        if np.abs(theta).max() < _STEP:
+            break
+    problem = _problem(drives, effects)
+    left, weight = problem.nodes, np.linalg.inv(_covariance(problem))
+    degrees = 3 * len(left) - count
+    misfit = float(np.einsum("ki,kij,kj->", left.residual, weight, left.residual))
+    spread = float(np.sqrt(misfit / degrees)) if degrees > 0 else 1.0
+    wider = float(student.isf(0.025, degrees) / 1.96) if degrees > 0 else 1.0
+    errors = np.sqrt(np.diag(covariance)) * max(spread * wider, 1.0 if degrees < 3 else 0.0)
+    return ReturnsFit(
+        tuple(drives), effects, errors, first if first is not None else left.residual, left.residual, spread
+    )
+
+
+def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
+    """Return the effects after a step (p,), within their bounds."""
+    step = iter(theta.tolist())
+    moved = []
+    for effect in effects:
+        values = {
+            p.name: float(np.clip(getattr(effect, p.name) + next(step), p.low, p.high)) for p in amplitudes(effect)
+        }
+        moved.append(replace(effect, **values))  # type: ignore[type-var]
+    return tuple(moved)
+
+
+def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Problem:
+    """Return the ends as a regression problem, the effects taken out of the odometry."""
+    seen = [driving_motion(drive, "odometry") for drive in drives]
+    left = [undo(drive, effects, seen=motion) for drive, motion in zip(drives, seen, strict=True)]
+    nodes = [intervals(drive, np.array([0, 1])) for drive in left]
+    return Problem(
+        recordings=tuple(drives),
+        effects=effects,
+        clocks=(Clock(),) * len(drives),
+        approach=Approach(),
+        nodes=join(nodes, [len(drive.odometry) - 1 for drive in left]),
+        run=np.arange(float(len(nodes))),
+        motions=tuple(seen),
+    )
+
+
+def _covariance(problem: Problem) -> Array:
+    """Return what placing by hand and usual noise make of each end, (d, 3, 3); only its shape counts."""
+    noise = problem.nodes.covariance(problem.approach.law, _NOISE, problem.steps)
+    whole: Array = noise + np.diag(_PLACED**2)
+    return whole
+
+
+def _check(normal: Array, effects: Sequence[Effect], equations: int) -> None:
+    """Refuse ends that do not tell the effects apart."""
+    names = [f"{e.name}.{p.name}" for e in effects for p in amplitudes(e)]
+    scale = np.sqrt(np.diag(normal))
+    unseen = [name for name, one in zip(names, scale, strict=True) if not one > 0.0]
+    if unseen or equations < len(names):
+        raise FitError(
+            f"the ends of these drives do not show {', '.join(unseen or names)}; fit fewer with --add, or drive a path "
+            "that turns both ways"
+        )
+    alike = np.abs(normal / np.outer(scale, scale) - np.eye(len(names)))
+    i, j = np.unravel_index(int(np.argmax(alike)), alike.shape)
+    if alike[i, j] > _ALIASED:
+        raise FitError(
+            f"{names[i]} and {names[j]} do the same to where these drives end: drive the path the other way round, too"
+        )

@@ -1,0 +1,252 @@
+"""Relative motions from a file as the truth: what scan matchers and visual odometry write.
+
+CSV with a header that names two times, dx, dy and dyaw (t0,t1,dx,dy,dyaw; also t1,t2 or start,end; dtheta), each motion
+in the axes of its start, and if known its covariance in the same axes: six columns xx,xy,xyaw,yy,yyaw,yawyaw. Motions
+that join end to end make chains; overlaps and loop closures are left out.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.errors import RecordingError
+from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.laser.calibrate import hand_eye
+from odomcorrupt.study.io.columns import guess_tick
+from odomcorrupt.study.io.raw_trajectory import Samples
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["Motions", "chains_of", "read_motions"]
+
+_TIMES = (("t0", "t1"), ("t1", "t2"), ("start", "end"), ("from", "to"), ("start_s", "end_s"), ("t0_s", "t1_s"))
+_YAWS = ("dyaw", "dtheta", "dth", "dpsi")
+_COVARIANCE = ("xx", "xy", "xyaw", "yy", "yyaw", "yawyaw")
+_FEWEST = 20
+_MOST = 5_000_000
+_JOINED = 0.02
+"""Motions join where the time between them is at most this part of the shorter one."""
+_TURNED_RAD = np.radians(15.0)
+_LEAST_S = 15.0
+_GROSS, _UNKNOWN_M2 = 10.0, 100.0
+
+
+class Motions(NamedTuple):
+    """n motions: when they begin and end (n,) ns, the pose of the end seen from the start (n, 3), and covariances.
+
+    covariance : (n, 3, 3) in the axes of the start, or None
+    """
+
+    place: str
+    name: str
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+    xyt: Array
+    covariance: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    times: tuple[int, int]
+    motion: tuple[int, int, int]
+    covariance: tuple[int, ...]
+
+
+def read_motions(path: Path) -> Motions:
+    """Read a file of relative motions.
+
+    Raises
+    ------
+    RecordingError
+        Where it is none, or a line does not hold what its header promises.
+
+    """
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+            rows = ((n, line) for n, line in enumerate(csv.reader(stream), start=1) if line and not _is_comment(line))
+            layout, table = None, []
+            for n, line in itertools.islice(rows, _MOST):
+                if layout is None:
+                    layout = _layout(line, str(path))
+                    continue
+                table.append(_numbers(line, layout, f"{path}: line {n}"))
+    except (OSError, csv.Error) as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    if layout is None or len(table) < _FEWEST:
+        raise RecordingError(f"{path}: holds {len(table)} relative motions; {_FEWEST} and more are needed")
+    values = np.array(table)
+    tick = guess_tick(values[:1000, 0].tolist())
+    start, end = (_nanoseconds(values[:, i], tick, str(path)) for i in (0, 1))
+    xyt, covariance = values[:, 2:5], None
+    if layout.covariance:
+        covariance = np.zeros((len(values), 3, 3))
+        for column, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+            covariance[:, i, j] = covariance[:, j, i] = values[:, 5 + column]
+        if not (np.linalg.eigvalsh(covariance)[:, 0] > 0.0).all():
+            raise RecordingError(f"{path}: a covariance is not positive definite; leave its columns out")
+    back = end < start
+    xyt = np.where(back[:, None], inverse(xyt), xyt)
+    return Motions(str(path), path.name, np.minimum(start, end), np.maximum(start, end), xyt, covariance)
+
+
+def chains_of(motions: Motions, odometry: Samples) -> list[Samples]:
+    """Return the chains of motions that last, as truths of relative poses on the robot.
+
+    A sensor that sits turned by more than 15 deg is found by the odometry (hand-eye calibration) and taken out; what is
+    left of its place is free in every fit.
+
+    Raises
+    ------
+    RecordingError
+        Where no chain lasts 15 s.
+
+    """
+    motions, said = _on_robot(motions, odometry)
+    chains = _chains(motions)
+    lasting = [c for c in chains if float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 >= _LEAST_S]
+    if not lasting:
+        longest = max((float(motions.end_ns[c[-1]] - motions.start_ns[c[0]]) * 1e-9 for c in chains), default=0.0)
+        raise RecordingError(
+            f"{motions.place}: motions join end to end for {longest:.1f} s at most, {_LEAST_S:g} s are needed: the end "
+            "of each is to be the start of the next"
+        )
+    used = sum(len(c) for c in lasting)
+    if used < len(motions.start_ns):
+        said.append(
+            f"{used} of {len(motions.start_ns)} motions join end to end in {len(lasting)} chains that last; the others "
+            "(overlaps, loop closures, strays) are left out"
+        )
+    found = [_chain(motions, np.array(c)) for c in lasting]
+    found[0] = found[0].noted(*said)
+    return found
+
+
+def _chain(motions: Motions, rows: NDArray[np.int64]) -> Samples:
+    """Return a chain as a truth: poses summed from its motions."""
+    poses, xyt = np.zeros((len(rows) + 1, 3)), motions.xyt
+    for k, row in enumerate(rows):
+        poses[k + 1] = compose(poses[k], xyt[row])
+        poses[k + 1, 2] = poses[k, 2] + wrap(xyt[row, 2])
+    covariance = None
+    if motions.covariance is not None:
+        covariance = motions.covariance[np.concatenate((rows[:1], rows))]
+    return Samples(
+        place=motions.place,
+        name=motions.name,
+        frame="",
+        stamps_ns=np.concatenate((motions.start_ns[rows[:1]], motions.end_ns[rows])),
+        xyz=np.column_stack((poses[:, :2], np.zeros(len(poses)))),
+        yaw_rad=poses[:, 2],
+        log_ns=np.zeros(0, dtype=np.int64),
+        variance_m2=np.zeros(0),
+        covariance=covariance,
+        relative=True,
+    )
+
+
+def _chains(motions: Motions) -> list[list[int]]:
+    """Return chains of rows that join end to end; of several that begin together the shortest goes on."""
+    order = np.lexsort((motions.end_ns, motions.start_ns))
+    span = motions.end_ns - motions.start_ns
+    chains: list[list[int]] = []
+    for row in order.tolist():
+        if span[row] <= 0:
+            continue
+        if chains:
+            last = chains[-1][-1]
+            room = _JOINED * float(min(span[row], span[last]))
+            apart = float(motions.start_ns[row] - motions.end_ns[last])
+            if apart < -room:
+                continue
+            if apart <= room:
+                chains[-1].append(row)
+                continue
+        chains.append([row])
+    return chains
+
+
+def _on_robot(motions: Motions, odometry: Samples) -> tuple[Motions, list[str]]:
+    """Return the motions of the robot, gross errors marked as unknown, and what was found, in words.
+
+    Where the sensor sits turned on the robot, that is taken out; motions that differ from the odometry's ten times as
+    much as is usual are failures of a matcher, and get a covariance of which nothing follows.
+    """
+    path, origin = odometry.trajectory(), int(odometry.stamps_ns[0])
+    start: Array = (motions.start_ns - origin).astype(np.float64) * 1e-9
+    end: Array = (motions.end_ns - origin).astype(np.float64) * 1e-9
+    last = float(odometry.stamps_ns[-1] - origin) * 1e-9
+    inside = np.flatnonzero((start >= 0.0) & (end <= last) & (end > start))
+    if len(inside) < _FEWEST:
+        raise RecordingError(
+            f"{motions.place}: {len(inside)} of {len(start)} motions lie in the time of {odometry.name}: give their "
+            "times on the odometry's clock (--truth-shift moves them)"
+        )
+    own = between(path.at(start[inside], origin), path.at(end[inside], origin))
+    seen, said = motions.xyt, []
+    further = np.abs(np.hypot(*own[:, :2].T) - np.hypot(*seen[inside, :2].T))
+    plain = further <= _GROSS * float(np.median(further)) + 1e-6
+    mount = hand_eye(own[plain], seen[inside][plain])
+    if mount is not None and abs(float(wrap(mount[2]))) > _TURNED_RAD:
+        seen = compose(compose(np.broadcast_to(mount, seen.shape), seen), inverse(mount))
+        where = f"{mount[0]:.3f} m, {mount[1]:.3f} m, {np.degrees(mount[2]):.1f} deg"
+        said.append(f"its sensor is found to sit at {where} on the robot; taken out")
+    miss = seen[inside] - own
+    away, turned = np.hypot(miss[:, 0], miss[:, 1]), np.abs(wrap(miss[:, 2]))
+    gross = inside[(away > _GROSS * np.median(away) + 1e-6) | (turned > _GROSS * np.median(turned) + 1e-6)]
+    covariance = motions.covariance
+    if len(gross):
+        if covariance is None:
+            covariance = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (len(seen), 3, 3))
+        covariance = covariance.copy()
+        covariance[gross] = np.diag([_UNKNOWN_M2, _UNKNOWN_M2, _UNKNOWN_M2])
+        said.append(f"{len(gross)} motions differ grossly from the odometry's: nothing follows from them")
+    return motions._replace(xyt=seen, covariance=covariance), said
+
+
+def _layout(header: Sequence[str], place: str) -> _Layout:
+    names = [re.sub(r"[^a-z0-9_]", "", cell.strip().lower()) for cell in header]
+    where = {name: i for i, name in enumerate(names)}
+    times = next(((where[a], where[b]) for a, b in _TIMES if a in where and b in where), None)
+    yaw = next((where[name] for name in _YAWS if name in where), None)
+    if times is None or yaw is None or "dx" not in where or "dy" not in where:
+        raise RecordingError(f"{place}: its first line names {', '.join(header)}; it takes t0,t1,dx,dy,dyaw")
+    known = [name for name in _COVARIANCE if name in where]
+    if known and len(known) < len(_COVARIANCE):
+        missing = ", ".join(name for name in _COVARIANCE if name not in where)
+        raise RecordingError(f"{place}: a covariance without {missing}; give all of {','.join(_COVARIANCE)}, or none")
+    return _Layout(times, (where["dx"], where["dy"], yaw), tuple(where[name] for name in known))
+
+
+def _numbers(line: Sequence[str], layout: _Layout, place: str) -> list[float]:
+    wanted = (*layout.times, *layout.motion, *layout.covariance)
+    try:
+        values = [float(line[i]) for i in wanted]
+    except (ValueError, IndexError):
+        raise RecordingError(f"{place}: {','.join(line)[:80]!r} does not hold the numbers of its header") from None
+    if not np.isfinite(values).all():
+        raise RecordingError(f"{place}: holds a number that is not finite; leave the line out")
+    return values
+
+
+def _nanoseconds(values: Array, tick: int, place: str) -> NDArray[np.int64]:
+    if np.abs(values).max() * tick > 9e18:
+        raise RecordingError(f"{place}: a time of {np.abs(values).max():g} is no stamp")
+    whole = np.floor(values)
+    stamps: NDArray[np.int64] = whole.astype(np.int64) * tick + np.round((values - whole) * tick).astype(np.int64)
+    return stamps
+
+
+def _is_comment(line: Sequence[str]) -> bool:
+    return line[0].lstrip().startswith("#")

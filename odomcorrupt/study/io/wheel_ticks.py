@@ -1,0 +1,259 @@
+"""Wheel angles of JointState: what the odometry was made of, with its nominal wheel radius and track.
+
+Where odometry is nothing but wheel angles summed up, its increments are linear in theirs: travel = (r/2)(right + left),
+turn = (r/b)(right - left). A regression gives r and b as the robot's driver has them, which are then known and no
+guess; what it leaves shows whether the heading really comes from the wheels.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.errors import RecordingError, TopicError
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.topic_selection import near
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["WheelAngles", "Wheels", "find_joints", "odometry_of_wheels", "read_wheels", "wheels_of"]
+
+JOINTS = "sensor_msgs/msg/JointState"
+_FEWEST = 50
+_SPACING_S = 0.2
+_LAGS_S = np.arange(-0.2, 0.2001, 0.02)
+_FITS = 0.03
+_RADII_M, _TRACKS_M = (5e-3, 2.0), (0.02, 10.0)
+_LATTICE = 0.95
+_STILL_RAD = 1e-9
+_MOST_STEPS = 200.0
+_FEWEST_COUNTS = 3
+_ROUNDED_RAD = 1e-5
+_LAG_SAID_S = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class WheelAngles:
+    """Angles of a left and a right wheel as recorded: stamps (n,) that grow, and angles (n, 2), rad."""
+
+    place: str
+    joints: tuple[str, str]
+    stamps_ns: NDArray[np.int64]
+    angle: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Wheels:
+    """What the odometry makes of its wheels.
+
+    radius_m, track_m : nominal, as the driver has them
+    heading : whether turns are those of the wheels, to within 3 %
+    tick_rad : angle of an encoder's count, None where the angles lie on no lattice
+    lag_s : by how much the odometry's stamps are behind the wheels'
+    notes : what was found, in words
+    """
+
+    radius_m: float
+    track_m: float
+    heading: bool
+    tick_rad: float | None
+    lag_s: float
+    notes: tuple[str, ...]
+
+
+def find_joints(names: Iterable[str]) -> tuple[str, str] | None:
+    """Return the joints that are by name the left and the right wheel; None where they are not one each."""
+    wheels = [name for name in names if re.search(r"wheel|drive", name, re.IGNORECASE)]
+    sides = [[n for n in wheels if re.search(rf"(^|[^a-z]){s}($|[^a-z])|{w}", n, re.IGNORECASE)]
+             for s, w in (("l", "left"), ("r", "right"))]  # fmt: skip
+    return (sides[0][0], sides[1][0]) if len(sides[0]) == len(sides[1]) == 1 and sides[0] != sides[1] else None
+
+
+def read_wheels(path: Path, place: str, joints: tuple[str, str] | None) -> WheelAngles | None:
+    """Read the angles of two wheels; None where no joints are named and none are wheels by their names.
+
+    Raises
+    ------
+    TopicError
+        Where joints that are named are not there.
+    RecordingError
+        Where they are named and hold too few angles.
+
+    """
+    parts: list[tuple[NDArray[np.int64], Array]] = []
+    seen: set[str] = set()
+    with open_reader(path) as reader:
+        channels = [c for c in reader.channels.values() if c.msgtype == JOINTS]
+        if not channels and joints is None:
+            return None
+        for block in reader.blocks():
+            for channel in channels:
+                for layout in locate(block, channel):
+                    item = layout.items[0]
+                    seen |= set(item.fields)
+                    both = joints or find_joints(item.fields)
+                    if both is None or not all(joint in item.fields for joint in both):
+                        continue
+                    chosen = both
+                    angle = np.column_stack([gather(block, layout, item, joint)[:, 0] for joint in both])
+                    parts.append((gather_stamps_ns(block, layout, item), angle))
+    if not parts:
+        if joints is None:
+            return None
+        raise TopicError(f"{place}: no JointState with {' and '.join(joints)} ({near(joints[0], seen)}); see --joints")
+    stamps, angle = (np.concatenate(part) for part in zip(*parts, strict=True))
+    good = np.isfinite(angle).all(axis=1)
+    _, index = np.unique(stamps[good], return_index=True)
+    stamps, angle = stamps[good][index], angle[good][index]
+    if len(stamps) < _FEWEST:
+        if joints is None:
+            return None
+        raise RecordingError(
+            f"{place}: {len(stamps)} angles of {' and '.join(joints)}; record more, or leave --joints out"
+        )
+    return WheelAngles(place, chosen, stamps, _unwrapped(angle))
+
+
+def wheels_of(angles: WheelAngles, odometry: Samples) -> Wheels:
+    """Return the nominal radius and track by which the odometry sums up its wheels.
+
+    Raises
+    ------
+    RecordingError
+        Where its travel is not that of these wheels.
+
+    """
+    origin = int(odometry.stamps_ns[0])
+    own_s, odo_s = (angles.stamps_ns - origin) * 1e-9, odometry.seconds_since(origin)
+    first, last = max(own_s[0], odo_s[0]) + 0.3, min(own_s[-1], odo_s[-1]) - 0.3
+    if last - first < 5.0:
+        raise RecordingError(f"{angles.place}: wheels and {odometry.name} share no time; leave --joints out")
+    path = odometry.trajectory()
+    tried = []
+    grid = np.arange(first, last, max(_SPACING_S, 4.0 * float(np.median(np.diff(own_s)))))
+    for lag in _LAGS_S:
+        steps = increments(path.at(grid, origin))
+        turn = np.stack([np.diff(np.interp(grid - lag, own_s, angles.angle[:, i])) for i in (0, 1)], axis=1)
+        sums = np.stack((turn.sum(axis=1), turn[:, 1] - turn[:, 0]), axis=1)
+        goal = np.stack((steps.ds_m, steps.dtheta_rad), axis=1)
+        slope = np.sum(sums * goal, axis=0) / np.maximum(np.sum(sums**2, axis=0), 1e-12)
+        miss = np.sqrt(np.mean((goal - slope * sums) ** 2, axis=0)) / np.maximum(np.std(goal, axis=0), 1e-9)
+        tried.append((float(miss[0]), float(lag), slope, miss))
+    _, lag_s, slope, miss = min(tried, key=lambda one: one[0])
+    names = " and ".join(angles.joints)
+    radius = 2.0 * float(slope[0])
+    track = radius / float(slope[1]) if abs(slope[1]) > 1e-6 else float("inf")
+    if miss[0] > _FITS or not _RADII_M[0] < radius < _RADII_M[1]:
+        raise RecordingError(
+            f"{angles.place}: {odometry.name} does not travel as {names} turn ({miss[0]:.0%} off, radius {radius:.3f} "
+            "m); name its wheels with --joints LEFT RIGHT, or leave it out"
+        )
+    heading = bool(miss[1] < _FITS and _TRACKS_M[0] < track < _TRACKS_M[1])
+    tick = _tick(angles.angle)
+    notes = [f"{names}: wheels of {radius:.3g} m by the odometry's own sums"]
+    if heading:
+        notes[0] += f", {track:.3g} m apart: its nominal radius and track"
+    else:
+        notes.append(
+            f"the odometry does not turn as {names} do ({miss[1]:.0%} off): its heading is not the wheels' alone"
+        )
+    if tick is not None:
+        notes.append(
+            f"{names}: angles come in counts of {tick:.4g} rad ({2 * np.pi / tick:.0f} a turn, "
+            f"{1e3 * tick * radius:.2g} mm)"
+        )
+    lost = _lost(angles.angle)
+    if lost:
+        notes.append(f"{names}: {lost} times a wheel stood for one message and made up for it in the next: late counts")
+    if abs(lag_s) > _LAG_SAID_S:
+        notes.append(
+            f"odometry is stamped {abs(lag_s):.2f} s {'after' if lag_s > 0.0 else 'before'} the wheels' angles"
+        )
+    return Wheels(radius, track, heading, tick, lag_s, tuple(notes))
+
+
+def odometry_of_wheels(angles: WheelAngles, wheels: Wheels, odometry: Samples) -> Samples:
+    """Return the odometry that the wheels' angles sum to, at their stamps, in the frame of the one that was recorded.
+
+    Raises
+    ------
+    RecordingError
+        Where the recorded odometry takes its turns from elsewhere, so that the wheels' would be another robot's.
+
+    """
+    if not wheels.heading:
+        raise RecordingError(
+            f"{angles.place}: the odometry's turns are not those of {' and '.join(angles.joints)}: what is learned of "
+            "their sums would not be true of it; leave --joints out"
+        )
+    inside = (angles.stamps_ns >= odometry.stamps_ns[0]) & (angles.stamps_ns <= odometry.stamps_ns[-1])
+    stamps, angle = angles.stamps_ns[inside], angles.angle[inside]
+    turn = np.diff(angle, axis=0)
+    ds, dtheta = 0.5 * wheels.radius_m * turn.sum(axis=1), wheels.radius_m / wheels.track_m * (turn[:, 1] - turn[:, 0])
+    begin = odometry.trajectory().at(
+        np.array([(int(stamps[0]) - int(odometry.stamps_ns[0])) * 1e-9]), int(odometry.stamps_ns[0])
+    )
+    xyt = accumulate(begin[0], Increments(ds, np.zeros_like(ds), dtheta))
+    return Samples(
+        place=f"{angles.place}: {' and '.join(angles.joints)}",
+        name=f"{odometry.name} from its wheels' angles",
+        frame=odometry.frame,
+        stamps_ns=stamps,
+        xyz=np.column_stack((xyt[:, :2], np.zeros(len(xyt)))),
+        yaw_rad=xyt[:, 2],
+        log_ns=np.zeros(0, dtype=np.int64),
+        variance_m2=np.zeros(0),
+        notes=odometry.notes,
+        child=odometry.child,
+    )
+
+
+def _unwrapped(angle: Array) -> Array:
+    """Return angles (n, 2) that go on where a driver wraps them at a turn; others come back as they are."""
+    if np.ptp(angle) > 2.0 * np.pi + 0.1:
+        return angle
+    out: Array = np.unwrap(angle, axis=0)
+    return out
+
+
+def _tick(angle: Array) -> float | None:
+    """Return the angle of an encoder's count: the largest that all steps are multiples of, None where none is seen."""
+    steps = np.abs(np.diff(angle, axis=0)).ravel()
+    steps = steps[steps > _STILL_RAD]
+    if len(steps) < _FEWEST:
+        return None
+    # neighbours among the different steps are a count apart
+    values = np.unique(np.round(steps, 7))
+    gaps = np.diff(values)[np.diff(values) > _ROUNDED_RAD]
+    if len(gaps) < _FEWEST_COUNTS:
+        return None
+    tick = float(np.median(gaps))
+    for _ in range(3):
+        count = np.round(steps / tick)
+        small = (count < _MOST_STEPS) & (count > 0)
+        if not small.any():
+            return None
+        tick = float(np.sum(steps[small] * count[small]) / np.sum(count[small] ** 2))
+    regular = float(np.mean(np.cos(2.0 * np.pi * steps[small] / tick)))
+    return tick if regular > _LATTICE and len(np.unique(count[small])) > _FEWEST_COUNTS else None
+
+
+def _lost(angle: Array) -> int:
+    """Return how often a wheel stands for one message between two in which it moves, the second twice as far."""
+    step = np.diff(angle, axis=0)
+    before, here, after = np.abs(step[:-2]), np.abs(step[1:-1]), np.abs(step[2:])
+    return int(
+        np.count_nonzero((here < _STILL_RAD) & (before > _STILL_RAD) & (after > 1.7 * before) & (after < 2.3 * before))
+    )

@@ -1,0 +1,106 @@
+"""A small ray-caster: a robot drives loops in a furnished room, and a laser on it sees the walls."""
+
+from __future__ import annotations
+
+import laserbags
+import numpy as np
+
+from odomcorrupt.geometry.se2 import compose
+
+ROOM = [(-3.2, -2.5), (4.1, -2.5), (4.1, 1.6), (2.6, 1.6), (2.6, 3.1), (-3.2, 3.1)]
+BOXES = [[(-2.6, 1.7), (-1.7, 1.7), (-1.7, 2.4), (-2.6, 2.4)], [(2.4, -2.0), (3.2, -1.7), (3.0, -1.2), (2.2, -1.5)]]
+CORRIDOR = [(-60.0, -1.1), (60.0, -1.1), (60.0, 1.1), (-60.0, 1.1)]
+
+
+def closed(corners):
+    points = np.array(corners, dtype=float)
+    return np.stack((points, np.roll(points, -1, axis=0)), axis=1)
+
+
+WALLS = np.concatenate([closed(ROOM), *(closed(box) for box in BOXES)])
+
+
+def path(duration_s=36.0, rate_hz=20.0, *, straight=False):
+    """Stamps and true poses of a drive: loops with turns both ways, or to and fro along x."""
+    fine = np.arange(0.0, duration_s, 0.005)
+    if straight:
+        speed, turn = 0.6 * np.sin(0.5 * fine), 0.2 * np.sin(1.3 * fine)
+    else:
+        speed, turn = 0.35 + 0.15 * np.sin(0.7 * fine), 0.55 * np.sin(0.35 * fine) + 0.25 * np.sin(0.9 * fine + 0.5)
+    yaw = np.concatenate(([0.1], 0.1 + np.cumsum(turn[:-1]) * 0.005))
+    x = np.cumsum(speed * np.cos(yaw)) * 0.005
+    y = np.cumsum(speed * np.sin(yaw)) * 0.005
+    centre = (0.0, 0.0) if straight else (x.mean(), y.mean())
+    poses = np.stack((x - centre[0], y - centre[1], yaw), axis=1)
+    t_s = np.arange(0.0, duration_s - 0.01, 1.0 / rate_hz)
+    return t_s, np.stack([np.interp(t_s, fine, column) for column in poses.T], axis=1), fine, poses
+
+
+def ranges(pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008):
+    """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above."""
+    rng = np.random.default_rng(1)
+    bearing = -np.pi + 2 * np.pi * np.arange(beams) / beams
+    out = []
+    for start in starts_s:
+        pose = pose_at(start + sweep_s * np.arange(beams) / beams)
+        angle = pose[:, 2] + (-bearing if flipped else bearing)
+        way = np.stack((np.cos(angle), np.sin(angle)), axis=1)
+        a, along = walls[:, 0], walls[:, 1] - walls[:, 0]
+        to = a[None] - pose[:, None, :2]
+        cross = way[:, None, 0] * along[:, 1] - way[:, None, 1] * along[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = (to[..., 0] * along[:, 1] - to[..., 1] * along[:, 0]) / cross
+            share = (to[..., 0] * way[:, None, 1] - to[..., 1] * way[:, None, 0]) / cross
+        met = np.where((far > 0.0) & (share >= 0.0) & (share <= 1.0), far, np.inf).min(axis=1)
+        out.append(met + noise * rng.standard_normal(beams))
+    return np.array(out)
+
+
+def drive(
+    where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
+    blind=False, cloud=False, twice=False, off=1.02, spin=False,
+):  # fmt: skip
+    """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them."""
+    t_s, poses, fine, every = path(straight=corridor)
+    if spin:
+        every = every.copy()
+        every[:, 2] = 0.1 + 1.2 * fine
+        poses = np.stack([np.interp(t_s, fine, column) for column in every.T], axis=1)
+
+    def laser_at(at_s):
+        robot = np.stack([np.interp(at_s, fine, column) for column in every.T], axis=1)
+        return compose(robot, np.array(mount))
+
+    starts = np.arange(0.1, t_s[-1] - 1.5, 1.0 / rate_hz)
+    walls = closed(CORRIDOR) if corridor else WALLS
+    seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped)
+    if blind:
+        seen = 0.3 + 0.002 * np.random.default_rng(2).standard_normal(seen.shape)
+    odometry = poses.copy()
+    odometry[:, 2] = poses[0, 2] + off * (poses[:, 2] - poses[0, 2])
+    step = np.diff(poses[:, :2], axis=0)
+    turn = (off - 1.0) * 0.5 * (poses[1:, 2] + poses[:-1, 2] - 2.0 * poses[0, 2])
+    c, s = np.cos(turn), np.sin(turn)
+    moved = np.stack((c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]), axis=1)
+    odometry[1:, :2] = odometry[0, :2] + np.cumsum(moved, axis=0)
+    late = np.abs(np.random.default_rng(4).standard_normal(len(starts))) * jitter_s
+
+    def stamps(at_s):
+        return laserbags.START_NS + np.round(at_s * 1e9).astype(np.int64)
+
+    groups = [laserbags.odometry(stamps(t_s), odometry)]
+    if cloud:
+        bearing = -np.pi + 2 * np.pi * np.arange(seen.shape[1]) / seen.shape[1]
+        points = [
+            np.concatenate([np.column_stack((r * np.cos(bearing), r * np.sin(bearing), r * np.tan(tilt)))
+                            for tilt in np.radians((-8.0, 0.0, 8.0))])
+            for r in np.where(np.isfinite(seen), seen, np.nan)
+        ]  # fmt: skip
+        groups.append(laserbags.clouds(stamps(starts + 0.5 * sweep_s), points))
+    else:
+        groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=sweep_s))
+    if twice:
+        groups.append(laserbags.scans(stamps(starts + 0.01), seen, "/scan_rear", turn_s=sweep_s))
+    if told is not None:
+        groups.append(laserbags.sits(x=told[0], y=told[1], yaw=told[2]))
+    return laserbags.write(where, *groups)

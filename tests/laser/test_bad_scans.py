@@ -1,0 +1,69 @@
+"""Scans with something wrong about them: found out and put right, or refused in one line."""
+
+import numpy as np
+import pytest
+import raycaster
+
+from odomcorrupt.cli import run
+from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.study.io.reader import Source, read_runs
+
+
+def read(path, scan=None):
+    (recording,) = read_runs(Source(path, scan=scan))
+    return recording, " | ".join(recording.notes)
+
+
+def turned_too_far(recording):
+    """By what factor odometry turns more than the laser, between nodes a second or so apart."""
+    truth, odometry = recording.truth, recording.odometry
+    t_s = truth.seconds_since(recording.origin_ns)[::5]
+    inside = (t_s > 1.0) & (t_s < recording.odometry_s[-1] - 1.0)
+    ours = np.diff(odometry.at(t_s[inside], recording.origin_ns)[:, 2])
+    theirs = np.diff(truth.at(t_s[inside], recording.origin_ns)[:, 2])
+    return float(ours @ theirs / (theirs @ theirs))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("faults", "said"),
+    [
+        ({"mount": (0.1, 0.05, np.pi / 2)}, "found to sit at"),
+        ({"mount": (0.1, 0.0, np.pi / 2), "told": (0.1, 0.0, 0.0)}, "turned by 90 deg against what TF says"),
+        ({"flipped": True}, "hangs upside down"),
+        ({"rate_hz": 1.0, "told": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
+        ({"jitter_s": 0.05, "told": (0.1, 0.0, 0.0)}, "stamps of the sweeps are off by"),
+        ({"cloud": True, "told": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
+        ({"spin": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "ruler"),
+    ],
+    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning"],
+)
+def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path, faults, said):
+    topic = "/points" if "cloud" in faults else None
+    recording, notes = read(raycaster.drive(tmp_path / "run.mcap", **faults), topic)
+    assert said in notes
+    assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        ({"corridor": True, "told": (0.1, 0.0, 0.0)}, "a corridor hides travel"),
+        ({"blind": True, "told": (0.1, 0.0, 0.0)}, "--scan"),
+    ],
+)
+def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, words):
+    with pytest.raises(OdomCorruptError, match=words) as refused:
+        read(raycaster.drive(tmp_path / "run.mcap", **faults))
+    assert "\n" not in str(refused.value)
+
+
+def test_of_two_lasers_one_has_to_be_named(tmp_path, capsys):
+    path = raycaster.drive(tmp_path / "run.mcap", twice=True, rate_hz=2.0)
+    assert run(["learn", str(path)]) == 1
+    assert "--truth" in capsys.readouterr().err
+    assert run(["learn", str(path), "--scan", "/scan_front"]) == 1
+    said = capsys.readouterr().err
+    assert "/scan_rear" in said
+    assert "--scan" in said

@@ -1,0 +1,104 @@
+"""A gyro in the bag: the axis that is up, its bias and lag, whose heading the odometry has, and what it shows alone."""
+
+import json
+
+import laserbags
+import numpy as np
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.simulation import Tracker, simulate
+from odomcorrupt.study.io.reader import Source, read_runs
+
+EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
+GAIN, BIAS, NOISE = 1.004, 0.01, 0.002
+
+
+def drive(seed=11, cause=None, duration_s=150.0, **options):
+    return simulate(seed, cause, truth=EXACT, duration_s=duration_s, **options)
+
+
+def gyro_of(simulated, *, axis=(0.0, 0.0, 1.0), late_s=0.0, seed=3):
+    """Stamps and rates of a gyro on a simulated robot: gain, bias and white noise of its own."""
+    stamps = simulated.truth_stamps_ns
+    t_s = (stamps - stamps[0]) * 1e-9
+    yaw = np.unwrap(simulated.truth_xyt[:, 2])
+    rate = GAIN * np.gradient(yaw, t_s) + BIAS
+    rates = rate[:, None] * np.array(axis) + NOISE * np.random.default_rng(seed).standard_normal((len(t_s), 3))
+    return stamps + round(late_s * 1e9), rates
+
+
+def bag(path, simulated, *groups, **options):
+    stamps, rates = gyro_of(simulated, **options)
+    return laserbags.write(
+        path, laserbags.odometry(simulated.odom_stamps_ns, simulated.odom_xyt), laserbags.imu(stamps, rates), *groups
+    )
+
+
+def truth_of(simulated):
+    return laserbags.odometry(simulated.truth_stamps_ns[::5], simulated.truth_xyt[::5], "/ground_truth")
+
+
+def test_the_upward_axis_bias_and_lag_are_found_without_tf(tmp_path):
+    simulated = drive(yaw_from="encoders")
+    path = bag(tmp_path / "run.mcap", simulated, axis=(0.0, -1.0, 0.0), late_s=0.12)
+    (recording,) = read_runs(Source(path))
+    said = " ".join(recording.notes)
+    assert "about its -y axis" in said
+    assert f"bias is {-np.degrees(BIAS) * -1.0:.3f} deg/s" in said or "0.57" in said
+    assert "0.12" in said
+    assert not recording.positioned
+    turned = recording.truth.xyt[-1, 2] - recording.truth.xyt[0, 2]
+    first, last = (np.searchsorted(simulated.truth_stamps_ns, s) for s in recording.truth.stamps_ns[[0, -1]])
+    real = np.unwrap(simulated.truth_xyt[:, 2])
+    assert turned == pytest.approx(GAIN * (real[min(last, len(real) - 1)] - real[first]), abs=0.05)
+
+
+@pytest.mark.parametrize("source", ["encoders", "gyro"])
+def test_wheels_or_gyro_as_the_source_of_the_heading_is_told_by_what_they_say_at_rest(tmp_path, source):
+    simulated = drive(yaw_from="encoders")
+    stamps, rates = gyro_of(simulated)
+    odometry = simulated.odom_xyt.copy()
+    if source == "gyro":
+        t_s = (stamps - stamps[0]) * 1e-9
+        heading = np.concatenate(([0.0], np.cumsum(0.5 * (rates[1:, 2] + rates[:-1, 2]) * np.diff(t_s))))
+        odometry[:, 2] = np.interp((simulated.odom_stamps_ns - stamps[0]) * 1e-9, t_s, heading)
+    path = laserbags.write(
+        tmp_path / "run.mcap",
+        laserbags.odometry(simulated.odom_stamps_ns, odometry),
+        laserbags.imu(stamps, rates),
+        truth_of(simulated),
+    )
+    (recording,) = read_runs(Source(path, truth="/ground_truth"))
+    assert recording.heading_source == {"encoders": "wheels", "gyro": "gyro"}[source]
+
+
+@pytest.mark.slow
+def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, capsys):
+    simulated = drive(23, "wheelbase", 300.0, parameters={"e": 0.06}, yaw_from="encoders", route="slalom")
+    path = bag(tmp_path / "run.mcap", simulated)
+    assert run(["diagnose", str(path), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    effects = {one["effect"]: one for one in said["found"] if one["kind"] == "effect"}
+    assert list(effects) == ["wheelbase"]
+    value = effects["wheelbase"]["parameters"]["e"]
+    assert value["value"] == pytest.approx(simulated.answer["causes"]["wheelbase"]["e"], abs=0.02)
+    # no gain of turns is known better than the gyro's own
+    assert value["standard_error"] > 0.008
+
+
+def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, capsys):
+    path = bag(tmp_path / "run.mcap", drive(duration_s=40.0))
+    assert run(["learn", str(path)]) == 1
+    assert "say nothing of travel" in capsys.readouterr().err
+
+
+def test_a_gyro_of_another_robot_is_refused_where_it_is_named(tmp_path, capsys):
+    one, other = drive(11, duration_s=60.0), drive(99, duration_s=60.0)
+    stamps, rates = gyro_of(other)
+    shifted = stamps - stamps[0] + one.odom_stamps_ns[0]
+    path = laserbags.write(
+        tmp_path / "run.mcap", laserbags.odometry(one.odom_stamps_ns, one.odom_xyt), laserbags.imu(shifted, rates)
+    )
+    assert run(["diagnose", str(path), "--imu", "/imu/data"]) == 1
+    assert "turns unlike the odometry" in capsys.readouterr().err
