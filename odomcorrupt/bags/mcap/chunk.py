@@ -103,13 +103,14 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
     if codec not in CODECS or name == "none":
         raise BagError(f"{named}: compression {name!r} is not known (none, lz4, zstd); recompress the bag")
     if codec == "none":
-        data = source.read_array(packed, what)
+        data, actual = source.read_summed(packed, what)
         if size != packed:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
         data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf, source.budget)
+        actual = crc32(data.data) if crc else 0
     source.read(behind, what)  # fields of later versions of the format
-    if crc not in (0, crc32(data.data)):
+    if crc not in (0, actual):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
     return Chunk(data, codec, named)
 
