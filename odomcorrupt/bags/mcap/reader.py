@@ -243,6 +243,8 @@ class McapReader:
                 self.summary.keep(opcode, content, self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
+            if not self.complete and not self._recover:
+                self._learn_summary()
         except BagError as error:
             self._lose(error)
             # A false end: there may be data behind it.
