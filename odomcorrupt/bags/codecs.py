@@ -65,8 +65,7 @@ def decompress(
         placed.data[:] = data
         return placed
     budget = Budget() if budget is None else budget
-    budget.require_chunk(size, what)
-    budget.read(len(data))
+    budget.require(size, len(data), what)
     try:
         if codec == "lz4":
             out = _unlz4(data, size)
@@ -113,7 +112,7 @@ def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
                 most = min(budget.left, 255 * len(data))
                 out += lz4.frame.decompress_chunk(context, data, max_length=max(most, 1))[0]
         return out
-    budget.read(len(data))
+    budget.require(0, len(data), "")
     piece = np.empty(_PIECE_BYTES, dtype=np.uint8)
     with suppress(*_Damage):
         for came in _pieces_of_cut(codec, data, piece):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
@@ -33,6 +34,7 @@ __all__ = ["command"]
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @overwrite_option()
+@unpack_option
 @standard_options
 def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Voice, **given: Any) -> None:
     """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.

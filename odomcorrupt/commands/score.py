@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import overwrite_option, standard_options
@@ -58,6 +59,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--report", type=_FILE, help="Write all of it as one page of HTML.")
 @click.option("-o", "--output", type=_FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("existing outputs")
+@unpack_option
 @standard_options
 def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
