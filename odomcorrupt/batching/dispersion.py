@@ -13,7 +13,7 @@ from odomcorrupt.batching.tum import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
-from odomcorrupt.model.model_file import parse_model
+from odomcorrupt.model.model_file import parse_model, read_model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -153,7 +153,7 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: Knots
 def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path, clean: TumPath) -> Array:
     """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:
-        model = parse_model((directory / record["robot"]).read_text(encoding="utf8"))
+        model = read_model(directory / record["robot"])
     knots = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
     path: Array = knots.clean_xyt[:, :2] + knots.error_xyt[:, :2]
     return path

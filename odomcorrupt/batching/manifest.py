@@ -13,7 +13,6 @@ import json
 import os
 import re
 import socket
-import stat
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,6 +21,7 @@ from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import sweep
 from odomcorrupt.errors import BagError, OdomCorruptError
+from odomcorrupt.files import read_input
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
@@ -124,9 +124,8 @@ def _require(true: bool) -> None:  # noqa: FBT001 - a condition, as of assert
 
 def _read(path: Path) -> bytes:
     """Return the bytes of a file of a batch; ValueError where it is no regular file, or too large."""
-    found = path.stat()
-    _require(stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES)
-    return path.read_bytes()
+    path.stat()  # raises FileNotFoundError where there is none
+    return read_input(path, _LARGEST_BYTES, "file of a batch", ValueError)
 
 
 def _parsed(text: bytes) -> Any:

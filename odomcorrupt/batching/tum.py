@@ -10,6 +10,7 @@ import numpy as np
 
 from odomcorrupt.bags.output import Output
 from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
 
 def read_tum(path: Path) -> TumPath:
     """Return the planar poses of a TUM file, with stamps to the nanosecond."""
-    text = path.read_bytes()
+    with open_input(path) as stream:
+        text = stream.read()
     stamps = [line.split(b" ", 1)[0] for line in text.splitlines()]
     numbers = np.loadtxt(io.BytesIO(text), ndmin=2)
     whole = np.array([int(stamp.replace(b".", b"")) for stamp in stamps], dtype=np.int64)

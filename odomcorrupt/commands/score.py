@@ -11,7 +11,7 @@ from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.files import read_input, refuse_existing, write_text
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
+_BASELINE_BYTES = 1 << 28
 
 
 @click.command("score", short_help="Score a localisation over the runs of a batch; a gate for CI.")
@@ -106,9 +107,10 @@ def _baseline(path: Path) -> dict[str, Any]:
 
     from odomcorrupt.scoring.errors import ScoreError
 
+    text = read_input(path, _BASELINE_BYTES, "result of score", ScoreError)
     try:
-        table = json.loads(path.read_text(encoding="utf8"))
-    except (OSError, ValueError) as error:
+        table = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise ScoreError(f"{path}: is no JSON; make a baseline with odomcorrupt score ... --save") from error
     if not isinstance(table, dict) or "runs" not in table:
         raise ScoreError(f"{path}: is no result of score; make a baseline with odomcorrupt score ... --save")
