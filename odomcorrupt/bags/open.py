@@ -179,7 +179,7 @@ def open_writer(
 
     if path is None or not isinstance(part, SqliteReader):
         raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
-    return SqliteWriter(path, part, overwrite=overwrite)
+    return SqliteWriter(path, part, overwrite=overwrite, copying_thread=workers is not None and workers.threads > 1)
 
 
 def _refuse_suffix(path: Path | None, *, directory: bool) -> None:

@@ -146,7 +146,8 @@ class Rosbag2Writer:
         target = self._partial / part.paths[0].name
         if isinstance(part, McapReader):
             return McapWriter(Output(target), part, self._codec, self._level, workers=self._workers)
-        return SqliteWriter(target, part)
+        alone = len(self._reader.parts) == 1 and self._workers is not None and self._workers.threads > 1
+        return SqliteWriter(target, part, copying_thread=alone)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
