@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 __all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "require_level"]
 
 _PIECE_BYTES = 1 << 20
+_SKIPPABLE_MAGIC = 0x184D2A50
+_RUN_LENGTH_BLOCK = 1
+"""In a Zstandard frame: one byte that stands for as many as the block's size says."""
 _LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
@@ -151,6 +154,30 @@ def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
             at += came
             yield came
         yield len(reader.read(1)) if at == placed.size else 0
+    # of a truncated frame the reader keeps back what it has decompressed beyond what was asked for
+    if not _are_whole_frames(data):
+        raise EOFError("a frame is cut short")
+
+
+def _are_whole_frames(data: memoryview) -> bool:
+    """Return whether bytes are whole Zstandard frames, by the lengths in them (RFC 8878, section 3.1)."""
+    at = 0
+    while at < len(data):
+        magic = int.from_bytes(data[at : at + 4], "little")
+        if magic & ~0xF == _SKIPPABLE_MAGIC:
+            at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
+            continue
+        parameters = zstandard.get_frame_parameters(data[at:])
+        at += zstandard.frame_header_size(data[at:])
+        last = 0
+        while not last:
+            if at + 3 > len(data):
+                return False
+            head = int.from_bytes(data[at : at + 3], "little")
+            last, kind, size = head & 1, head >> 1 & 3, head >> 3
+            at += 3 + (1 if kind == _RUN_LENGTH_BLOCK else size)
+        at += 4 if parameters.has_checksum else 0
+    return at == len(data)
 
 
 def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:

@@ -3,7 +3,7 @@
 No command starts and nearly no file is written: the damage goes to the readers through memory, and to the functions
 that they are made of. What is asked goes beyond the project's own error in one line:
 
-- the messages that are read without complaint are those that `--recover` reads;
+- the messages that are read without complaint are read by `--recover`, too;
 - an index of messages that is accepted gives the table of the messages that lie there;
 - numbers that are read from messages and written back leave all bytes as they were;
 - records that were read, written and read again are the same.
@@ -176,7 +176,8 @@ class ReaderFuzz:
                 if "--recover" in str(error):
                     raise FoundError(f"advises what was given: {error}") from error
                 saved = None
-            if plain is not None and (saved is None or saved[:2] != plain[:2]):
+            # behind the index of a ROS 1 bag recovery may find more
+            if plain is not None and (saved is None or saved[0] < plain[0]):
                 raise FoundError(f"read without complaint: {plain}; recovered: {saved}")
             return "read" if plain is not None else "refused" if saved is None else "recovered"
 
@@ -223,7 +224,7 @@ class ReaderFuzz:
             out = decompress(codec, memoryview(harmed), size, "chunk", BufferPool())
         except OdomCorruptError:
             return "refused"
-        if out.size != size or (codec != "lz4" and bytes(begun) != out.tobytes()[: len(begun)]):
+        if out.size != size or (codec != "lz4" and bytes(begun) != out.tobytes()):
             raise FoundError("its beginning is another one")
         return "read"
 

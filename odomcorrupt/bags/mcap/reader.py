@@ -156,6 +156,8 @@ class McapReader:
                     yield part
                 else:
                     yield from self._finished(part)
+        if not self.complete and not self._recover:
+            self._learn_summary()
 
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
         """Yield chunks, collected messages outside chunks, and single records."""
@@ -243,8 +245,6 @@ class McapReader:
                 self.summary.keep(opcode, content, self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
-            if not self.complete and not self._recover:
-                self._learn_summary()
         except BagError as error:
             self._lose(error)
             # A false end: there may be data behind it.
