@@ -7,7 +7,7 @@ import zlib
 import pytest
 from mcap.writer import CompressionType
 from oracles import mcap_messages
-from test_mcap_optional_parts import CHUNK, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, packed, records, write
+from test_mcap_optional_parts import ATTACHMENT, CHUNK, DATA_END, FOOTER, HEADER, MAGIC, MESSAGE, packed, records, write
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import BagError
@@ -63,7 +63,7 @@ def test_every_byte_of_data_outside_of_chunks_is_covered(bag, piped, tmp_path):
 @pytest.mark.parametrize("piped", [False, True])
 def test_what_only_the_checksum_of_all_tells_is_told_with_the_way_out(bag, piped, tmp_path):
     path = None if piped else tmp_path / "in.mcap"
-    harmed = flipped(bag, bag.index(b"a corridor"))
+    harmed = flipped(bag, bag.index(b"floor"))
     with pytest.raises(BagError, match=f"{DATA}: outside of its chunks the bag is damaged; --recover saves"):
         read(harmed, path=path)
     found, losses = read(harmed, recover=True, path=path)
@@ -122,9 +122,29 @@ def test_files_without_checksums_are_read(tmp_path):
     path = tmp_path / "in.mcap"
     write(path, data_crcs=False, enable_crcs=False)
     data = path.read_bytes()
-    harmed = flipped(data, data.index(b"a corridor"))
+    harmed = flipped(data, data.index(b"floor"))
     assert read(harmed) == read(harmed, path=path) == read(data)
     assert len(mcap_messages(path)) == len(read(data)[0])
+
+
+@pytest.mark.parametrize("piped", [False, True])
+@pytest.mark.parametrize("piece", [1 << 22, 30, 7])
+def test_an_attachment_has_a_checksum_of_its_own(piped, piece, tmp_path, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.bags.mcap.chunk._PIECE_BYTES", piece)
+    path = tmp_path / "in.mcap"
+    write(path, data_crcs=False)
+    data, path = path.read_bytes(), None if piped else path
+    begin, end = next((begin, end) for opcode, begin, end in places(data) if opcode == ATTACHMENT)
+    whole = read(data, path=path)
+    assert read(data[: end - 4] + bytes(4) + data[end:], path=path) == whole
+    for at in range(begin + 9, end):
+        with pytest.raises(BagError):
+            read(flipped(data, at), path=path)
+    harmed = flipped(data, data.index(b"a corridor"))
+    found, losses = read(harmed, recover=True, path=path)
+    assert found == whole[0] != []
+    assert len(losses) == 1
+    assert "the attachment's checksum does not match its bytes" in losses[0]
 
 
 def test_an_end_of_data_without_room_for_its_checksum_is_damage(bag):

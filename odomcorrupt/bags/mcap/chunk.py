@@ -115,14 +115,30 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
     return Chunk(data, codec, named)
 
 
-def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
-    """Yield an unparsed record in pieces, since attachments may be larger than memory."""
+def read_pieces(source: Source, opcode: int, length: int, what: str, summed: int = 0) -> Iterator[Block]:
+    """Yield an unparsed record in pieces, since attachments may be larger than memory.
+
+    summed : length of what an attachment's checksum covers, which follows it; 0 for other records
+
+    Raises
+    ------
+    BagError
+        After the last piece, if the checksum is wrong.
+
+    """
     source.require(length, what)
-    left = length
+    if summed + 4 > length and summed:
+        raise BagError(f"{source.name}: {what}: an attachment of {summed} bytes is longer than its record; damaged bag")
+    left, crc, stated = length, 0, b""
     head = struct.pack("<BQ", opcode, length)
     while left or head:
         content = source.read_array(min(left, _PIECE_BYTES), what)
+        covered = max(summed - (length - left), 0)
+        crc = crc32(content.data[:covered], crc)
+        stated += bytes(content.data[covered : covered + 4 - len(stated)])
         left -= content.size
         data = np.concatenate([np.frombuffer(head, dtype=np.uint8), content])
         yield Block(data, np.empty(0, dtype=TABLE), McapFraming("record", opcode=opcode if head else 0))
         head = b""
+    if summed and int.from_bytes(stated, "little") not in (0, crc):
+        raise BagError(f"{source.name}: {what}: the attachment's checksum does not match its bytes; damaged bag")

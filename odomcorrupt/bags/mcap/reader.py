@@ -175,9 +175,11 @@ class McapReader:
                 elif opcode == CHUNK:
                     pending = self._chunk(source, length, what)
                 else:
+                    summed = 0
                     if opcode in (ATTACHMENT, METADATA):
-                        require_named(opcode, source.sniff(min(length, _NAMES_BYTES)), f"{self.name}: {what}")
-                    yield from _alone(source, opcode, length, what)
+                        head = source.sniff(min(length, _NAMES_BYTES))
+                        summed = require_named(opcode, head, f"{self.name}: {what}")
+                    yield from _alone(source, opcode, length, what, summed)
             except BagError as error:
                 self._lose(error)
                 if not (
@@ -323,12 +325,12 @@ def _is_packed(part: Chunk | Loose | Block) -> bool:
     return isinstance(part, Chunk) and part.codec != "none"
 
 
-def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
+def _alone(source: Source, opcode: int, length: int, what: str, summed: int) -> Iterator[Block]:
     """Yield a single record as blocks; the footer and indexes without chunks are skipped."""
     if opcode == MESSAGE_INDEX:
         source.read(length, what)
     elif opcode not in _ENDS:
-        yield from read_pieces(source, opcode, length, what)
+        yield from read_pieces(source, opcode, length, what, summed)
 
 
 def _continues(pending: Chunk | Loose, opcode: int) -> bool:

@@ -64,16 +64,23 @@ class Summary:
             (self.private if private is None else private).append(struct.pack("<BQ", opcode, len(content)) + content)
 
 
-def require_named(opcode: int, head: bytes, what: str) -> None:
-    """Raise BagError for an attachment or metadata record that does not start with the fields its index requires.
+def require_named(opcode: int, head: bytes, what: str) -> int:
+    """Return the length of an attachment without its checksum, bytes; 0 for metadata, which have none.
 
     head : its content, or the beginning of it
+
+    Raises
+    ------
+    BagError
+        If it does not start with the fields that its index requires.
+
     """
     fields = Fields(head, what)
-    if opcode == ATTACHMENT:
-        fields.number("Q"), fields.number("Q"), fields.string(), fields.string(), fields.number("Q")
-    else:
+    if opcode != ATTACHMENT:
         fields.string()
+        return 0
+    times, names = (fields.number("Q"), fields.number("Q")), (fields.blob(), fields.blob())
+    return 8 * len(times) + sum(4 + len(name) for name in names) + 8 + fields.number("Q")
 
 
 def read_summary(source: Source, size: int) -> Summary:
