@@ -109,8 +109,8 @@ def write_bytes(path: Path, data: bytes) -> None:
     from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
 
     output = Output(path, overwrite=True)
-    output.open()
     try:
+        output.open()
         output.write(data)
         output.commit()
     finally:

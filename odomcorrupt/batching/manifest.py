@@ -211,8 +211,8 @@ def _compared(table: Mapping[str, Any], key: str) -> Any:
 def write_whole(path: Path, data: bytes, *, overwrite: bool = True) -> None:
     """Write a small file under a temporary name, and rename it."""
     output = Output(path, overwrite=overwrite)
-    output.open()
     try:
+        output.open()
         output.write(data)
         output.commit()
     finally:

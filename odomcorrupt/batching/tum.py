@@ -86,7 +86,11 @@ class TumSink:
         self._waiting.clear()
 
     def __enter__(self) -> Self:
-        self._output.open()
+        try:
+            self._output.open()
+        except BaseException:
+            self._output.discard()
+            raise
         return self
 
     def __exit__(
@@ -105,8 +109,8 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
     Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
     """
     output = Output(path, overwrite=True)
-    output.open()
     try:
+        output.open()
         with zipfile.ZipFile(_Sink(output), "w", zipfile.ZIP_STORED) as archive:
             for name, array in (("runs", np.array(runs)), ("stamps_ns", clean.stamps_ns), ("clean_xyt", clean.xyt)):
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
