@@ -1,4 +1,4 @@
-"""A plain least-squares look at recordings, beside the fit: where they differ, and which of them is right.
+"""Plain least squares on recordings beside the fit: where they differ, and which of them is right.
 
 Written into docs/real_robots.md by docs/make_real_robots.py.
 """
@@ -28,33 +28,33 @@ WINDOW_S = 1.5
 STRAIGHT_RADPS = 0.05
 
 INTRODUCTION = """
-## Beside a plain look
+## Comparison with plain least squares
 
-Truth over odometry for travel (k), for turning (a), and what each metre adds to the turn (b, rad/m). The plain look is
-least squares over windows of 1.5 s, truth on odometry; the fit has the effects wheel_scale, gyro_scale, unequal_wheels
-and mount_yaw, so that k is 1 + e of the first and a the same over 1 + e of the second.
+Truth over odometry for travel (k), for turning (a), and what each metre adds to the turn (b, rad/m). The plain estimate
+is least squares over windows of 1.5 s, truth on odometry; the fit has the effects wheel_scale, gyro_scale,
+unequal_wheels and mount_yaw, so that k is 1 + e of the first and a the same over 1 + e of the second.
 """
 
 VERDICT = """
-- **They agree** where the wheels are the whole story (free drives of the differential robot, tricycle, the second
+- **They agree** where wheel errors explain the data (free drives of the differential robot, tricycle, the second
   mecanum drive): a within its errors in every window length from 1.5 to 20 s. The 1.08 of the recordings' own
   description for the mecanum's turning is the second drive's 1.10 in both directions; the first drive hardly turns, and
-  its a means nothing, which the error of the fit says and a plain number does not.
+  its a is not identifiable, as the standard error of the fit shows.
 - **Squares: the fit is right.** A square turns always the same way while it stands and never while it drives, so a and
-  b share what little tells them apart and a plain look scatters from run to run; the clock, which drifts, moves it
-  again. The fits of the four runs agree within their errors, and with the formulas of Borenstein and Feng on the same
-  runs (`python benchmarks/umbmark.py`).
-- **Lawn mower: the fit is right.** In 30 stretches the truth falls behind, by 6.6 m of 1861 m in all. A plain k
-  spreads that loss over the whole drive (0.9978 over 1.5 s, 0.9963 over 20 s); the fit sets the stretches apart and
+  b are nearly collinear and the plain estimate scatters from run to run; correcting the clock changes it again. The
+  fits of the four runs agree within their errors, and with the formulas of Borenstein and Feng on the same runs
+  (`python benchmarks/umbmark.py`).
+- **Lawn mower: the fit is right.** In 30 stretches the truth falls behind, by 6.6 m of 1861 m in all. A plain k spreads
+  that loss over the whole drive (0.9978 over 1.5 s, 0.9963 over 20 s); the fit treats the stretches as outliers and
   finds wheels of nearly their nominal size, 0.9993. Between those stretches half of the half-seconds agree to 0.3 mm
-  along, so no normal law is right for both. Intervals lie 2 s apart for a truth of positions alone, and the cloud then
-  holds what it should over 5 m; over 1 and 2 m its middle is still too wide, and the NEES tells of the stretches.
-- **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two
-  columns): a single k only says how much of the drive was straight. The fit weighs straights more, because the noise
-  is smaller there; the plain look weighs what is fast. `learn` says so in its own words: the along error depends on
-  the yaw rate, no known effect explains it, and where a simple law gains enough, the model has that
-  (`along_over_lateral_acceleration` above, of speed times yaw rate: the 10 s error of the other half falls by two
-  fifths on either). The odometry is the velocity command here, and no wheel was asked.
+  along, so no normal distribution describes both. Intervals are 2 s long for a truth of positions alone, and the
+  coverage over 5 m is then right; over 1 and 2 m the 50 % region is still too wide, and the NEES reflects the outliers.
+- **iRobot Create: neither.** On straights the truth goes farther than commanded, in turns much less (last two columns):
+  a single k depends only on the share of straights. The fit weighs straights more, because the noise is smaller there;
+  the plain estimate weighs fast motion more. `learn` reports it: the along error depends on the yaw rate, no known
+  effect explains it, and where a simple expression gains enough, it is in the model (`along_over_lateral_acceleration`
+  above, of speed times yaw rate: the 10 s error of the other half falls by two fifths on either). The odometry is the
+  velocity command here, not a measurement of the wheels.
 """
 
 
@@ -72,7 +72,7 @@ class Look:
 
 def table(runs: Sequence[Recording]) -> list[str]:
     """Return the section's table, a row per recording."""
-    lines = ["| recording | plain: k, a, b | plain, clock right | fit | set apart | k straight | k in turns |"]
+    lines = ["| recording | plain: k, a, b | plain, clock corrected | fit | outliers | k straight | k in turns |"]
     lines.append("|---|---|---|---|---|---|---|")
     for run in runs:
         approach = choose_approach([run])

@@ -124,7 +124,7 @@ class Covered:
 
 
 def covered(paths: Replay, truth_m: float, truth_rad: float, length_m: float) -> Covered | None:
-    """Return coverage by windows of path, each started anew; noise of the truth is drawn at both ends."""
+    """Return coverage by windows of path, each started at the truth; noise of the truth is drawn at both ends."""
     marks = np.searchsorted(paths.distance_m, np.arange(0.0, paths.distance_m[-1], length_m))
     if len(marks) - 1 < FEWEST:
         return None
@@ -178,8 +178,8 @@ def section(folder: Path, robot: Robot) -> list[str]:
     lines.append(
         f"Learned on {', '.join(r.name for r in learning)}; judged on {judging.name}, whose odometry clock is "
         f"{clock.offset_s * 1e3:+.0f} ms off and gains {clock.rate * 1e6:+.0f} ppm. Error after 10 s: "
-        f"{comparison.raw_error_m * 1e3:.0f} mm as it came, "
-        f"{comparison.clock_error_m * 1e3:.0f} mm with the clock right."
+        f"{comparison.raw_error_m * 1e3:.0f} mm as measured, "
+        f"{comparison.clock_error_m * 1e3:.0f} mm with its clock corrected."
     )
     lines += ["", "| | " + " | ".join(fits) + " |", "|---|" + "---|" * len(fits)]
     clouds, remarks = {}, []
@@ -189,7 +189,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
             clouds[j.name] = replay(piece, runs=RUNS)
         except EffectError:
             clouds[j.name], left_out = tamer(piece)
-            remarks = ["", f"Its {left_out} are too strong to be put into this drive; the cloud is without them."]
+            remarks = ["", f"Its {left_out} are too strong for this drive and were left out of the runs."]
     for label, values in rows(fits, comparison.judgements, clouds):
         lines.append(f"| {label} | " + " | ".join(values) + " |")
     last = comparison.judgements[-1]
@@ -200,7 +200,7 @@ def section(folder: Path, robot: Robot) -> list[str]:
 
 
 def tamer(piece: Evaluation) -> tuple[Replay, str]:
-    """Return the cloud of a model without what no odometry of this drive obeys, and what that was."""
+    """Return the cloud of a model without effects that are too strong for this drive, and which these are."""
     calm = tuple(e for e in piece.model.effects if e.kind != "noise")
     for left_out, effects in (
         ("random effects", calm),
@@ -230,7 +230,7 @@ def rows(
                        for h in j.horizons if h.distance_m == length), "–") for j in judgements]  # fmt: skip
         table.append((f"NEES over {length:g} m", cells))
         inside = [cloud_cover(clouds[j.name], j, length) for j in judgements]
-        table.append((f"in the cloud's 50 / 90 % over {length:g} m", [str(c) if c else "–" for c in inside]))
+        table.append((f"in the runs' 50 / 90 % region over {length:g} m", [str(c) if c else "–" for c in inside]))
     return table
 
 
@@ -264,8 +264,8 @@ def verdict(robot: Robot, judgement: Judgement, paths: Replay, judging: Recordin
     short = [c for c in found if binom.cdf(round(c.most * c.windows), c.windows, 0.9) < 0.05]
     if not short:
         wide = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
-        cautious = " The model expects more than was measured: its noise is too large." if wide else ""
-        return [f"**Covered**: as many windows lie in the cloud's 90 % as chance allows for a right model.{cautious}"]
+        cautious = " The model predicts larger errors than were measured: its noise is too large." if wide else ""
+        return [f"**Covered**: the number of windows in the runs' 90 % region agrees with a right model.{cautious}"]
     where = ", ".join(f"{c.length_m:g} m" for c in short)
     lines = [f"**Not covered** over {where}. What is left, odometry minus truth:", ""]
     rates = [f for f in judgement.failures if f.kind in {"motion", "place", "time"}]
@@ -310,13 +310,13 @@ def panel(axes: Axes, paths: Replay, name: str) -> None:
 def main(folder: Path) -> None:
     """Write the page."""
     lines = [
-        "# Real robots: would the model have made this odometry?",
+        "# Real robots: does the model reproduce the measured odometry?",
         "",
         *(__doc__ or "").split("\n\n")[-1].splitlines(),
     ]
     lines += ["", "Made by `docs/make_real_robots.py`. Lengths in m, angles in rad unless said; law `diffusion`."]
     lines += [
-        "Windows are few, so coverage is coarse: 4 of 6 inside the 90 % region still happens to a right model.",
+        "Windows are few, so coverage is coarse: a right model, too, may have 4 of 6 inside the 90 % region.",
         "",
     ]
     for robot in ROBOTS:

@@ -19,10 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from odomcorrupt.batching.tum import format_tum
+from odomcorrupt.batching.sinks import format_tum
 from odomcorrupt.geometry.se2 import between, compose, rotate
-from odomcorrupt.mapping.grid import OCCUPIED, Grid
-from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, read_map
 from odomcorrupt.mapping.raycast import canvas_for, draw_map
 from odomcorrupt.mapping.scans import read_rays
 from odomcorrupt.model.motion_model import Noise

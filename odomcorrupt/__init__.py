@@ -15,24 +15,34 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-    from odomcorrupt.api.corruption import Batch, Correction, Corruption, batch, correct, corrupt
+    from odomcorrupt.api.batch import Batch, batch
+    from odomcorrupt.api.comparison import Comparison, compare
+    from odomcorrupt.api.correction import Correction, correct
+    from odomcorrupt.api.corruption import Corruption, corrupt
+    from odomcorrupt.api.diagnosis import Diagnosis, diagnose
+    from odomcorrupt.api.fit import Fit, fit
+    from odomcorrupt.api.learning import Learned, learn
     from odomcorrupt.api.model import Model, Noise
     from odomcorrupt.api.motion import Density, Samples, density, sample
     from odomcorrupt.api.recordings import Recordings, read_recordings
     from odomcorrupt.api.simulation import Simulation, simulate
-    from odomcorrupt.api.study import Comparison, Diagnosis, Fit, Learned, compare, diagnose, fit, learn
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.scoring.run import score
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "api.corruption": ("Batch", "Correction", "Corruption", "batch", "correct", "corrupt"),
+    "api.batch": ("Batch", "batch"),
+    "api.comparison": ("Comparison", "compare"),
+    "api.correction": ("Correction", "correct"),
+    "api.corruption": ("Corruption", "corrupt"),
+    "api.diagnosis": ("Diagnosis", "diagnose"),
+    "api.fit": ("Fit", "fit"),
+    "api.learning": ("Learned", "learn"),
     "api.model": ("Model", "Noise"),
     "api.motion": ("Density", "Samples", "density", "sample"),
     "api.recordings": ("Recordings", "read_recordings"),
     "api.simulation": ("Simulation", "simulate"),
-    "api.study": ("Comparison", "Diagnosis", "Fit", "Learned", "compare", "diagnose", "fit", "learn"),
     "errors": ("OdomCorruptError",),
     "scoring.run": ("score",),
 }

@@ -33,7 +33,7 @@ __all__ = ["ContractError", "Drive", "check_effect", "contract_drive"]
 TRACK_M = 0.4
 _BACK_M = 1e-6
 _RESTORED = 0.2
-"""Part of what it did that may remain when it is put right."""
+"""Part of its error that may remain after correction."""
 _RUNS = 400
 _SIGMAS = 6.0
 """A sample's moment may miss its expectation by this many of its own standard errors: never by chance."""

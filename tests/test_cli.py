@@ -256,7 +256,7 @@ def test_an_input_that_is_no_whole_bag_is_one_line_exit_code_one_and_leaves_noth
     [
         (["--odom-topic", "/nothing"], "no topic /nothing (nav_msgs/Odometry is on /odom); name another one"),
         (["--odom", "/imu"], "/imu is sensor_msgs/msg/Imu in cdr; --odom-topic must name a nav_msgs/Odometry"),
-        (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong to be put into this drive"),
+        (["--effect", "wheel_scale:e=-0.5"] * 2, "too strong for this drive"),
         (["--compression", "rar"], "compression rar: is not one"),
         (["--model", "nowhere.toml"], "nowhere.toml: cannot be read"),
     ],

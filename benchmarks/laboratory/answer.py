@@ -1,4 +1,4 @@
-"""What was learned, as plain numbers: the only place that knows how a search tells its results."""
+"""What was learned, as plain numbers: the only place that depends on the form of a search result."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from odomcorrupt.study.select.confidence import confidence, evidence_of
 if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["errors_of", "told"]
+__all__ = ["errors_of", "plain_answer"]
 
 SURE = float(np.sqrt(chi2.isf(1e-4, 1)))
 
 
-def told(learned: Learned) -> dict[str, Any]:
+def plain_answer(learned: Learned) -> dict[str, Any]:
     """Return names in order, the alternatives of each, confidences, values with errors, noise and what is unknown."""
     clock_names, values = _clocks(learned)
     position = 0
@@ -89,9 +89,9 @@ def _clocks(learned: Learned) -> tuple[list[str], dict[str, Any]]:
         clock, error = learned.fit.problem.clocks[run], learned.fit.clock_errors[run]
         numbers = (("time_offset", "offset", clock.offset_s, 1e-12), ("clock_skew", "rate", clock.rate, 1e-15))
         for number, (name, key, value, least) in enumerate(numbers):
-            told_by = abs(value) / max(error[number], least)
-            if free[number] and told_by > found.get(name, (-1.0,))[0]:
-                found[name] = (told_by, key, value, float(error[number]))
+            evidence = abs(value) / max(error[number], least)
+            if free[number] and evidence > found.get(name, (-1.0,))[0]:
+                found[name] = (evidence, key, value, float(error[number]))
     names = sorted((name for name in CLOCKS if name in found and found[name][0] > SURE), key=lambda n: -found[n][0])
     values = {
         name: {"values": {key: value}, "errors": {key: deviation}} for name, (_, key, value, deviation) in found.items()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from hidden import as_recording, ten_second_error
 
-from laboratory.answer import errors_of, told
+from laboratory.answer import errors_of, plain_answer
 from laboratory.drives import judges, learning_run
 from laboratory.information import expected_information
 from laboratory.invariance import variants
@@ -39,7 +39,7 @@ def ask(case: Case, real: str) -> dict[str, Any]:
     if case.arm == "invariance":
         return variants(case, run)
     learned, seconds = _learned(recording)
-    answer = told(learned)
+    answer = plain_answer(learned)
     row: dict[str, Any] = {"answer": answer, "learn_s": seconds, "truth": run.answer["causes"]}
     if case.causes:
         row["errors"] = {c: errors_of(run.answer["causes"][c], c, answer["found"]) for c in case.causes}
@@ -93,4 +93,9 @@ def _body(case: Case) -> dict[str, Any]:
 
     run = simulate_body(case.seed, case.causes[0], duration_s=300.0)
     learned, seconds = _learned(as_recording(run))
-    return {"answer": told(learned), "learn_s": seconds, "truth": run.answer["causes"], "body": run.answer["body"]}
+    return {
+        "answer": plain_answer(learned),
+        "learn_s": seconds,
+        "truth": run.answer["causes"],
+        "body": run.answer["body"],
+    }

@@ -1,4 +1,4 @@
-"""The same drive told in other ways: another frame, later, half as often, with holes, in every format of bag."""
+"""The same drive transformed: another frame, later, half as often, with holes, in every format of bag."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from hidden import as_recording
 from sourcebags import topic, write
 
-from laboratory.answer import told
+from laboratory.answer import plain_answer
 from odomcorrupt.geometry.se2 import compose
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.select.stepwise import learn
@@ -48,10 +48,10 @@ def variants(case: Case, run: SimulatedRun) -> dict[str, Any]:
     answers: dict[str, Any] = {}
     seen: dict[bytes, str] = {}
     with tempfile.TemporaryDirectory() as folder:
-        for name, recording in _told_otherwise(case, run, Path(folder)):
+        for name, recording in _transformed(case, run, Path(folder)):
             # the very same numbers need not be learned from again
             before = seen.setdefault(_fingerprint(recording), name)
-            answers[name] = answers[before] if before in answers else told(learn([recording]))
+            answers[name] = answers[before] if before in answers else plain_answer(learn([recording]))
     return {"answers": answers, "truth": run.answer["causes"]}
 
 
@@ -60,7 +60,7 @@ def _fingerprint(recording: Recording) -> bytes:
     return sha256(b"".join(part.tobytes() for path in paths for part in (path.stamps_ns, path.xyt))).digest()
 
 
-def _told_otherwise(case: Case, run: SimulatedRun, folder: Path) -> Iterator[tuple[str, Recording]]:
+def _transformed(case: Case, run: SimulatedRun, folder: Path) -> Iterator[tuple[str, Recording]]:
     yield "as it came", as_recording(run)
     yield (
         "other frames",

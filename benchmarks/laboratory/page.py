@@ -29,13 +29,14 @@ __all__ = ["page"]
 
 Rows = list[dict[str, Any]]
 FINDINGS = Path(__file__).with_name("findings.md")
-"""What a person has to say about the figures."""
+"""Conclusions from the figures, written by hand."""
 HEAD = """\
 # The hidden-effect laboratory
 
-What `learn` finds where the answer is known, written by `python benchmarks/hidden_effects.py summary`. The protocol,
-frozen before the run, is `benchmarks/laboratory/protocol.md`: arms, sizes, what
-"excited" and "right" mean, and how goals are judged. Goals stand beside the figures; every miss is listed.
+What `learn` finds in simulated recordings whose hidden cause is known, written by
+`python benchmarks/hidden_effects.py summary`. The protocol, frozen before the run, is
+`benchmarks/laboratory/protocol.md`: arms, sizes, the definitions of "excited" and "right", and how goals are judged.
+Goals are printed beside the figures, and every miss is listed.
 """
 
 
@@ -44,42 +45,71 @@ def page(rows: Rows, before: Rows, advice: Rows) -> str:
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     good = {name: [row for row in own if "failed" not in row] for name, own in arm.items()}
     excited = [row for row in good["single"] if is_excited(row)]
-    lines = [HEAD, FINDINGS.read_text(), "## How much of it ran", ""]
-    lines += table(("arm", "planned", "ran", "broke"), [
+    lines = [HEAD, FINDINGS.read_text(), "## Cases", ""]
+    lines += table(("arm", "planned", "ran", "failed"), [
         [name, LENGTHS[name], len(arm[name]), len(arm[name]) - len(good[name])] for name in ARMS
     ])  # fmt: skip
-    lines += ["## Nothing is wrong", "", "Motion capture:", "", *controls(good["controls"], "at most 2 in 200")]
+    lines += [
+        "## Controls: no hidden cause",
+        "",
+        "Motion capture:",
+        "",
+        *controls(good["controls"], "at most 2 in 200"),
+    ]
     lines += ["RTK:", "", *controls(good["rtk"], "at most 1 in 30")]
-    lines += ["A wrong effect added on purpose:", "", *_shams(good["controls"])]
+    lines += [
+        "Sham: a wrong effect added on purpose, 10 s error on another drive over that before:",
+        "",
+        *_shams(good["controls"]),
+    ]
     lines += ["## One systematic cause", "", *single(arm["single"]), *confusion(arm["single"])]
-    lines += ["First names that are not right:", "", *misses(arm["single"])]
-    lines += ["## The error falls", "", "Held-out 10 s error over that of the same drive without the flaw.", ""]
+    lines += ["Wrong first names:", "", *misses(arm["single"])]
+    lines += [
+        "## Held-out error",
+        "",
+        "10 s error over that of the same drive without the fault, before and after learning.",
+        "",
+    ]
     lines += table(("drives", "number", "before, median / p90", "after, median (goal 1.02)", "p90 (goal 1.08)"), [
         falls(excited, "one cause, excited"),
         *(falls([r for r in excited if r["case"]["size"] == s], f"{s}") for s in ("strong", "medium", "weak")),
         falls(good["single"], "one cause, all"),
         falls(good["mixtures"], "two causes"),
-        falls(good["outside"], "outside causes, with the laws believed"),
-        falls(good["controls"], "nothing wrong"),
+        falls(good["outside"], "outside causes, expressions included"),
+        falls(good["controls"], "controls"),
     ])  # fmt: skip
     lines += ["## Causes outside the library", "", *outside(arm["outside"])]
     lines += ["## Two causes", "", *mixtures(arm["mixtures"])]
-    lines += ["A systematic one and a random one, apart:", "", *mixtures(arm["noisy_mixtures"])]
+    lines += ["A systematic and a random cause together:", "", *mixtures(arm["noisy_mixtures"])]
     lines += ["## Noise causes", "", *noise(arm["noise"])]
-    lines += ["## How sure", "", "Names that were added and kept, of all drives with one, two or no known cause:", ""]
+    lines += [
+        "## Calibration of the confidence",
+        "",
+        "Included effects, of all drives with one, two or no known cause:",
+        "",
+    ]
     lines += reliability([*good["controls"], *good["rtk"], *good["single"], *good["mixtures"]])
-    lines += ["With causes outside the library, where every known name is wrong:", "", *reliability(good["outside"])]
-    lines += ["## The same drive told otherwise", "", *sames(good["invariance"])]
+    lines += [
+        "With causes outside the library, for which every known name is wrong:",
+        "",
+        *reliability(good["outside"]),
+    ]
+    lines += ["## Invariance: the same drive in another frame, rate or format", "", *sames(good["invariance"])]
     lines += ["## Planted in real recordings", "", *plants(good["planted"])]
-    lines += ["## A body in MuJoCo", "", *bodies(good["body"])]
+    lines += ["## A robot simulated in MuJoCo", "", *bodies(good["body"])]
     lines += advice_section(advice)
     seconds = [row["learn_s"] for row in rows if "learn_s" in row]
     if seconds:
         times = f"median {np.median(seconds):.1f}, 90th percentile {np.quantile(seconds, 0.9):.1f}"
-        lines += ["## Time", "", f"CPU seconds of learning from 10 min at 50 Hz (goal 5), machine shared: {times}.", ""]
+        lines += [
+            "## Time",
+            "",
+            f"CPU seconds to learn from 10 min at 50 Hz (goal 5), on a machine with other load: {times}.",
+            "",
+        ]
     broken = [row for row in rows if "failed" in row]
     if broken:
-        lines += ["## What broke", ""]
+        lines += ["## Failed cases", ""]
         lines += [f"- {row['key']}: {row['failed'].strip().splitlines()[-1]}" for row in broken]
     if before:
         lines += ["", *_run_before(before)]
@@ -89,9 +119,9 @@ def page(rows: Rows, before: Rows, advice: Rows) -> str:
 def _run_before(rows: Rows) -> list[str]:
     arm = {name: [row for row in rows if row["case"]["arm"] == name] for name in ARMS}
     ran = ", ".join(f"{name} {len(own)}" for name, own in arm.items())
-    lines = ["## The run before", "", f"Of the program before it was mended, see the protocol. It ran: {ran}.", ""]
-    lines += ["Nothing wrong, motion capture:", "", *controls(arm["controls"], "at most 2 in 200")]
-    lines += ["Nothing wrong, RTK:", "", *controls(arm["rtk"], "at most 1 in 30")]
+    lines = ["## The previous run", "", f"By the previous version of the program, see the protocol. Cases: {ran}.", ""]
+    lines += ["Controls, motion capture:", "", *controls(arm["controls"], "at most 2 in 200")]
+    lines += ["Controls, RTK:", "", *controls(arm["rtk"], "at most 1 in 30")]
     lines += ["One systematic cause:", "", *single(arm["single"]), "Not right:", "", *misses(arm["single"])]
     lines += ["Two causes:", "", *mixtures(arm["mixtures"]), "Outside the library:", "", *outside(arm["outside"])]
     good = [row for row in arm["single"] if is_excited(row) and "failed" not in row]
@@ -105,5 +135,5 @@ def _shams(rows: Rows) -> list[str]:
         return ["none ran", ""]
     spread = " to ".join(f"{np.quantile(ratios, q):.3f}" for q in (0.1, 0.9))
     lower = [part([bool(r < limit) for r in ratios]) for limit in (0.99, 0.97)]
-    told = f"median {np.median(ratios):.3f} (goal: not below 1), 10th to 90th percentile {spread}"
-    return [f"{told}; lower by more than 1 % in {lower[0]}, by more than 3 % in {lower[1]}.", ""]
+    said = f"median {np.median(ratios):.3f} (goal: not below 1), 10th to 90th percentile {spread}"
+    return [f"{said}; lower by more than 1 % in {lower[0]}, by more than 3 % in {lower[1]}.", ""]

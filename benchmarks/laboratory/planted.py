@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from laboratory.answer import told
+from laboratory.answer import plain_answer
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import parameters
@@ -48,8 +48,8 @@ def plant(recording: Recording, effect: Effect) -> Recording:
         Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)), effects=(effect,), track_m=recording.track_m
     )
     odometry = recording.odometry
-    knots = NoisyPath(model, 0).feed(odometry.stamps_ns, odometry.xyt)
-    return replace(recording, odometry=Trajectory(odometry.stamps_ns, odometry.xyt + knots.error_xyt))
+    samples = NoisyPath(model, 0).feed(odometry.stamps_ns, odometry.xyt)
+    return replace(recording, odometry=Trajectory(odometry.stamps_ns, odometry.xyt + samples.error_xyt))
 
 
 def planted(case: Case, folder: Path) -> dict[str, Any]:
@@ -75,4 +75,10 @@ def planted(case: Case, folder: Path) -> dict[str, Any]:
         random=planted.fit.random,
     )
     beside = {e.name: {p.name: getattr(e, p.name) for p in parameters(e)} for e in same.effects}
-    return {"recording": name, "planted": sizes, "plain": told(plain), "answer": told(planted), "beside": beside}
+    return {
+        "recording": name,
+        "planted": sizes,
+        "plain": plain_answer(plain),
+        "answer": plain_answer(planted),
+        "beside": beside,
+    }

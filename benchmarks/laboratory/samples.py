@@ -13,7 +13,7 @@ Rows = list[dict[str, Any]]
 
 
 def sames(rows: Rows) -> list[str]:
-    """Return how often each way of telling a drive gave the same answer."""
+    """Return how often each transformation of a drive gave the same result."""
     hits: dict[str, list[bool]] = {}
     worst: dict[str, float] = {}
     lines = []
@@ -28,7 +28,7 @@ def sames(rows: Rows) -> list[str]:
             if moved is None or moved > 1.0:
                 lines.append(f"- {row['key']}, {name}: {_words(answer)} instead of {_words(first)}")
     out = [[name, part(own), f"{worst[name]:.2g}"] for name, own in hits.items()]
-    return [*table(("told", "same answer", "largest change in standard errors"), out), *lines, ""]
+    return [*table(("transformation", "same result", "largest change in standard errors"), out), *lines, ""]
 
 
 def _moved(first: dict[str, Any], other: dict[str, Any]) -> float | None:

@@ -46,7 +46,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> Lines:
 
 
 def controls(rows: Rows, goal: str) -> Lines:
-    """Return what was named where nothing is wrong, by kind."""
+    """Return what was named where there is no cause, by kind."""
     kinds = {
         "an effect": [bool(row["answer"]["added"]) for row in rows],
         "a clock": [bool(row["answer"]["clocks"]) for row in rows],
@@ -66,11 +66,11 @@ def single(rows: Rows) -> Lines:
     out = []
     for size, (first_goal, listed_goal) in goals.items():
         own = [row for row in rows if row["case"]["size"] == size]
-        sure, excited = [r for r in own if is_separable(r)], [r for r in own if is_excited(r)]
+        separable, excited = [r for r in own if is_separable(r)], [r for r in own if is_excited(r)]
         listed = [row for row in excited if names(row)]
         out.append([
             size,
-            part([right(first_name(row), row) for row in sure], first_goal),
+            part([right(first_name(row), row) for row in separable], first_goal),
             part([any(right(name, row) for name in alternatives(row)) for row in excited], listed_goal),
             f"{np.mean([len(alternatives(row)) for row in listed]):.2f}; goal 1.5" if listed else "none",
             part([right(first_name(row), row) for row in own]),
@@ -95,14 +95,14 @@ def _errors(rows: Rows) -> str:
 
 
 def falls(rows: Rows, title: str) -> list[object]:
-    """Return a row: held-out error after adding over that without the flaw, and before."""
-    told = [row["error"] for row in rows if "error" in row]
-    if not told:
+    """Return a row: held-out error after adding over that without the fault, and before."""
+    errors = [row["error"] for row in rows if "error" in row]
+    if not errors:
         return [title, 0, "", "", ""]
-    after = np.array([e["after"] / e["floor"] for e in told])
-    before = np.array([e["before"] / e["floor"] for e in told])
+    after = np.array([e["after"] / e["floor"] for e in errors])
+    before = np.array([e["before"] / e["floor"] for e in errors])
     return [
-        title, len(told), f"{np.median(before):.2f} / {np.quantile(before, 0.9):.2f}", f"{np.median(after):.3f}",
+        title, len(errors), f"{np.median(before):.2f} / {np.quantile(before, 0.9):.2f}", f"{np.median(after):.3f}",
         f"{np.quantile(after, 0.9):.3f}",
     ]  # fmt: skip
 
@@ -138,19 +138,21 @@ def misses(rows: Rows) -> Lines:
 
 
 def outside(rows: Rows) -> Lines:
-    """Return drivers, known names and expressions."""
-    driver = [any(u[0] == row["depends_on"] for u in row["answer"]["unknown"][:1]) for row in rows if "answer" in row]
+    """Return regressors, known names and expressions."""
+    regressor = [
+        any(u[0] == row["depends_on"] for u in row["answer"]["unknown"][:1]) for row in rows if "answer" in row
+    ]
     anywhere = [any(u[0] == row["depends_on"] for u in row["answer"]["unknown"]) for row in rows if "answer" in row]
     known = [any(c is not None and c >= HIGH for _, c in _confidences(row)) for row in rows if "answer" in row]
     excited = [row for row in rows if "answer" in row and is_excited(row)]
     offered = [row["error"]["offered"] / row["error"]["floor"] for row in excited if row["error"]["offered"]]
-    lines = table(("asked", "result"), [
-        ["right driver first", part(driver, "90 %")],
-        ["right driver among those named", part(anywhere)],
-        ["right driver first, excited", part([any(u[0] == r["depends_on"] for u in r["answer"]["unknown"][:1])
+    lines = table(("measure", "result"), [
+        ["right regressor first", part(regressor, "90 %")],
+        ["right regressor among those named", part(anywhere)],
+        ["right regressor first, excited", part([any(u[0] == r["depends_on"] for u in r["answer"]["unknown"][:1])
                                               for r in excited], "90 %")],
         ["known name with high confidence", part(known, "at most 5 %")],
-        ["error with the expression within 1.25 of the floor", part([o <= 1.25 for o in offered])],
+        ["error with the expression at most 1.25 of that without the fault", part([o <= 1.25 for o in offered])],
         ["its median and 90th percentile", f"{np.median(offered):.2f} / {np.quantile(offered, 0.9):.2f}; goal 1.25"
          if offered else "none offered"],
     ])  # fmt: skip
@@ -163,7 +165,7 @@ def mixtures(rows: Rows) -> Lines:
     for row in rows:
         found = [*names(row), *(n for n, _ in row.get("answer", {"noise": []})["noise"])]
         hits.append(sum(any(right(n, {"case": {"causes": [cause]}}) for n in found) for cause in row["case"]["causes"]))
-    lines = table(("asked", "result"), [
+    lines = table(("measure", "result"), [
         ["one right", part([h >= 1 for h in hits], "97 %")],
         ["both right", part([h == 2 for h in hits], "80 %")],
         ["false extras a drive", f"{np.mean([len(extras(row)) for row in rows]):.2f}; goal 0.2" if rows else "none"],
@@ -180,11 +182,11 @@ def noise(rows: Rows) -> Lines:
         hits = [any(name == cause for name, _ in row["answer"]["noise"]) for row in own]
         named = Counter(n for row in own for n in [*(m for m, _ in row["answer"]["noise"]), *names(row)])
         out.append([f"`{cause}`", part(hits), ", ".join(f"{n} {c}" for n, c in named.most_common()) or "nothing"])
-    return table(("noise cause", "named as noise", "everything that was named"), out)
+    return table(("noise cause", "named as noise", "all names"), out)
 
 
 def reliability(rows: Rows) -> Lines:
-    """Return how often names were right by how sure they were said to be."""
+    """Return how often names were right, by their confidence."""
     pairs = [(c, right(name, row)) for row in rows if "answer" in row for name, c in _confidences(row) if c is not None]
     edges = (0.0, 0.5, 0.8, 0.9, 0.99, 0.999, 1.0 + 1e-9)
     out = []

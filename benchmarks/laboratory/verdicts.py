@@ -9,7 +9,7 @@ from laboratory.cases import same_class
 __all__ = ["HIGH", "alternatives", "extras", "first_name", "is_excited", "is_separable", "names", "right"]
 
 HIGH = 0.9
-"""A confidence from which on a name is said to be sure."""
+"""Confidence from which on a name counts as certain."""
 
 
 def names(row: dict[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from hidden import as_recording, ten_second_error
-from laboratory.answer import errors_of, told
+from laboratory.answer import errors_of, plain_answer
 from laboratory.information import expected_information
 
 from laser.cases import world_of
@@ -45,11 +45,11 @@ def ask(case: Case) -> dict[str, Any]:
     matching_s = time.process_time() - begun
     mocap = learn([mocap_recording(seen)])
     laser = learn(recordings)
-    answer = told(laser)
+    answer = plain_answer(laser)
     row: dict[str, Any] = {
         "world": world_of(case),
         "answer": answer,
-        "mocap": told(mocap),
+        "mocap": plain_answer(mocap),
         "truth": seen.run.answer["causes"],
         "scale": seen.scale,
         "lag_s": seen.lag_s,

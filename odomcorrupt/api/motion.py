@@ -135,7 +135,7 @@ def sample(
     if within is None:
         xyt = move_sampled(move, variances, count, rng)
     else:
-        from odomcorrupt.mapping.conditioned import move_sampled_in_map
+        from odomcorrupt.mapping.conditioned_runs import move_sampled_in_map
 
         free = move_sampled_in_map(move, variances, count, rng, within.space, check=within.check, tries=within.tries)
         xyt, notes = free.xyt, (free.account(),)
@@ -232,7 +232,7 @@ class Density(Result):
 
     def draw_beside(self, count: int, seed: int) -> Figure:
         """Return the density beside samples of the same motion."""
-        from odomcorrupt.report.plots.density import draw_density
+        from odomcorrupt.report.plots.samples import draw_density
         from odomcorrupt.rng import stream
         from odomcorrupt.sampling.samples import move_sampled
 

@@ -97,7 +97,7 @@ class Simulation(Result):
     def _figure(self) -> Figure:
         """Return the true path and that of the odometry."""
         from odomcorrupt.geometry.se2 import between, compose
-        from odomcorrupt.report.plots.corruption import draw_corruption
+        from odomcorrupt.report.plots.paths import draw_corruption
 
         run = self.recording
         odometry = compose(run.truth_xyt[0], between(run.odom_xyt[:1], run.odom_xyt))
@@ -177,9 +177,9 @@ def simulate(
 
     from odomcorrupt.files import refuse_existing, write_bytes, write_text
     from odomcorrupt.simulation.bag import write_mcap
-    from odomcorrupt.simulation.commands import read_commands
     from odomcorrupt.simulation.fault_draws import EVERY, Hidden, draw_causes, names_of, source_of_turns
     from odomcorrupt.simulation.record import fingerprint, format_answer
+    from odomcorrupt.simulation.routes import read_commands
     from odomcorrupt.simulation.run import Scenario
     from odomcorrupt.simulation.run import simulate as simulate_run
 

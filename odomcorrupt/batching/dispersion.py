@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.batching.manifest import BatchError, read_beginning, read_records
 from odomcorrupt.batching.parameter_draws import Spread
-from odomcorrupt.batching.tum import read_tum
+from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
@@ -18,8 +18,8 @@ from odomcorrupt.model.model_file import parse_model, read_model
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.batching.tum import TumPath
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.batching.sinks import TumPath
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
@@ -113,14 +113,14 @@ def measure(directory: Path) -> SpreadReport:
     )  # fmt: skip
 
 
-def _quiet(model: MotionModel, clean: TumPath) -> Knots:
+def _quiet(model: MotionModel, clean: TumPath) -> PathSamples:
     """Return the path with the effects but zero noise, and the sums of the noise's variances along it."""
     # the same path with zero in place of every random number
     path = NoisyPath(model, 0, 0, normals=_Quiet())
     return path.feed(clean.stamps_ns, clean.xyt)
 
 
-def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: Knots) -> Array:
+def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath, centre: PathSamples) -> Array:
     """Return error covariances (n, 3, 3): of the noise, and of the parameters drawn for each run."""
     k = model.noise.coefficients
     broad = {s.parameter: float(np.hypot(getattr(k, s.parameter), s.deviation)) for s in spreads if s.effect is None}
@@ -134,7 +134,7 @@ def _covariance(model: MotionModel, spreads: tuple[Spread, ...], clean: TumPath,
     return covariance
 
 
-def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: Knots) -> Array:
+def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathSamples) -> Array:
     """Return the displacement (n, 3) of the path by one standard deviation of a parameter."""
     for part in (1.0, -1.0, 0.1, -0.1):
         effects: list[Any] = list(model.effects)
@@ -154,6 +154,6 @@ def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path
     """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:
         model = read_model(directory / record["robot"])
-    knots = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
-    path: Array = knots.clean_xyt[:, :2] + knots.error_xyt[:, :2]
+    samples = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
+    path: Array = samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
     return path

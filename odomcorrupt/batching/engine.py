@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import BatchError, read_records, sweep_leftovers
-from odomcorrupt.batching.progress import PAUSE_S
-from odomcorrupt.batching.runner import attempt
+from odomcorrupt.batching.runner import PAUSE_S, attempt
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

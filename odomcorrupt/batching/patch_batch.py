@@ -16,8 +16,8 @@ from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import MESSAGE_HEADER_BYTES
 from odomcorrupt.bags.messages import Layout
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.corruption.patch import Target
-from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter
-    from odomcorrupt.batching.shared import SharedTransform
+    from odomcorrupt.batching.run_state import SharedTransform
     from odomcorrupt.corruption.reorder import Arrivals
 
 __all__ = ["LateTopic", "Portion", "portions"]

@@ -19,8 +19,8 @@ from odomcorrupt.batching.manifest import (
     write_manifest,
 )
 from odomcorrupt.batching.parameter_draws import spreads_of, stated_spreads
+from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.batching.sweep import variants
-from odomcorrupt.batching.tum import read_tum, write_npz
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options, Transform
 from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
@@ -172,7 +172,7 @@ def require_odometry(jobs: Sequence[Job]) -> None:
     """Raise an error at once where all runs would fail: no odometry, or an invalid model."""
     for job in jobs:
         with open_reader(job.source, recover=job.container.recover) as reader:
-            Transform(job.model_of(0), job.seed, 0, job.options).driver.prepare(reader, reader.name)
+            Transform(job.model_of(0), job.seed, 0, job.options).odometry.prepare(reader, reader.name)
 
 
 @dataclass(frozen=True, slots=True)

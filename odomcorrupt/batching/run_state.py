@@ -1,4 +1,4 @@
-"""State of one run of a batch: noisy path, correction C(t), patches."""
+"""State of a batch's runs: what they have in common, and the noisy path, correction C(t) and patches of each."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from odomcorrupt.corruption.correction import Curve
 from odomcorrupt.corruption.drift import MARKS_M, DriftMeter
 from odomcorrupt.corruption.patch import Patcher
 from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Transform
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -21,12 +24,69 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.corruption.additions import CorrectionEdge
     from odomcorrupt.corruption.drift import PathWatcher
-    from odomcorrupt.corruption.path import Knots, PathSource
+    from odomcorrupt.corruption.patch import Target
+    from odomcorrupt.corruption.path import PathSamples, PathSource
     from odomcorrupt.corruption.reorder import Arrivals
-    from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.corruption.transform import Options, _Held
 
-__all__ = ["MarkMeter", "RunState"]
+__all__ = ["MarkMeter", "RunState", "SharedTransform"]
+
+
+class _Reach(Curve):
+    """Extent in time of every run's C(t), without its values: it depends on stamps alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.until_ns: int | None = None
+
+    @property
+    def known_until_ns(self) -> int | None:
+        """Last stamp of the current stretch; None while it is empty."""
+        return self.until_ns
+
+    def restart(self) -> None:
+        """End the current stretch."""
+        self.until_ns = None
+
+
+class SharedTransform(Transform):
+    """Transform that determines, for all runs, when a block is ready and its targets; patches nothing.
+
+    growth : sorted odometry since it was last taken; None marks a restart of time
+    taken : targets of the block that `blocks` yielded last
+    """
+
+    def __init__(self, options: Options) -> None:
+        nothing = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
+        super().__init__(nothing, 0, 0, options)
+        self.growth: list[Arrivals | None] = []
+        self.taken: list[Target] = []
+        self._reach = _Reach()
+        self._curve = self._reach
+        self.watchers = [self]
+
+    @property
+    def first_ns(self) -> int:
+        """First stamp, nanoseconds."""
+        return self._first_ns or 0
+
+    def restart(self) -> None:
+        """Record a restart of time."""
+        self.growth.append(None)
+
+    def add(self, samples: PathSamples) -> None:
+        """Do nothing: no path is drawn."""
+
+    def _extend(self, ordered: Arrivals) -> None:
+        if len(ordered):
+            self.growth.append(ordered)
+            self._reach.until_ns = int(ordered.stamps_ns[-1])
+
+    def _patch(self, held: _Held) -> Block:
+        self.taken = [] if self._first_ns is None else self._targets(held)
+        if self.truth is not None:
+            self.truth.add(held.block, [target for target in self.taken if self.odometry.is_odometry(target.channel)])
+        return held.block
 
 
 class MarkMeter:
@@ -43,22 +103,22 @@ class MarkMeter:
         self.marks: list[tuple[float, float, float, float]] = []
         self._last: tuple[float, float, float, float] | None = None
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Process the next part of the path."""
-        if not len(knots):
+        if not len(samples):
             return
-        while len(self.marks) < len(MARKS_M) and knots.travelled_m[-1] >= MARKS_M[len(self.marks)]:
+        while len(self.marks) < len(MARKS_M) and samples.travelled_m[-1] >= MARKS_M[len(self.marks)]:
             mark_m = MARKS_M[len(self.marks)]
-            self.marks.append((mark_m, *_error(knots, int(np.searchsorted(knots.travelled_m, mark_m)))))
-        self._last = (float(knots.travelled_m[-1]), *_error(knots, len(knots) - 1))
+            self.marks.append((mark_m, *_error(samples, int(np.searchsorted(samples.travelled_m, mark_m)))))
+        self._last = (float(samples.travelled_m[-1]), *_error(samples, len(samples) - 1))
 
     def result(self) -> list[tuple[float, float, float, float]]:
         """Return the errors at the marks, the last of them at the end."""
         return [*self.marks, *([self._last] if self._last is not None else [])]
 
 
-def _error(knots: Knots, i: int) -> tuple[float, float, float]:
-    x, y, turn = knots.error_xyt[i].tolist()
+def _error(samples: PathSamples, i: int) -> tuple[float, float, float]:
+    x, y, turn = samples.error_xyt[i].tolist()
     return x, y, turn
 
 
@@ -96,13 +156,13 @@ class RunState:
                 self._path.restart()
                 self._curve.restart()
             else:
-                knots = self._path.feed(part.stamps_ns, part.xyt)
-                self._curve.extend(knots, part.time_ns)
+                samples = self._path.feed(part.stamps_ns, part.xyt)
+                self._curve.extend(samples, part.time_ns)
             for watcher in self._watchers:
                 if part is None:
                     watcher.restart()
                 else:
-                    watcher.add(knots)
+                    watcher.add(samples)
 
     def edges(self, portion: Portion, edge: CorrectionEdge, odom: str) -> list[list[Message]]:
         """Return, for each block of a portion, the transforms with this run's correction."""

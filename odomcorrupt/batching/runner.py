@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -15,12 +16,9 @@ from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import content_of, note, read_records, write_whole
 from odomcorrupt.batching.parameter_draws import drawn_values
 from odomcorrupt.batching.patch_batch import LateTopic, portions
-from odomcorrupt.batching.progress import Watched
-from odomcorrupt.batching.run_state import RunState
-from odomcorrupt.batching.shared import SharedTransform
-from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink
+from odomcorrupt.batching.run_state import RunState, SharedTransform
+from odomcorrupt.batching.sinks import FullSink, MultiSink, OverlaySink, TumSink
 from odomcorrupt.batching.split_layout import Rests, SplitSink
-from odomcorrupt.batching.tum import TumSink
 from odomcorrupt.corruption.additions import CorrectionEdge
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.run import corrupt_bag
@@ -29,16 +27,50 @@ from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Container, Iterator, Sequence
     from pathlib import Path
 
-    from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.bags.block import BagReader, Block, Message
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
-    from odomcorrupt.batching.progress import ProgressCallback
     from odomcorrupt.batching.sinks import Sink
 
-__all__ = ["Failure", "attempt", "make"]
+__all__ = ["PAUSE_S", "Failure", "ProgressCallback", "Watched", "attempt", "make"]
+
+PAUSE_S = 0.3
+"""Time between two beats."""
+
+
+class ProgressCallback(Protocol):
+    """Callback for progress."""
+
+    def __call__(self, part: float | None, past_s: float, /) -> None:
+        """Process the part of the bag's bytes read, 0 to 1 or None where unknown, and the seconds of recorded time."""
+
+
+class Watched:
+    """A reader that reports progress; otherwise equal to the given reader."""
+
+    def __init__(self, reader: BagReader, beat: ProgressCallback) -> None:
+        self._reader = reader
+        self._beat = beat
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the reader's blocks."""
+        next_s = time.monotonic() + PAUSE_S
+        first_ns: int | None = None
+        for block in self._reader.blocks(only):
+            yield block
+            if len(block.table):
+                first_ns = int(block.table["log_ns"][0]) if first_ns is None else first_ns
+            if first_ns is not None and len(block.table) and time.monotonic() >= next_s:
+                next_s = time.monotonic() + PAUSE_S
+                past_s = (int(block.table["log_ns"][-1]) - first_ns) * 1e-9
+                self._beat(getattr(self._reader, "part_read", None), past_s)
+
 
 CLEAN = "clean.tum"
 """The path without any noise, beside the runs."""
@@ -120,7 +152,7 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     shared = SharedTransform(job.options)
-    shared.driver.prepare(reader, reader.name)
+    shared.odometry.prepare(reader, reader.name)
     rests = Rests()
     runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
     every = list(runs)
@@ -147,9 +179,9 @@ def _make(
 
 def _edges(one: _Run, portion: Portion, shared: SharedTransform) -> list[list[Message]] | None:
     """Return the transforms that a run adds to each block; None where it adds none."""
-    if one.edge is None or shared.driver.frames is None:
+    if one.edge is None or shared.odometry.frames is None:
         return None
-    return one.strand.edges(portion, one.edge, shared.driver.frames.odom)
+    return one.strand.edges(portion, one.edge, shared.odometry.frames.odom)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Whole bags with changed messages in chunks of their own; unchanged ones are compressed once for all runs."""
+"""Whole bags with changed messages in chunks of their own, and overlays assembled with their original bag."""
 
 from __future__ import annotations
 
@@ -12,15 +12,20 @@ from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.gaps import gaps_between
 from odomcorrupt.bags.mcap.chunk import McapFraming
+from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
-from odomcorrupt.bags.open import open_writer
+from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.output import Shared
+from odomcorrupt.bags.provenance import mapping_of
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.writer import Ros1Writer
 from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer
+from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.batching.sinks import BagSink
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
     from typing import Self
 
     from numpy.typing import NDArray
@@ -29,8 +34,9 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Place, Portion
     from odomcorrupt.batching.sinks import Added
+    from odomcorrupt.corruption.run import Container
 
-__all__ = ["Rests", "SplitSink"]
+__all__ = ["Rests", "SplitSink", "assemble"]
 
 
 class Rests:
@@ -185,3 +191,77 @@ class _Changed:
 
 def _part(block: Block) -> int:
     return block.raw.part if isinstance(block.raw, PartFraming) else 0
+
+
+def assemble(overlay: Path, source: Path, target: Path, container: Container) -> int:
+    """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
+
+    Raises
+    ------
+    BatchError
+        If the overlay does not belong to this original.
+
+    """
+    with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
+        writer = open_writer(
+            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+        )
+        topics = {(one.topic, one.msgtype) for one in changed.channels.values()}
+        wanted = {one.id for one in reader.channels.values() if (one.topic, one.msgtype) in topics}
+        if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
+            raise BatchError(f"{overlay}: has topics that {source} has not; name the input it was made from")
+        stream = _Messages(changed, overlay)
+        count = 0
+        with writer:
+            for block in reader.blocks():
+                count += _replace(block, reader, wanted, stream, source)
+                writer.write(block)
+            stream.require_end(source)
+            if stream.provenance is not None:
+                writer.provenance("odomcorrupt", stream.provenance)
+    return count
+
+
+def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> int:
+    rows = np.flatnonzero(np.isin(block.table["channel"], list(wanted)))
+    for row in block.table[rows]:
+        channel = reader.channels[int(row["channel"])]
+        topic, log_ns, data = stream.take()
+        start, stop = int(row["offset"]), int(row["offset"]) + int(row["length"])
+        if (topic, log_ns, len(data)) != (channel.topic, int(row["log_ns"]), stop - start):
+            raise BatchError(
+                f"{source}: has {channel.topic} at {row['log_ns']} ns where the overlay has {topic or 'nothing'} at "
+                f"{log_ns} ns; name the input the overlay was made from"
+            )
+        block.data[start:stop] = np.frombuffer(data, dtype=np.uint8)
+    return len(rows)
+
+
+class _Messages:
+    """An overlay's messages one by one, in the order of the original.
+
+    provenance : the overlay's metadata on its origin, complete at its end
+    """
+
+    def __init__(self, reader: BagReader, path: Path) -> None:
+        self.provenance: dict[str, str] | None = None
+        self._reader = reader
+        self._path = path
+        self._stream = self._messages()
+
+    def _messages(self) -> Iterator[tuple[str, int, memoryview]]:
+        for block in self._reader.blocks():
+            if isinstance(block.raw, McapFraming) and block.raw.opcode == METADATA:
+                self.provenance = mapping_of(block.data.tobytes()[RECORD_HEADER_BYTES:])
+            for channel, log_ns, offset, length in block.table.tolist():
+                yield self._reader.channels[channel].topic, log_ns, block.data.data[offset : offset + length]
+
+    def take(self) -> tuple[str, int, memoryview]:
+        """Return the next message: topic, log time, data; an empty one at the end."""
+        return next(self._stream, ("", 0, memoryview(b"")))
+
+    def require_end(self, source: Path) -> None:
+        """Raise BatchError where the overlay has messages that its original lacks."""
+        left = sum(1 for _ in self._stream)
+        if left:
+            raise BatchError(f"{self._path}: has {left} messages more than {source}; name the input it was made from")

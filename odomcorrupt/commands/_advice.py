@@ -13,7 +13,7 @@ from odomcorrupt.files import refuse_existing, write_text
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from odomcorrupt.api.study import Diagnosis, Learned
+    from odomcorrupt.api.diagnosis import Findings
     from odomcorrupt.commands._standard import Voice
 
 __all__ = ["advice_options", "check_advice", "write_advice"]
@@ -47,7 +47,7 @@ def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) ->
         refuse_existing(path, overwrite=overwrite)
 
 
-def write_advice(result: Diagnosis | Learned, drive: Path | None, report: Path | None, voice: Voice) -> None:
+def write_advice(result: Findings, drive: Path | None, report: Path | None, voice: Voice) -> None:
     """Write the drive as /cmd_vel and the page, and say what it is; where nothing is open, say that."""
     if drive is not None:
         words = result.save_next_drive(drive, overwrite=True)

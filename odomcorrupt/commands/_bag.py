@@ -14,7 +14,7 @@ from odomcorrupt.commands._standard import overwrite_option
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
-    from odomcorrupt.api.corruption import BagOptions
+    from odomcorrupt.api.bag_options import BagOptions
 
 __all__ = [
     "BAG_OPTIONS",

@@ -93,8 +93,7 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
     if name is None:
         _refuse_alone(given)
         return None
-    from odomcorrupt.mapping.map_condition import is_map_file
-    from odomcorrupt.mapping.recorded import read_odom_frame
+    from odomcorrupt.mapping.map_condition import is_map_file, read_odom_frame
 
     if options.keep_localisation:
         raise click.UsageError(

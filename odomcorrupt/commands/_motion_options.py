@@ -63,7 +63,7 @@ def choose_noise(given: Mapping[str, Any], example: str | None) -> ChosenNoise:
     """
     from odomcorrupt.api.model import Model
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
+    from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 
     options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
     article_code = options["law"] == ARTICLE_CODE
@@ -92,7 +92,7 @@ def choose_move(given: Mapping[str, Any]) -> ChosenMove:
 
     from odomcorrupt.errors import ModelError
     from odomcorrupt.geometry.se2 import between, compose
-    from odomcorrupt.sampling.examples import DEFAULT_EXAMPLE, example_named
+    from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
 
     try:
         example = example_named(given["example"] or DEFAULT_EXAMPLE)

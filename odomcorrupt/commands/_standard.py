@@ -41,7 +41,7 @@ class Voice:
     quiet: bool = False
     as_json: bool = False
 
-    def tell(self, result: Result, *, err: bool = False) -> None:
+    def show(self, result: Result, *, err: bool = False) -> None:
         """Print a result.
 
         Parameters

@@ -29,17 +29,17 @@ def command(
     run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
 ) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
-    from odomcorrupt.batching.assemble import assemble
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
+    from odomcorrupt.batching.split_layout import assemble
     from odomcorrupt.corruption.run import Container
 
     target = Path(chosen_output(output, output_option))
     if original is None:
-        told = read_beginning(run.parent)["input"]
-        original = Path(told["path"])
+        noted = read_beginning(run.parent)["input"]
+        original = Path(noted["path"])
         if not original.exists():
             raise BatchError(f"{original}: the batch's input is not there; name it with --input")
-        if fingerprint_of(original) != told["hash"]:
+        if fingerprint_of(original) != noted["hash"]:
             raise BatchError(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )

@@ -99,10 +99,10 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
 
     Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
-    from odomcorrupt.api.corruption import Batch
+    from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard
     from odomcorrupt.batching.plan import require_odometry, run_batch
-    from odomcorrupt.commands._eta import Rate
+    from odomcorrupt.commands._progress import Rate
 
     inputs, target = _paths(paths, output_option)
     jobs = _jobs(inputs, target, given)
@@ -119,7 +119,7 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
             jobs, runs, processes=given["jobs"], shard=shard, verify=given["verify"], dask=given["dask"], audience=rate
         )
     done = Batch(target, tuple(jobs), made.runs, made.failures)
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 1 if made.failures else 3 if done.losses else 0
 
 
@@ -138,7 +138,7 @@ def _paths(paths: tuple[Path, ...], option: str | None) -> tuple[tuple[Path, ...
 
 
 def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list[Job]:
-    from odomcorrupt.api.corruption import split_options
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)
@@ -179,7 +179,7 @@ def _model(given: dict[str, Any]) -> MotionModel:
     """Return the model that was asked for, or that of a fleet."""
     if not given["fleet"]:
         return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
-    from odomcorrupt.batching.fleet import fleet_model
+    from odomcorrupt.batching.parameter_draws import fleet_model
     from odomcorrupt.model.model_file import read_model
 
     other = [flag for name, flag in (("model", "--model"), *_MODEL_WORDS.items()) if given[name]]

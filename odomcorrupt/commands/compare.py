@@ -59,8 +59,8 @@ def command(
 
     Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
     """
+    from odomcorrupt.api.comparison import compare
     from odomcorrupt.api.model import Model
-    from odomcorrupt.api.study import compare
 
     paths, names = split_arguments(arguments)
     if not names:
@@ -77,7 +77,7 @@ def command(
         stages("comparison", 0.0)
         result = compare(runs, _short_names(models))
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
-    voice.tell(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""))
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""))
     for path, name in plots.items():
         result.plot(path, picture=name)
         voice.note(f"wrote {path}")
@@ -106,6 +106,6 @@ def _plots(texts: Iterable[str]) -> dict[Path, str]:
 
 
 def _short_names(models: dict[str, Model]) -> dict[str, Model]:
-    """Return models by file name alone where that tells them apart."""
+    """Return models by file name alone where these are unique."""
     short = [Path(name).name for name in models]
     return dict(zip(short, models.values(), strict=True)) if len(set(short)) == len(models) else models

@@ -55,7 +55,7 @@ def command(
     It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
     Random effects cannot be undone, but for lost increments; the summary names them.
     """
-    from odomcorrupt.api.corruption import correct
+    from odomcorrupt.api.correction import correct
 
     target = chosen_output(output, output_option)
     if input_ == "-":
@@ -69,5 +69,5 @@ def command(
         done = correct(
             input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given, BAG_OPTIONS)
         )
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 3 if done.losses else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +24,24 @@ from odomcorrupt.commands._standard import chosen_output, output_option, standar
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
+__all__ = ["command", "keep_freed_memory"]
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Names of parameters in glibc's malloc.h."""
+_KEPT_BYTES = 32 << 20
+
+
+def keep_freed_memory() -> None:
+    """Keep freed memory in the process instead of returning it to the kernel, with glibc.
+
+    Codecs allocate memory for each chunk, and getting it from the kernel takes longer than decompressing into it.
+    """
+    if sys.platform != "linux":
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_MMAP_THRESHOLD, _KEPT_BYTES)
+        mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
 @click.command("corrupt", cls=AlphaCommand, short_help="Corrupt the odometry of a bag (the default: needs no name).")
@@ -44,8 +62,9 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     INPUT and OUTPUT are bags of any kind; - is a pipe. With --map no pose is drawn into a wall: motion as a particle
     has it. Real odometry drifts through walls; leave --map out to imitate that.
     """
-    from odomcorrupt.api.corruption import corrupt, options_of
-    from odomcorrupt.memory import keep_freed_memory
+    from odomcorrupt.api.bag_options import options_of
+    from odomcorrupt.api.corruption import corrupt
+    from odomcorrupt.commands.corrupt import keep_freed_memory
 
     target = chosen_output(output, output_option)
     model = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
@@ -66,5 +85,5 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
             watch=progress,
             **options,
         )
-    voice.tell(done, err=True)
+    voice.show(done, err=True)
     return 3 if done.losses else 0

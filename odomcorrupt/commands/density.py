@@ -74,7 +74,7 @@ def command(
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.tell(found)
+    voice.show(found)
     if output is not None:
         seed = draw_seed() if given["seed"] is None else given["seed"]
         save_picture(output, found.draw_beside(chosen.count, seed), quiet=voice.quiet)

@@ -15,7 +15,7 @@ from odomcorrupt.commands._standard import overwrite_option, standard_options
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from odomcorrupt.api.study import Diagnosis
+    from odomcorrupt.api.diagnosis import Diagnosis
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
 
@@ -38,8 +38,8 @@ def command(
     voice: Voice,
 ) -> None:
     """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
+    from odomcorrupt.api.diagnosis import diagnose
     from odomcorrupt.api.model import Model
-    from odomcorrupt.api.study import diagnose
 
     paths, names = split_arguments(arguments)
     if len(names) > 1:
@@ -52,7 +52,7 @@ def command(
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))
-    voice.tell(result)
+    voice.show(result)
     write_advice(result, drive, report, voice)
 
 

@@ -105,7 +105,7 @@ def _page(kind: type[Effect]) -> str:
         lines += ["", f"typical        {kind.about.typical}", f"source         {kind.about.source}"]
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
     if kind.twin_of is not None:
-        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can tell them apart")
+        lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can separate them")
     values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
     lines += ["", f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"]
     return "\n".join(lines)

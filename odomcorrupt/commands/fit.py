@@ -45,8 +45,8 @@ def command(
     Of the set-up, a lever arm and a mounting yaw of the truth are fitted where the data show them. Several recordings
     are runs of one robot, each with a clock of its own.
     """
+    from odomcorrupt.api.fit import fit, require_effects
     from odomcorrupt.api.model import Model
-    from odomcorrupt.api.study import fit, require_effects
 
     paths, models = split_arguments(recordings)
     if models:
@@ -60,7 +60,7 @@ def command(
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    voice.tell(replace(result, following=following if output is not None else ""))
+    voice.show(replace(result, following=following if output is not None else ""))
     if output is not None:
         result.model.save(output, overwrite=True)
         voice.note(f"wrote {output}")

@@ -30,7 +30,7 @@ def command(
     recover: bool,
     voice: Voice,
 ) -> int:
-    """Show a bag's topics, frames and edges, how its robot moved, what is odd, and which topics tell the truth."""
+    """Show a bag's topics, frames and edges, its motion, what is odd, and which topics still hold the true motion."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.bags.provenance import ProvenanceWatcher
     from odomcorrupt.info.scan import scan_bag

@@ -62,9 +62,8 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError, OdomCorruptError
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
+    from odomcorrupt.trajectories.integrate import integrate, noisy_twists, rewrite_path
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
-    from odomcorrupt.trajectories.rewrite import rewrite_path
 
     if output is not None or output_option is not None:
         output = Path(chosen_output(None if output is None else str(output), output_option))
@@ -117,7 +116,7 @@ def _compared(drive: Drive, xyt: Array, truth: Trajectory | None, name: str | No
     """Return how far integrated odometry is from the truth, and from the bag's own poses."""
     import numpy as np
 
-    from odomcorrupt.trajectories.trajectory_error import path_error
+    from odomcorrupt.trajectories.integrate import path_error
 
     error = None if truth is None else path_error(drive.stamps_ns, xyt, truth)
     own = path_error(drive.stamps_ns, xyt, drive.trajectory)
@@ -149,8 +148,8 @@ def _draw(
     rule: str,
     noise: tuple[float, float] | None,
 ) -> None:
-    from odomcorrupt.report.plots.odometry import draw_errors, draw_runs
-    from odomcorrupt.trajectories.trajectory_error import path_error
+    from odomcorrupt.report.plots.paths import draw_errors, draw_runs
+    from odomcorrupt.trajectories.integrate import path_error
 
     reference = drive.trajectory if truth is None else truth
     error = path_error(drive.stamps_ns, clean, reference)

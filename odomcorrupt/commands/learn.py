@@ -58,7 +58,7 @@ def command(
 
     Without --validate, the models are cross-validated on halves of the recordings themselves.
     """
-    from odomcorrupt.api.study import learn
+    from odomcorrupt.api.learning import learn
 
     paths, models = split_arguments(recordings)
     if models:
@@ -74,7 +74,7 @@ def command(
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
     result = replace(result, following=_following(output, [*map(str, paths), *reading.words()]))
-    voice.tell(result)
+    voice.show(result)
     if output is not None:
         result.model.save(output, overwrite=True)
         voice.note(f"wrote {output}")

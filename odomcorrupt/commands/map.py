@@ -172,10 +172,10 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
     mount = None if given["laser_pose"] is None else mount_at(np.array(given["laser_pose"]))
     rays = read_rays(bag, given["scan"], drive.child_frame_id, mount)
     slow = slow_rays(rays, drive, given["max_yaw_rate"])
-    knots = NoisyPath(model, seed, given["run"]).feed(drive.stamps_ns, drive.xyt)
+    samples = NoisyPath(model, seed, given["run"]).feed(drive.stamps_ns, drive.xyt)
     paths = {
         "clean odometry": drive.trajectory,
-        "noisy odometry": Trajectory(drive.stamps_ns, drive.xyt + knots.error_xyt),
+        "noisy odometry": Trajectory(drive.stamps_ns, drive.xyt + samples.error_xyt),
     }
     if given["truth"] is not None:
         paths[f"truth ({given['truth']})"] = read_poses(bag, given["truth"])

@@ -49,8 +49,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.corruption.summary import per_message
     from odomcorrupt.corruption.transform import Options
-    from odomcorrupt.preview.forecast import forecast, read_clean_drive
-    from odomcorrupt.preview.text import brief, forecast_json, forecast_text
+    from odomcorrupt.preview.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
 
     chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
     model = chosen.motion_model
@@ -73,7 +72,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     text = forecast_text(outlook, model, chosen.origin, seed)
     voice.say(brief(outlook, model, chosen.origin, seed, input_), text, finite(forecast_json(outlook, model, seed)))
     if output is not None:
-        from odomcorrupt.report.plots.runs import draw_fan
+        from odomcorrupt.report.plots.paths import draw_fan
 
         title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
         if per_message(model.noise) and outlook.rate_hz is not None:

@@ -1,7 +1,8 @@
-"""odomcorrupt sample: where one motion may have ended."""
+"""odomcorrupt sample: where one motion may have ended, or where a robot may be along a whole drive."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,18 +10,85 @@ import click
 
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand
-from odomcorrupt.commands._motion_options import choose_move, move_options
+from odomcorrupt.commands._model import AlphaCommand, choose_model
+from odomcorrupt.commands._motion_options import MODEL_OPTIONS, choose_move, move_options
 from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind
-from odomcorrupt.commands._sample_path import sample_along
+from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
+__all__ = ["DEFAULT_RUNS", "command", "sample_along"]
+
+DEFAULT_RUNS = 300
+
+
+def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
+    """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
+    from odomcorrupt.errors import OdomCorruptError
+    from odomcorrupt.mapping.conditioned_runs import free_paths
+    from odomcorrupt.rng import draw_seed
+    from odomcorrupt.sampling.text import law_words
+    from odomcorrupt.trajectories.particles import (
+        csv_text,
+        json_text,
+        particles_at,
+        places_along,
+        report_text,
+        sample_particles,
+    )
+    from odomcorrupt.trajectories.reader import read_drive
+
+    taken = [name for name in ("example", "start", "end") if given[name] is not None]
+    if taken:
+        raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
+    if str(bag) == "-":
+        raise OdomCorruptError("-: the whole drive is read first, which a pipe cannot do; name a file")
+    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
+    chosen = choose_model(**options)
+    drive = read_drive(bag, given["odom_topic"])
+    # about six clouds, at round distances
+    every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
+    seed = draw_seed() if given["seed"] is None else given["seed"]
+    runs = given["count"] or DEFAULT_RUNS
+    condition = choose_condition(given, bag, drive.frame_id)
+    if condition is None:
+        cloud = sample_particles(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
+    else:
+        places = places_along(drive, every)
+        free = free_paths(
+            drive.stamps_ns, drive.xyt, chosen.motion_model, condition.space, seed=seed, runs=range(runs),
+            places=places, check=condition.check, tries=condition.tries,
+        )  # fmt: skip
+        cloud = particles_at(drive, places, free.xyt, seed)
+        voice.note(free.account())
+    origin = f" ({chosen.origin})" if chosen.origin else ""
+    text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
+    voice.say(text, text, {"schema": 2, **json.loads(json_text(cloud))})
+    if output is None:
+        return
+    if kind in PICTURES:
+        from odomcorrupt.report.plots.dispersion import draw_cloud
+
+        law = chosen.motion_model.noise.law_name
+        within = "" if condition is None else " within the map"
+        space = None if condition is None else condition.space
+        save_picture(output, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
+        return
+    write_text(output, csv_text(cloud) if kind == ".csv" else json_text(cloud))
+    voice.note(f"wrote {output}")
+
+
+def _round(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, the nearest from above."""
+    import math
+
+    power = 10.0 ** math.floor(math.log10(max(value, 1e-6)))
+    return next(step * power for step in (1.0, 2.0, 5.0, 10.0) if step * power >= 0.999 * value)
 
 
 @click.command("sample", cls=AlphaCommand, short_help="Draw where one motion may have ended: the banana.")
@@ -74,7 +142,7 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.tell(drawn)
+    voice.show(drawn)
     if output is None:
         return
     if kind in PICTURES:

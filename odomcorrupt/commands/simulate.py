@@ -1,25 +1,97 @@
-"""odomcorrupt simulate: a recording of a robot that has a flaw, from wheels, ground and clocks."""
+"""odomcorrupt simulate: a recording of a robot with a fault, from wheels, ground and clocks."""
 
 from __future__ import annotations
 
 import sys
+from math import isfinite, nan, radians
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._fault_options import faults_of, size_of
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
+from odomcorrupt.errors import EffectError
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command"]
+__all__ = ["command", "faults_of", "size_of"]
+
+HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
+"""Sources of heading, as users and as the simulator call them."""
+_LARGEST = 100.0
+"""Largest factor on the usual size of a fault with which a drive is possible."""
 
 
-@click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen flaw.")
+def faults_of(effects: Sequence[str], heading: str | None) -> tuple[list[str], dict[str, dict[str, float | str]]]:
+    """Return the names of the faults asked for (none: they are drawn), and their parameters as far as given.
+
+    Parameters
+    ----------
+    effects : as in "wheelbase:e=0.01", "hidden" or "none"
+    heading : {"wheels", "gyro"} or None
+        Source of heading asked for.
+    """
+    from odomcorrupt.simulation.fault_draws import EVERY, names_of, source_of_turns
+
+    if "hidden" in effects and len(effects) > 1:
+        raise click.UsageError("--effect hidden: stands alone, since what else there is would be known")
+    if "none" in effects and len(effects) > 1:
+        raise click.UsageError("--effect none: stands alone; leave it out or leave out the others")
+    if not effects or "hidden" in effects:
+        return [], {}
+    if "none" in effects:
+        return ["none"], {}
+    given = dict(_parse(text) for text in effects)
+    try:
+        causes = names_of([text.partition(":")[0].strip() for text in effects])
+        chosen = HEADINGS[heading] if heading else source_of_turns(causes)
+    except EffectError as error:
+        raise click.UsageError(f"--effect {error}") from error
+    for name in causes:
+        if chosen not in EVERY[name].shows_with:
+            raise click.UsageError(f"--heading {heading}: {name} does not show with it; choose the other source")
+    return list(causes), given
+
+
+def _parse(text: str) -> tuple[str, dict[str, float | str]]:
+    name, _, rest = text.partition(":")
+    values: dict[str, float | str] = {}
+    for part in rest.split(",") if rest else ():
+        key, equals, value = (piece.strip() for piece in part.partition("="))
+        if not equals:
+            raise click.UsageError(f"--effect {text}: {part!r} is not key=value; write as in wheel_scale:e=0.01")
+        try:
+            number = radians(float(value[:-3])) if value.endswith("deg") else float(value)
+        except ValueError:
+            values[key] = value
+            continue
+        if not isfinite(number):
+            raise click.UsageError(f"--effect {text}: {key} is {value}; write a number, as in wheel_scale:e=0.01")
+        values[key] = number
+    return name.strip(), values
+
+
+def size_of(text: str) -> float:
+    """Return by how much a size in words or figures multiplies a drawn fault."""
+    from odomcorrupt.simulation.fault_draws import SIZES
+
+    try:
+        size = SIZES[text] if text in SIZES else float(text)
+    except ValueError:
+        size = nan
+    if not 0.0 < size <= _LARGEST:
+        raise click.UsageError(
+            f"--size {text}: give weak, medium, strong or a number of more than 0, up to {_LARGEST:g}"
+        )
+    return size
+
+
+@click.command("simulate", short_help="Record a simulated robot with a hidden or a chosen fault.")
 @click.argument("output", type=click.Path(dir_okay=False), required=False)
 @output_option()
 @click.option(
@@ -29,15 +101,17 @@ __all__ = ["command"]
     metavar="hidden|none|NAME[:KEY=VALUE,...]",
     help="What is wrong with the robot (repeatable; a wrong name lists all). [default: hidden]",
 )
-@click.option("--size", default="medium", show_default=True, help="Size of a drawn flaw: weak, medium, strong, number.")
+@click.option(
+    "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
+)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
-@click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its flaw. [default: the drive's]")
+@click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
     "--route",
     type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]),
     default="office",
     show_default=True,
-    help="Where it drives; with --drive, where its flaw has been met.",
+    help="Where it drives; with --drive, where its fault has been met.",
 )
 @click.option(
     "--drive",
@@ -46,7 +120,7 @@ __all__ = ["command"]
 )
 @click.option("--truth", type=click.Choice(["mocap", "rtk"]), default="mocap", show_default=True, help="Who watches.")
 @click.option(
-    "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the flaw needs]"
+    "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the fault needs]"
 )
 @click.option("--drive-type", type=click.Choice(["differential", "skid"]), default="differential", show_default=True)
 @click.option(
@@ -58,7 +132,7 @@ __all__ = ["command"]
 def command(
     output: str | None, output_option: str | None, *, effects: tuple[str, ...], size: str, voice: Voice, **given: Any
 ) -> None:
-    """Drive a robot whose wheels, tyres, gear, sensors or clocks have a flaw, and record odometry and truth.
+    """Drive a robot whose wheels, tyres, gear, sensors or clocks have a fault, and record odometry and truth.
 
     What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
     """
@@ -78,4 +152,4 @@ def command(
         voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {answer}")
         return
     done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
-    voice.tell(done, err=True)
+    voice.show(done, err=True)

@@ -5,33 +5,166 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import odomcorrupt
+import numpy as np
+
 from odomcorrupt.bags.open import open_reader, open_writer
-from odomcorrupt.correction.clock import ClockPutRight
-from odomcorrupt.correction.path import CorrectedPath, MeasuredPath
-from odomcorrupt.corruption.run import corrupt_bag
+from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
+from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
+from odomcorrupt.corruption.path import PathSamples, StepGrowth, noise_variances
+from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.model.model_file import format_model
+from odomcorrupt.errors import BagError
+from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from odomcorrupt.bags.block import Block
-    from odomcorrupt.corruption.drift import Drift
-    from odomcorrupt.corruption.patch import Changes
-    from odomcorrupt.corruption.run import Container
-    from odomcorrupt.corruption.targets import Frames
+    from odomcorrupt.correction.undo import Undone
+    from odomcorrupt.corruption.run import Container, Outcome
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["SILENT", "Corrected", "Effects", "correct_bag", "split_effects"]
+__all__ = [
+    "SILENT",
+    "Corrected",
+    "CorrectedPath",
+    "Effects",
+    "MeasuredPath",
+    "correct_bag",
+    "corrected_samples",
+    "split_effects",
+]
+
+
+class MeasuredPath:
+    """Collects the measured odometry; a restart of time begins a new stretch."""
+
+    def __init__(self) -> None:
+        self._parts: list[list[PathSamples]] = [[]]
+
+    def restart(self) -> None:
+        """Begin a new stretch."""
+        self._parts.append([])
+
+    def add(self, samples: PathSamples) -> None:
+        """Take the next part of the path."""
+        if len(samples):
+            self._parts[-1].append(samples)
+
+    def corrected(self, model: MotionModel, start_xyt: Array | None = None) -> list[PathSamples | None]:
+        """Return each stretch corrected; None for one in which nothing was measured.
+
+        start_xyt : (3,) where the first pose lies in the frame whose places effects read; None: where it says
+        """
+        stretches: list[PathSamples | None] = []
+        frame_xyt: Array | None = None
+        first_ns: int | None = None
+        for parts in self._parts:
+            if not parts:
+                stretches.append(None)
+                continue
+            stamps_ns = np.concatenate([samples.stamps_ns for samples in parts])
+            first_ns = int(stamps_ns[0]) if first_ns is None else first_ns
+            xyt = np.concatenate([samples.clean_xyt for samples in parts])
+            if start_xyt is not None and frame_xyt is None:
+                frame_xyt = compose(start_xyt, inverse(xyt[0]))
+            stretches.append(corrected_samples(model, stamps_ns, xyt, first_ns=first_ns, frame_xyt=frame_xyt))
+        return stretches
+
+
+class CorrectedPath:
+    """Source of corrected paths, fed with the measured poses that they were computed from."""
+
+    def __init__(self, stretches: Sequence[PathSamples | None]) -> None:
+        self._stretches = stretches
+        self._number = self._next = 0
+
+    def restart(self) -> None:
+        """Go on to the next stretch."""
+        self._number += 1
+        self._next = 0
+
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
+        """Return the corrected path at the next n measured poses.
+
+        Raises
+        ------
+        BagError
+            Where these are not the poses of the first pass.
+
+        """
+        whole = self._stretches[self._number] if self._number < len(self._stretches) else None
+        rows = slice(self._next, self._next + len(stamps_ns))
+        if whole is None or not np.array_equal(whole.stamps_ns[rows], stamps_ns):
+            raise BagError("the odometry changed while it was being corrected; wait until the bag is complete")
+        self._next = rows.stop
+        first = rows.start == 0  # what counts once per stretch
+        return PathSamples(
+            stamps_ns, clean_xyt, whole.error_xyt[rows], whole.sums[:, rows], whole.origin_xy,
+            whole.travelled_m[rows], whole.jumps if first else 0, whole.sideways_m if first else 0.0,
+        )  # fmt: skip
+
+
+def corrected_samples(
+    model: MotionModel,
+    stamps_ns: NDArray[np.int64],
+    measured_xyt: Array,
+    *,
+    first_ns: int,
+    frame_xyt: Array | None = None,
+) -> PathSamples:
+    """Return the corrected path of one stretch of n poses, with the sums that the noise's covariances need.
+
+    Parameters
+    ----------
+    stamps_ns : (n,)
+        Ascending header stamps as they are in the bag.
+    measured_xyt : (n, 3)
+        Measured poses, metres and radians, finite.
+    first_ns
+        First stamp of the odometry, from which clocks count.
+    frame_xyt : (3,)
+        Pose of the odom frame in the frame whose places effects read, None where it is the same.
+
+    """
+    clocks = [effect for effect in model.effects if effect.clock]
+    t_ns = true_stamps(clocks, stamps_ns, first_ns)
+    t_s = (t_ns - t_ns[0]) * np.float64(1e-9)
+    undone = undo_effects(model.effects, t_s, measured_xyt, model.track_m, frame_xyt=frame_xyt)
+    origin_xy = measured_xyt[0, :2].copy()
+    sums = _sums(model.noise, undone, measured_xyt + undone.error_xyt, origin_xy)
+    world = np.diff(measured_xyt[:, :2], axis=0)
+    travelled_m = np.concatenate(([0.0], np.cumsum(np.where(undone.jump, 0.0, np.hypot(world[:, 0], world[:, 1])))))
+    return PathSamples(
+        stamps_ns, measured_xyt, undone.error_xyt, sums, origin_xy, travelled_m,
+        int(np.count_nonzero(undone.jump)), float(np.abs(undone.driven.dl_m).sum()),
+    )  # fmt: skip
+
+
+def _sums(noise: Noise, undone: Undone, corrected_xyt: Array, origin_xy: Array) -> Array:
+    """Return the running sums (SUMS, n) of the noise that the corrected path, which is not drawn, still has."""
+    driven = undone.driven
+    v = noise_variances(noise, driven, undone.driven_s, StepGrowth()).variances
+    bearing = np.zeros(len(driven))
+    if noise.law.along_travel:
+        bearing = np.arctan2(driven.dl_m, driven.ds_m)
+    place = (corrected_xyt[:, :2] - origin_xy).T
+    travel = corrected_xyt[:-1, 2] + driven.dtheta_rad / 2.0
+    terms = sum_terms(
+        NoiseSteps(v, place[:, :-1], place[:, 1:], travel, bearing, driven.ds_m, driven.dl_m, arc=noise.law.arc)
+    )
+    return np.cumsum(np.concatenate((np.zeros((SUMS, 1)), terms), axis=1), axis=1)
+
 
 SILENT = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
-"""Moves nothing: to read the odometry with."""
+"""Model that moves nothing, to read the odometry with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +188,16 @@ def split_effects(model: MotionModel) -> Effects:
 class Corrected:
     """What a correction did.
 
-    strayed : effects that read places, and took the odom frame's for the truth's because nothing else was said
-    drift : drawn values tell how far the odometry was moved, expected ones what the noise still does to it
-    restarts, late, leaps, unusable : as in corruption
-    losses : what could not be read of a damaged input, in sentences
+    model : the model that was corrected for
+    effects : those taken out, and those left
+    unplaced : effects of place whose frame was taken to be the odom frame because no start was given
+    run : what was moved; drawn values of its drift say how far, expected ones what the noise still does
     """
 
     model: MotionModel
     effects: Effects
-    strayed: tuple[Effect, ...]
-    driver: str
-    frames: Frames
-    changes: Changes
-    drift: Drift
-    restarts: int
-    late: int
-    leaps: int
-    unusable: int
-    losses: tuple[str, ...]
+    unplaced: tuple[Effect, ...]
+    run: Outcome
 
 
 def correct_bag(
@@ -101,30 +226,15 @@ def correct_bag(
     """
     effects = split_effects(model)
     if not effects.undone:
-        copied = corrupt_bag(
-            source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch
-        )  # fmt: skip
-        return Corrected(
-            model=model,
-            effects=effects,
-            strayed=(),
-            driver=copied.driver,
-            frames=copied.frames,
-            changes=copied.changes,
-            drift=copied.drift,
-            restarts=copied.restarts,
-            late=copied.late,
-            leaps=copied.leaps,
-            unusable=copied.unusable,
-            losses=copied.losses,
-        )
+        copied = corrupt_bag(source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch)
+        return Corrected(model=model, effects=effects, unplaced=(), run=copied)
     path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
-    moving = replace(model, effects=(*still, ClockPutRight(clocks)))
+    moving = replace(model, effects=(*still, ClockInverse(clocks)))
     transform = Transform(moving, 0, 0, options, path=path)
     with open_reader(source, recover=container.recover) as reader:
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
         )
@@ -133,37 +243,17 @@ def correct_bag(
                 writer.write(block)
                 watch(block)
             transform.require_frame()
-            writer.provenance("odomcorrupt_correct", _provenance(model))
-        losses = tuple(reader.losses)
-    strayed = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
-    drift, frames = transform.drift.result(), transform.driver.frames
-    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-    assert frames is not None  # noqa: S101 - as above
-    return Corrected(
-        model=model,
-        effects=effects,
-        strayed=strayed,
-        driver=transform.driver.name,
-        frames=frames,
-        changes=transform.changes,
-        drift=drift,
-        restarts=transform.order.restarts,
-        late=transform.order.late,
-        leaps=transform.order.leaps,
-        unusable=transform.unusable,
-        losses=losses,
-    )
+            writer.provenance("odomcorrupt_correct", provenance(model))
+        outcome = outcome_of(transform, reader, model, seed=0, run=0)
+    unplaced = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
+    return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
 
 
 def _measured(source: Path, options: Options, container: Container) -> MeasuredPath:
-    """Read the odometry, in the very order in which it will be met again."""
+    """Read the odometry, in the order in which it will be read again."""
     transform, measured = Transform(SILENT, 0, 0, options), MeasuredPath()
     transform.watchers.append(measured)
     with open_reader(source, recover=container.recover) as reader:
         for _ in transform.blocks(reader, reader.name):
             pass
     return measured
-
-
-def _provenance(model: MotionModel) -> dict[str, str]:
-    return {"version": odomcorrupt.__version__, "model": format_model(model)}

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
+from odomcorrupt.effects.effect import Effect, Kind, Motion, State, TwistError
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.geometry.motion import corrected_increments, motion_of
@@ -18,10 +19,56 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Undone", "undo_effects"]
+__all__ = ["ClockInverse", "Undone", "true_stamps", "undo_effects"]
+
+ROUNDS = 60
+"""A clock is at most a tenth too fast, so each round gains a digit."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockInverse(Effect):
+    """The opposite of clock effects: it shifts a stamp back by as much as they shifted it."""
+
+    name: ClassVar[str] = "clock_inverse"
+    kind: ClassVar[Kind] = "setup"
+    summary: ClassVar[str] = "inverse of clock effects"
+    clock: ClassVar[bool] = True
+
+    clocks: tuple[Effect, ...] = ()
+
+    @property
+    def acts(self) -> bool:
+        """Whether any clock effect acts."""
+        return any(clock.acts for clock in self.clocks)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f = 0: it moves stamps only."""
+        return TwistError(np.zeros((len(motion), 3)), state)
+
+    def stamp_shift_s(self, t_s: Array) -> Array:
+        """Return by how much (n,) seconds to shift stamps that read t_s (n,) after the first one."""
+        true_s = t_s.copy()
+        for _ in range(ROUNDS):
+            true_s = t_s - (self._shift_s(true_s) - self._shift_s(np.zeros(1)))
+        return -self._shift_s(true_s)
+
+    def _shift_s(self, t_s: Array) -> Array:
+        shift_s: Array = np.zeros_like(t_s)
+        for clock in self.clocks:
+            shift_s = shift_s + clock.stamp_shift_s(t_s)
+        return shift_s
+
+
+def true_stamps(clocks: Sequence[Effect], stamps_ns: NDArray[np.int64], first_ns: int) -> NDArray[np.int64]:
+    """Return stamps (n,) as they were before the clocks were wrong; first_ns is the first that the clocks wrote."""
+    right = ClockInverse(tuple(clocks))
+    if not right.acts:
+        return stamps_ns
+    shift_s = right.stamp_shift_s((stamps_ns - first_ns) * np.float64(1e-9))
+    return stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
+
 
 PLACE_TOLERANCE = 1e-10
 """Places that effects read are found when none moves by more between two rounds, metres or radians."""
@@ -100,7 +147,7 @@ def undo_effects(
         if place is None or np.abs(found - place).max(initial=0.0) <= PLACE_TOLERANCE:
             return Undone(error, _increments(raw + added), driven_s, jump)
         place = found
-    raise EffectError("effects that read places: cannot be taken out of this odometry, its places do not settle")
+    raise EffectError("effects that read places: cannot be taken out of this odometry, its positions do not converge")
 
 
 def _error(raw: Array, added: Array, world: Array, measured_xyt: Array) -> Array:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Message
-from odomcorrupt.corruption.targets import ODOMETRY, TRANSFORMS, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, plain
 from odomcorrupt.errors import TopicError
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from odomcorrupt.geometry.se2 import interpolate
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["MEMORY_NS", "PATIENCE_NS", "Correction", "Curve"]
@@ -59,11 +59,11 @@ class _Stretch:
     first_ns: int
     began_ns: int
 
-    def extend(self, knots: Knots, time_ns: NDArray[np.int64], xyt: Array) -> None:
-        self.stamps_ns = np.concatenate((self.stamps_ns, knots.stamps_ns))
+    def extend(self, samples: PathSamples, time_ns: NDArray[np.int64], xyt: Array) -> None:
+        self.stamps_ns = np.concatenate((self.stamps_ns, samples.stamps_ns))
         self.time_ns = np.concatenate((self.time_ns, time_ns))
         self.xyt = np.concatenate((self.xyt, xyt))
-        self.sums = np.concatenate((self.sums, knots.sums), axis=1)
+        self.sums = np.concatenate((self.sums, samples.sums), axis=1)
 
     def forget(self, before_ns: int) -> None:
         gone = min(int(np.searchsorted(self.time_ns, before_ns)), len(self.time_ns) - 1)
@@ -74,7 +74,7 @@ class _Stretch:
     def at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> Correction:
         exact = self._exactly_at(stamps_ns, time_ns)
         if exact is not None:
-            return self._told(self.xyt[exact], self.sums[:, exact], np.zeros(len(exact), dtype=bool))
+            return self._correction(self.xyt[exact], self.sums[:, exact], np.zeros(len(exact), dtype=bool))
         last = np.maximum(np.searchsorted(self.time_ns, time_ns + PATIENCE_NS, side="right") - 1, 0)
         oldest = np.minimum(np.searchsorted(self.time_ns, time_ns - MEMORY_NS), last)
         inside_ns = np.clip(stamps_ns, self.stamps_ns[oldest], self.stamps_ns[last])
@@ -87,7 +87,7 @@ class _Stretch:
             fraction = past_ns[between] / (self.stamps_ns[k + 1] - self.stamps_ns[k])
             xyt[between] = interpolate(self.xyt[k], self.xyt[k + 1], fraction)
             sums[:, between] += fraction * (self.sums[:, k + 1] - self.sums[:, k])
-        return self._told(xyt, sums, stamps_ns > self.stamps_ns[last])
+        return self._correction(xyt, sums, stamps_ns > self.stamps_ns[last])
 
     def _exactly_at(self, stamps_ns: NDArray[np.int64], time_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Return indices of the samples at exactly these stamps; None where a message has none that it may use."""
@@ -96,7 +96,7 @@ class _Stretch:
         exact = (self.stamps_ns[i] == stamps_ns) & (ahead_ns <= PATIENCE_NS) & (ahead_ns >= -MEMORY_NS)
         return i if exact.all() else None
 
-    def _told(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
+    def _correction(self, xyt: Array, sums: Array, held: NDArray[np.bool_]) -> Correction:
         origin = np.repeat(self.origin_xy[:, None], len(xyt), axis=1)
         return Correction(xyt, sums, origin, np.full(len(xyt), self.number), held)
 
@@ -123,21 +123,21 @@ class Curve:
         """End the current stretch."""
         self._open = False
 
-    def extend(self, knots: Knots, time_ns: NDArray[np.int64]) -> None:
+    def extend(self, samples: PathSamples, time_ns: NDArray[np.int64]) -> None:
         """Append path samples to the current stretch; time_ns (n,) is the log time at which each became known."""
-        if not len(knots):
+        if not len(samples):
             return
         if not self._open:
             none = np.zeros(0, dtype=np.int64)
             self._stretches.append(
                 _Stretch(
-                    self._count, none, none, np.zeros((0, 3)), knots.sums[:, :0], knots.origin_xy.copy(),
-                    int(knots.stamps_ns[0]), int(time_ns[0]),
+                    self._count, none, none, np.zeros((0, 3)), samples.sums[:, :0], samples.origin_xy.copy(),
+                    int(samples.stamps_ns[0]), int(time_ns[0]),
                 )
             )  # fmt: skip
             self._count += 1
             self._open = True
-        self._stretches[-1].extend(knots, time_ns, knots.error_xyt if self._subtracted else knots.correction_xyt)
+        self._stretches[-1].extend(samples, time_ns, samples.error_xyt if self._subtracted else samples.correction_xyt)
 
     def forget(self, before_ns: int) -> None:
         """Drop samples that no message from log time `before_ns` on may use."""

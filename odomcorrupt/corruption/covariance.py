@@ -25,21 +25,21 @@ if TYPE_CHECKING:
 __all__ = [
     "BODY_SUMS",
     "FLOOR",
+    "RANDOM_SUMS",
     "SUMS",
-    "WANDER",
     "Grown",
     "NoiseSteps",
-    "Wander",
+    "RandomEffectCovariance",
+    "has_random_part",
     "pose_covariance",
+    "random_effect_covariance",
     "sum_terms",
     "twist_covariance",
-    "wandered_covariance",
-    "wanders",
 ]
 
 _FIRST, _SECOND = np.triu_indices(5)
 
-WANDER = len(_FIRST)
+RANDOM_SUMS = len(_FIRST)
 """Rows of the running sums: covariances of the five, row by row of the upper triangle."""
 
 _BODY_FIRST, _BODY_SECOND = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
@@ -56,7 +56,7 @@ class _Memory:
 class Grown(NamedTuple):
     """Covariance terms of n intervals.
 
-    path : (WANDER, n) increments of the running sums
+    path : (RANDOM_SUMS, n) increments of the running sums
     body : (6, n) covariance of each interval's own error, body frame: xx, xy, yy, x-yaw, y-yaw, yaw-yaw
     """
 
@@ -64,7 +64,7 @@ class Grown(NamedTuple):
     body: Array
 
 
-def wanders(effect: Effect, track_m: float | None) -> bool:
+def has_random_part(effect: Effect, track_m: float | None) -> bool:
     """Whether an effect has a random part whose variance it states."""
     none = np.zeros(0)
     still = Motion(
@@ -73,7 +73,7 @@ def wanders(effect: Effect, track_m: float | None) -> bool:
     return effect.acts and bool(effect.gains(still))
 
 
-class Wander:
+class RandomEffectCovariance:
     """Covariance of the random effects, carried from batch to batch; any division into batches gives the same bits."""
 
     def __init__(self) -> None:
@@ -101,7 +101,7 @@ class Wander:
         if not self._memories:
             self._memories = [_Memory(gain.start, np.zeros(5)) for gain in gains]
         c, s = np.cos(travel_rad), np.sin(travel_rad)
-        path, body = np.zeros((WANDER, len(dt_s))), np.zeros((6, len(dt_s)))
+        path, body = np.zeros((RANDOM_SUMS, len(dt_s))), np.zeros((6, len(dt_s)))
         memories = []
         for gain, memory in zip(gains, self._memories, strict=True):
             along, left, yaw = (gain.f * dt_s[:, None]).T
@@ -121,8 +121,8 @@ class Wander:
         return Grown(path, body)
 
 
-def wandered_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
-    """Return pose covariances (n, 3, 3) in odom axes due to random effects, from sums (WANDER, n), positions (2, n)."""
+def random_effect_covariance(sums: NDArray[np.float64], xy_m: Array) -> Array:
+    """Return pose covariances (n, 3, 3) in odom axes of random effects, from sums (RANDOM_SUMS, n), at xy_m (2, n)."""
     n = sums.shape[1]
     five = np.empty((n, 5, 5))
     five[:, _FIRST, _SECOND] = five[:, _SECOND, _FIRST] = sums.T
@@ -219,7 +219,7 @@ def pose_covariance(sums: Array, xy_m: Array) -> Array:
         x * s0 - sx,
         s0,
     )
-    return noise if len(sums) == SUMS else noise + wandered_covariance(sums[SUMS:], xy_m)
+    return noise if len(sums) == SUMS else noise + random_effect_covariance(sums[SUMS:], xy_m)
 
 
 def twist_covariance(grown: Array, dt_s: Array) -> Array:

@@ -11,7 +11,7 @@ from odomcorrupt.corruption.covariance import SUMS, pose_covariance
 from odomcorrupt.geometry.se2 import between
 
 if TYPE_CHECKING:
-    from odomcorrupt.corruption.path import Knots
+    from odomcorrupt.corruption.path import PathSamples
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = ["LEG_M", "MARKS_M", "Drift", "DriftMeter", "PathWatcher"]
@@ -60,10 +60,10 @@ class _Place:
     stamp_ns: int
 
 
-def _place(knots: Knots, i: int) -> _Place:
+def _place(samples: PathSamples, i: int) -> _Place:
     return _Place(
-        knots.clean_xyt[i].copy(), knots.error_xyt[i].copy(), knots.sums[:, i].copy(), knots.origin_xy,
-        float(knots.travelled_m[i]), int(knots.stamps_ns[i]),
+        samples.clean_xyt[i].copy(), samples.error_xyt[i].copy(), samples.sums[:, i].copy(), samples.origin_xy,
+        float(samples.travelled_m[i]), int(samples.stamps_ns[i]),
     )  # fmt: skip
 
 
@@ -73,7 +73,7 @@ class PathWatcher(Protocol):
     def restart(self) -> None:
         """Begin a new stretch: the stamps have jumped back."""
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Process the next part of the path."""
 
 
@@ -96,20 +96,20 @@ class DriftMeter:
             self._duration_s += (self._end.stamp_ns - self._start.stamp_ns) * 1e-9
         self._start = self._mark = None
 
-    def add(self, knots: Knots) -> None:
+    def add(self, samples: PathSamples) -> None:
         """Process the next part of the path."""
-        if not len(knots):
+        if not len(samples):
             return
-        self._messages += len(knots)
-        self._jumps += knots.jumps
-        self._sideways_m += knots.sideways_m
+        self._messages += len(samples)
+        self._jumps += samples.jumps
+        self._sideways_m += samples.sideways_m
         if self._start is None or self._mark is None:
-            self._start = self._mark = _place(knots, 0)
-        while knots.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
-            here = _place(knots, int(np.searchsorted(knots.travelled_m, self._mark.travelled_m + LEG_M)))
+            self._start = self._mark = _place(samples, 0)
+        while samples.travelled_m[-1] >= self._mark.travelled_m + LEG_M:
+            here = _place(samples, int(np.searchsorted(samples.travelled_m, self._mark.travelled_m + LEG_M)))
             self._legs.append(_leg(self._mark, here))
             self._mark = here
-        self._end = _place(knots, len(knots) - 1)
+        self._end = _place(samples, len(samples) - 1)
 
     def result(self) -> Drift | None:
         """Return the drift so far; None where there was no odometry."""

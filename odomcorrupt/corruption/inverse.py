@@ -1,4 +1,4 @@
-"""Effects put into a clean drive: the odometry's motion u' that solves u' = u - f(u'), as its driver reports it.
+"""Effects applied to a clean drive: the reported motion u' that solves u' = u - f(u').
 
 The f of systematic effects add up. Random effects follow, one after the other, each on what those before it have made.
 """
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.covariance import wanders
+from odomcorrupt.corruption.covariance import has_random_part
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import accelerations
@@ -35,7 +35,7 @@ TOLERANCE = 1e-12
 
 MAX_ROUNDS = 200
 _RUNAWAY = 1e6
-"""An increment that is changed by more than this many metres will not settle."""
+"""An increment that changes by more metres than this diverges."""
 _SAME = 1e-6
 """Two changes that differ by less than this part of them are the same."""
 _JUMP = 0.5
@@ -71,7 +71,7 @@ class Drive:
 class EffectInverse:
     """The effects of a model acting on a stream of increments; their states pass from call to call.
 
-    wandering : the effects that draw something whose variance they state
+    random : the effects that draw something whose variance they state
     gains : what these drew from in the last call of `error`
     """
 
@@ -83,7 +83,7 @@ class EffectInverse:
                 ordinal = ordinals.get(effect.name, 0)
                 ordinals[effect.name] = ordinal + 1
                 started.append((effect, effect.start(stream(seed, run, effect.name, ordinal))))
-        # the order in which effects are listed never matters: the f add up, and an encoder's flaws go by name
+        # the listed order does not matter: the f add up, and faults of encoders are applied in order of name
         started.sort(key=lambda pair: pair[0].name)
         motion = [pair for pair in started if pair[0].layer == "motion"]
         motion.sort(key=lambda pair: pair[0].kind == "setup")
@@ -93,7 +93,7 @@ class EffectInverse:
         self._recording = [pair for pair in started if pair[0].layer == "record"]
         self._drawing = [pair for pair in started if pair[0].layer == "draws"]
         self._track_m = model.track_m
-        self.wandering = tuple(effect for effect, _ in motion + self._recording if wanders(effect, model.track_m))
+        self.random = tuple(effect for effect, _ in motion + self._recording if has_random_part(effect, model.track_m))
         self.gains: tuple[Gain, ...] = ()
         self.restart()
 
@@ -133,7 +133,7 @@ class EffectInverse:
 
     def _error(self, drive: Drive) -> Array:
         n = len(drive.steps)
-        if not (self._stages or self.wandering) or n == 0:
+        if not (self._stages or self.random) or n == 0:
             return np.zeros((n, 3))
         dt, track_m = drive.dt_s[:, None], self._track_m
         clean = np.stack((drive.steps.ds_m, drive.steps.dl_m, drive.steps.dtheta_rad), axis=1)
@@ -152,9 +152,9 @@ class EffectInverse:
             stages.append(list(zip((effect for effect, _ in stage), states, strict=True)))
             gone = gone + f
         self._stages = stages
-        if self.wandering:
+        if self.random:
             true = _motion(clean, drive, faster, distance[1:], track_m)
-            self.gains = tuple(gain for effect in self.wandering for gain in effect.gains(true))
+            self.gains = tuple(gain for effect in self.random for gain in effect.gains(true))
         self._speeds = faster.memory
         self._distance_m = float(distance[-1])
         return -gone * dt
@@ -176,7 +176,7 @@ def _solved(
             if effect.kind == "setup":  # these come last, one after the other, and see how the robot truly moves
                 motion = motion_at(clean - f + total)
             # an effect may draw from its state: every round must see the same draws
-            with np.errstate(over="ignore", invalid="ignore"):  # what runs away is told below
+            with np.errstate(over="ignore", invalid="ignore"):  # divergence is reported below
                 answer = effect.twist_error(motion, copy.deepcopy(state))
             total += answer.f
             states.append(answer.state)
@@ -206,7 +206,7 @@ def _solved(
     if open_.any() and not _by_newton(lambda f: error_at(f)[0], f, open_, clean, dt):
         names = ", ".join(effect.name for effect, _ in stage)
         raise EffectError(
-            f"effects ({names}): too strong to be put into this drive, u' = u - f(u') does not settle; make "
+            f"effects ({names}): too strong for this drive, u' = u - f(u') does not converge; make "
             "them weaker, or delete them from the model"
         )
     return f, error_at(f)[1]

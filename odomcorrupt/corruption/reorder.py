@@ -114,9 +114,9 @@ class TimeOrder:
             self.leaps += 1
             self._ahead = None
         else:
-            self._believe_ahead()
+            self._accept_ahead()
 
-    def _believe_ahead(self) -> None:
+    def _accept_ahead(self) -> None:
         if self._ahead is not None:
             ahead, self._ahead = self._ahead, None
             self._append(ahead, behind=0)
@@ -140,7 +140,7 @@ class TimeOrder:
     def release(self, now_ns: int) -> Arrivals:
         """Return, sorted, the messages that no message after log time `now_ns` can precede."""
         if self._ahead is not None and now_ns - self._ahead.time_ns[0] >= WINDOW_NS:
-            self._believe_ahead()
+            self._accept_ahead()
         ordered = self._sorted()
         if not len(ordered):
             return ordered
@@ -152,7 +152,7 @@ class TimeOrder:
 
     def flush(self) -> Arrivals:
         """Return, sorted, all buffered messages, at the end of a stretch."""
-        self._believe_ahead()
+        self._accept_ahead()
         ordered = self._sorted()
         return self._let_go(ordered, len(ordered))
 

@@ -1,32 +1,124 @@
-"""Corruption of one bag: reader, transform, writer."""
+"""Corruption of one bag: reader, transform, writer; an output without changes is a copy of the input's bytes."""
 
 from __future__ import annotations
 
+import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
-from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.bags.open import kind_of, open_reader, open_writer
+from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
-from odomcorrupt.corruption.passthrough import TeeReader, may_stay, write_as_it_was
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.model_file import format_model
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from odomcorrupt.bags.block import Block, Channel
+    from odomcorrupt.bags.block import BagReader, Block, Channel
     from odomcorrupt.corruption.drift import Drift
+    from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
-    from odomcorrupt.corruption.targets import Frames
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["Container", "Outcome", "corrupt_bag"]
+__all__ = [
+    "Container",
+    "Outcome",
+    "TeeReader",
+    "corrupt_bag",
+    "may_stay",
+    "outcome_of",
+    "provenance",
+    "write_as_it_was",
+]
+
+_PIECE_BYTES = 1 << 16
+
+
+def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> bool:
+    """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
+    if source is not None and source.is_dir():
+        return False
+    if source is not None and reader.kind == "sqlite3":
+        from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
+
+        if has_log(source):
+            return False
+    one_file = target is None or reader.kind != "sqlite3" or bool(target.suffix)
+    return one_file and kind_of(target, reader) == reader.kind
+
+
+class TeeReader:
+    """Stream that records the bytes read from a pipe, so that they can be copied to an output."""
+
+    def __init__(self, stream: BinaryIO | None = None) -> None:
+        self._stream: BinaryIO = sys.stdin.buffer if stream is None else stream
+        self._kept = bytearray()
+        self._output: Output | None = None
+        self._recording = True
+
+    def read(self, size: int = -1) -> bytes:
+        """Read bytes."""
+        data = self._stream.read(size)
+        self._take(data)
+        return data
+
+    def readinto(self, view: memoryview) -> int:
+        """Read bytes into a buffer."""
+        got: int = self._stream.readinto(view)  # type: ignore[attr-defined] # a buffered stream has it
+        self._take(view[:got])
+        return got
+
+    def _take(self, data: bytes | memoryview) -> None:
+        if self._output is not None:
+            self._output.write(data)
+        elif self._recording:
+            self._kept += data
+
+    def play(self, output: Output) -> None:
+        """Write the bytes read so far to an output, and from now on all that are read."""
+        self._output = output
+        output.write(bytes(self._kept))
+        self._kept.clear()
+
+    def stop(self) -> None:
+        """Stop recording."""
+        self._recording = False
+        self._kept.clear()
+
+
+def write_as_it_was(
+    bag: TeeReader | Path,
+    target: Path | None,
+    blocks: Iterable[Block],
+    watch: Callable[[Block], None],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block."""
+    output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
+    output.summing = False
+    try:
+        output.open()
+        if isinstance(bag, TeeReader):
+            bag.play(output)
+        for block in blocks:
+            watch(block)
+        with nullcontext(bag) if isinstance(bag, TeeReader) else bag.open("rb") as rest:
+            while piece := rest.read(_PIECE_BYTES):
+                if rest is not bag:
+                    output.write(piece)
+        output.commit()
+    except BaseException:
+        output.discard()
+        raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +147,7 @@ class Container:
 class Outcome:
     """Result of one run.
 
+    odometry : name of the odometry source
     channels : those that carried messages
     restarts : number of jumps back in time
     late : odometry messages too late to be put in order
@@ -72,7 +165,7 @@ class Outcome:
     model: MotionModel
     seed: int
     run: int
-    driver: str
+    odometry: str
     frames: Frames
     changes: Changes
     drift: Drift
@@ -101,14 +194,14 @@ def corrupt_bag(
     container: Container,
     watch: Callable[[Block], None] = lambda _: None,
     path: PathSource | None = None,
-    told: Mapping[str, str] | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
     source, target : bags; None is a pipe
     watch : called with every block written
     path : corrupted path, instead of the noisy path that the model draws
-    told : further metadata for the output, besides model, seed, run and version
+    metadata : further metadata for the output, besides model, seed, run and version
 
     Raises
     ------
@@ -129,7 +222,7 @@ def corrupt_bag(
         Workers(threads) as workers,
         open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
     ):
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target,
             reader,
@@ -150,33 +243,36 @@ def corrupt_bag(
                     watch(block)
                 transform.require_frame()
                 if not silent:
-                    writer.provenance("odomcorrupt", _provenance(model, seed, run) | dict(told or {}))
-        drift = transform.drift.result()
-        assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
-        frames = transform.driver.frames
-        assert frames is not None  # noqa: S101 - as above
-        losses = tuple(reader.losses)
-        channels = tuple(reader.channels[number] for number in sorted(transform.seen))
+                    writer.provenance("odomcorrupt", provenance(model, seed=seed, run=run) | dict(metadata or {}))
+        return outcome_of(transform, reader, model, seed=seed, run=run)
+
+
+def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
+    """Return the result of a transform that has read a bag to its end."""
+    drift = transform.drift.result()
+    assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
+    frames = transform.odometry.frames
+    assert frames is not None  # noqa: S101 - as above
     return Outcome(
         model=model,
         seed=seed,
         run=run,
-        driver=transform.driver.name,
+        odometry=transform.odometry.name,
         frames=frames,
         changes=transform.changes,
         drift=drift,
-        channels=channels,
+        channels=tuple(reader.channels[number] for number in sorted(transform.seen)),
         restarts=transform.order.restarts,
         late=transform.order.late,
         leaps=transform.order.leaps,
         unusable=transform.unusable,
         added=_added(transform),
-        losses=losses,
+        losses=tuple(reader.losses),
         swapped=transform.order.swapped,
-        zero_stamps=transform.driver.zero_stamps,
+        zero_stamps=transform.odometry.zero_stamps,
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
-        faults=transform.driver.faults,
+        faults=transform.odometry.faults,
     )
 
 
@@ -184,10 +280,12 @@ def _added(transform: Transform) -> Mapping[str, int]:
     added = {}
     if transform.truth is not None:
         added[f"messages of clean odometry on {transform.truth.topic}"] = transform.truth.count
-    if transform.edge is not None and transform.driver.frames is not None:
-        added[f"transforms {transform.edge.frame} -> {transform.driver.frames.odom}"] = transform.edge.count
+    if transform.edge is not None and transform.odometry.frames is not None:
+        added[f"transforms {transform.edge.frame} -> {transform.odometry.frames.odom}"] = transform.edge.count
     return added
 
 
-def _provenance(model: MotionModel, seed: int, run: int) -> dict[str, str]:
-    return {"version": odomcorrupt.__version__, "seed": str(seed), "run": str(run), "model": format_model(model)}
+def provenance(model: MotionModel, **numbers: int) -> dict[str, str]:
+    """Return what is noted in an output: version, model, and numbers such as seed and run."""
+    texts = {name: str(number) for name, number in numbers.items()}
+    return {"version": odomcorrupt.__version__, **texts, "model": format_model(model)}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.corruption.pose_faults import frame_faults
-from odomcorrupt.corruption.unmodified_topics import truth_tellers
+from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
@@ -21,7 +21,21 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel, Noise
 
-__all__ = ["SIDEWAYS", "brief", "holonomic_words", "model_brief", "model_words", "oddities", "per_message", "summary"]
+__all__ = [
+    "SIDEWAYS",
+    "brief",
+    "effect_words",
+    "holonomic_words",
+    "model_brief",
+    "model_words",
+    "moved_words",
+    "oddities",
+    "per_message",
+    "size_words",
+    "stream_oddities",
+    "summary",
+    "travel_words",
+]
 
 SIDEWAYS = 0.1
 """A robot that goes this part of its way to the left or right is holonomic."""
@@ -50,7 +64,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     if silent:
         lines = [Line("UNCHANGED", "the model has nothing in it that moves odometry", "warning")]
     else:
-        said = f"{_size(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
+        said = f"{size_words(drift.end_drawn_m, drift.end_drawn_rad)} off after {drift.distance_m:.4g} m"
         if not outcome.model.noise.coefficients.silent:
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
         lines = [Line("MOVED", said, "good")]
@@ -58,7 +72,7 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
     lines.append(Line("odometry", _counted(outcome), "plain" if outcome.changes.edges or outcome.added else "warning"))
     odd = oddities(outcome)
-    true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
         lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
     lines += [Line("note", remark, "warning") for remark in remarks if remark]
@@ -81,25 +95,31 @@ def _counted(outcome: Outcome) -> str:
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
     silent = _is_silent(outcome.model)
-    drive = f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
+    said = f"{moved_words(outcome)}, driven by {outcome.odometry} ({travel_words(outcome)})"
     parts = [
-        f"{'Nothing to change' if silent else 'Moved'}: {_moved(outcome)}, driven by {outcome.driver} ({drive}).",
+        f"{'Nothing to change' if silent else 'Moved'}: {said}.",
         f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
     ]
     if not silent:
         parts += [_drift(outcome.drift, noisy=not outcome.model.noise.coefficients.silent), *_rate(outcome)]
     parts += oddities(outcome)
-    true = truth_tellers(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
+    true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
-        parts.append(f"Still telling the truth, and hiding the drift from a filter that reads them: {', '.join(true)}.")
+        parts.append(f"Unchanged, so that a filter which reads them still gets the true motion: {', '.join(true)}.")
     return " ".join(parts)
+
+
+def travel_words(outcome: Outcome) -> str:
+    """Return path length and duration as text."""
+    return f"{outcome.drift.distance_m:.4g} m in {outcome.drift.duration_s:.4g} s"
 
 
 def _is_silent(model: MotionModel) -> bool:
     return model.noise.coefficients.silent and not any(acts(effect) for effect in model.effects)
 
 
-def _moved(outcome: Outcome) -> str:
+def moved_words(outcome: Outcome) -> str:
+    """Return the moved topics and TF edges with their numbers of messages, as text."""
     topics = [f"{count} messages on {topic}" for topic, count in sorted(outcome.changes.odometry.items())]
     edges = [f"{count} transforms {edge}" for edge, count in sorted(outcome.changes.edges.items())]
     none = [] if edges else [f"no transform from {outcome.frames.odom}{_stayed(outcome)}"]
@@ -124,7 +144,7 @@ def model_words(model: MotionModel, origin: str) -> str:
         words += f", once per {noise.step}"
     if origin:
         words += f" ({origin})"
-    effects = [_effect(effect) for effect in model.effects if acts(effect)]
+    effects = [effect_words(effect) for effect in model.effects if acts(effect)]
     return words + (f"; effects {', '.join(effects)}" if effects else "")
 
 
@@ -139,10 +159,11 @@ def model_brief(model: MotionModel, origin: str) -> str:
         words += f", twist noise {noise.coefficients.white_v:.3g} {noise.coefficients.white_omega:.3g}"
     words += f", once per {noise.step}" if noise.step is not None else ""
     words += f" ({origin})" if origin else ""
-    return ", ".join([words, *(_effect(effect) for effect in model.effects if acts(effect))])
+    return ", ".join([words, *(effect_words(effect) for effect in model.effects if acts(effect))])
 
 
-def _effect(effect: Effect) -> str:
+def effect_words(effect: Effect) -> str:
+    """Return an effect's name with its parameters and units, and the choices that are not the usual ones."""
     values = [f"{p.name} {getattr(effect, p.name):.4g} {p.unit}".rstrip() for p in parameters(effect)]
     # a heading from the wheels goes without saying
     said = ((word, getattr(effect, word), options[0]) for word, options in choices(effect).items())
@@ -151,12 +172,12 @@ def _effect(effect: Effect) -> str:
 
 
 def _drift(drift: Drift, *, noisy: bool) -> str:
-    end = f"at the end {_size(drift.end_drawn_m, drift.end_drawn_rad)}"
+    end = f"at the end {size_words(drift.end_drawn_m, drift.end_drawn_rad)}"
     if noisy:
         end += f" (noise alone is expected to make {_expected(drift.end_expected_m, drift.end_expected_rad)})"
     if drift.leg_drawn_m is None or drift.leg_drawn_rad is None:
         return f"Drift: {end}."
-    leg = f", per {LEG_M:.0f} m {_size(drift.leg_drawn_m, drift.leg_drawn_rad)}"
+    leg = f", per {LEG_M:.0f} m {size_words(drift.leg_drawn_m, drift.leg_drawn_rad)}"
     return f"Drift: {end}{leg}{f' ({_leg(drift)})' if noisy else ''}."
 
 
@@ -166,10 +187,11 @@ def _leg(drift: Drift) -> str:
 
 def _expected(metres: float, radians: float) -> str:
     """Return the expected drift as text; without the position where the heading error is too large for first order."""
-    return _size(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
+    return size_words(metres, radians) if radians < LOST_RAD else f"{math.degrees(radians):.3g} deg, and so any place"
 
 
-def _size(metres: float, radians: float) -> str:
+def size_words(metres: float, radians: float) -> str:
+    """Return a displacement and a turn as text, metres and degrees."""
     return f"{metres:.3g} m, {math.degrees(radians):.3g} deg"
 
 
@@ -205,32 +227,45 @@ def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) ->
 
 def oddities(outcome: Outcome) -> list[str]:
     """Return warnings about the bag and what could not be read of it."""
-    said = [
-        f"/tf_static holds {edge}: published once for all time, it cannot follow the drift."
-        for edge in sorted(outcome.changes.static)
-    ]
-    said += [f"Lost: {loss}." for loss in outcome.losses]
     drift = outcome.drift
-    said += holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
+    said = holonomic_words(outcome.model, drift.sideways_m, drift.distance_m)
     if outcome.zero_stamps:
         said.append(f"{outcome.zero_stamps} odometry stamps are zero: log times were used instead.")
     if outcome.swapped:
         said.append(f"{outcome.swapped} odometry messages came behind later ones: they were put in order.")
-    if outcome.changes.held:
-        said.append(f"The correction was held for {outcome.changes.held} of these, beyond the odometry's last stamp.")
-    if outcome.restarts:
-        said.append(f"Time jumped back {outcome.restarts} times: each time the drift began again at zero.")
-    if outcome.drift.jumps:
-        said.append(f"The pose jumped {outcome.drift.jumps} times: the correction was held across.")
-    if outcome.late:
-        said.append(f"{outcome.late} odometry messages came more than a second late: moved, but no noise of their own.")
-    if outcome.leaps:
-        said.append(f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': no noise of their own.")
-    numberless = outcome.unusable - outcome.faults.far
-    if numberless > 0:
-        said.append(f"{numberless} odometry poses are not numbers: left alone.")
-    said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in outcome.faults.sentences()]
+    said += stream_oddities(
+        outcome, follow="the drift", restart="each time the drift began again at zero", late="no noise of their own"
+    )
     edges = [tuple(edge.split(" -> ", 1)) for edge in (*outcome.changes.edges, *outcome.stayed) if " -> " in edge]
     tree = frame_faults([(above, below) for above, below in edges], outcome.frames.odom, outcome.frames.base)
     said += [f"{sentence[0].upper()}{sentence[1:]}." for sentence in tree]
     return said
+
+
+def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -> list[str]:
+    """Return warnings about static transforms, losses, and stamps and poses of the odometry that are out of order.
+
+    Parameters
+    ----------
+    outcome : result of the run
+    follow : what a static transform cannot follow
+    restart : what happened where time jumped back
+    late : how messages were treated that came too late, or whose stamps lie far ahead
+    """
+    changes = outcome.changes
+    numberless = outcome.unusable - outcome.faults.far
+    counted = {
+        f"The correction was held for {changes.held} of these, beyond the odometry's last stamp.": changes.held,
+        f"Time jumped back {outcome.restarts} times: {restart}.": outcome.restarts,
+        f"The pose jumped {outcome.drift.jumps} times: the correction was held across.": outcome.drift.jumps,
+        f"{outcome.late} odometry messages came more than a second late: moved, but {late}.": outcome.late,
+        f"{outcome.leaps} odometry stamps lie far ahead of their neighbours': {late}.": outcome.leaps,
+        f"{numberless} odometry poses are not numbers: left alone.": numberless,
+    }
+    static = [
+        f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."
+        for edge in sorted(changes.static)
+    ]
+    lost = [f"Lost: {loss}." for loss in outcome.losses]
+    said = [*static, *lost, *(sentence for sentence, count in counted.items() if count > 0)]
+    return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

@@ -17,21 +17,22 @@ from odomcorrupt.bags.messages import locate
 from odomcorrupt.corruption.additions import CorrectionEdge, TruthTopic
 from odomcorrupt.corruption.correction import PATIENCE_NS, Curve
 from odomcorrupt.corruption.drift import DriftMeter
-from odomcorrupt.corruption.odometry_source import Driver, stamps_or_log_ns
-from odomcorrupt.corruption.patch import Patcher, Target
-from odomcorrupt.corruption.path import NoisyPath
-from odomcorrupt.corruption.pose_faults import FAR_M
-from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
-from odomcorrupt.corruption.targets import (
+from odomcorrupt.corruption.odometry_source import (
     ENCODINGS,
     ODOMETRY,
     TRANSFORMS,
-    find_driver,
+    OdometrySource,
+    find_odometry,
     localisation_side_of,
     plain,
     says_truth,
     side_of,
+    stamps_or_log_ns,
 )  # fmt: skip
+from odomcorrupt.corruption.patch import Patcher, Target
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.pose_faults import FAR_M
+from odomcorrupt.corruption.reorder import WINDOW_NS, Arrivals, TimeOrder
 from odomcorrupt.corruption.unmodified_topics import frame_of, may_be_placed
 from odomcorrupt.errors import TopicError
 
@@ -43,9 +44,9 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import BagReader, BagWriter, Block, Channel
     from odomcorrupt.bags.messages import Item, Layout
     from odomcorrupt.corruption.drift import PathWatcher
+    from odomcorrupt.corruption.odometry_source import Frames, Side
     from odomcorrupt.corruption.patch import Changes
     from odomcorrupt.corruption.path import PathSource
-    from odomcorrupt.corruption.targets import Frames, Side
     from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["WAIT_NS", "Options", "Transform"]
@@ -117,7 +118,7 @@ class Transform:
         self.order = TimeOrder()
         self.drift = DriftMeter()
         self.watchers: list[PathWatcher] = [self.drift]
-        self.driver = Driver(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
+        self.odometry = OdometrySource(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
         self.unusable = 0
         self.seen: set[int] = set()
         self.placed: dict[int, str] = {}
@@ -157,7 +158,7 @@ class Transform:
             If there is no odometry source, or a topic to be added exists already.
 
         """
-        self.driver.prepare(reader, name)
+        self.odometry.prepare(reader, name)
         if self.options.keep_truth is not None and writer is not None:
             self.truth = TruthTopic(self.options.keep_truth, reader, writer)
         if self.options.new_odom_frame is not None and writer is not None:
@@ -176,9 +177,9 @@ class Transform:
         while waiting:
             yield self._patch(waiting.popleft())
         if self._first_ns is None:
-            if not self.driver.by_edge:
-                find_driver(reader.channels.values(), self.driver.topic, name)
-            raise TopicError(f"{name}: {self.driver.name} has no message with a pose{self.driver.elsewhere}")
+            if not self.odometry.by_edge:
+                find_odometry(reader.channels.values(), self.odometry.topic, name)
+            raise TopicError(f"{name}: {self.odometry.name} has no message with a pose{self.odometry.elsewhere}")
 
     def _take(self, block: Block, reader: BagReader) -> _Held:
         """Read the odometry of a block and extend C(t)."""
@@ -195,7 +196,7 @@ class Transform:
             if _may_move(channel):
                 parts += [(channel, layout) for layout in locate(block, channel)]
         if parts:
-            self._add(self.driver.read(block, parts, time_ns))
+            self._add(self.odometry.read(block, parts, time_ns))
         if len(time_ns):
             self._now_ns = int(time_ns[-1])
         self._extend(self.order.release(self._now_ns))
@@ -218,15 +219,15 @@ class Transform:
 
     def _extend(self, ordered: Arrivals) -> None:
         if len(ordered):
-            knots = self._path.feed(ordered.stamps_ns, ordered.xyt)
-            self._curve.extend(knots, ordered.time_ns)
+            samples = self._path.feed(ordered.stamps_ns, ordered.xyt)
+            self._curve.extend(samples, ordered.time_ns)
             for watcher in self.watchers:
-                watcher.add(knots)
+                watcher.add(samples)
 
     def _ready(self, held: _Held) -> bool:
         """Whether C(t) at a block's messages is final."""
         age_ns = self._now_ns - held.seen_ns
-        if age_ns >= WAIT_NS or not held.parts or (self.driver.frames is not None and not self._targets(held)):
+        if age_ns >= WAIT_NS or not held.parts or (self.odometry.frames is not None and not self._targets(held)):
             return True
         until_ns = self._curve.known_until_ns
         if until_ns is None:
@@ -237,7 +238,7 @@ class Transform:
 
     def _targets(self, held: _Held) -> list[Target]:
         if held.targets is None:
-            held.targets = [] if self.driver.frames is None else self._find_targets(held, self.driver.frames)
+            held.targets = [] if self.odometry.frames is None else self._find_targets(held, self.odometry.frames)
         return held.targets
 
     def _find_targets(self, held: _Held, frames: Frames) -> list[Target]:
@@ -255,7 +256,7 @@ class Transform:
 
     def _side(self, channel: Channel, item: Item, frames: Frames) -> Side | None:
         """Return from which side the correction acts on an item; None where it stays."""
-        driving = self.driver.is_odometry(channel)
+        driving = self.odometry.is_odometry(channel)
         if self.options.new_odom_frame is not None:
             if channel.msgtype in TRANSFORMS:
                 self._refuse_parent(channel, item, frames)
@@ -280,13 +281,13 @@ class Transform:
         if not targets or self._first_ns is None:
             return held.block
         self._curve.forget(int(min(target.time_ns[0] for target in targets)))
-        driving = [target for target in targets if self.driver.is_odometry(target.channel)]
+        driving = [target for target in targets if self.odometry.is_odometry(target.channel)]
         if self.truth is not None:
             self.truth.add(held.block, driving)
         if self.options.new_odom_frame is None:
             self._patcher.patch(held.block, targets, self._curve, self._first_ns)
-        elif self.edge is not None and self.driver.frames is not None:
-            self.edge.add(held.block, driving, self._curve, self.driver.frames.odom)
+        elif self.edge is not None and self.odometry.frames is not None:
+            self.edge.add(held.block, driving, self._curve, self.odometry.frames.odom)
         return held.block
 
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.targets import ENCODINGS, plain
+from odomcorrupt.corruption.odometry_source import ENCODINGS, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from odomcorrupt.bags.block import Block, Channel
 
-__all__ = ["frame_of", "may_be_placed", "truth_tellers"]
+__all__ = ["frame_of", "may_be_placed", "topics_with_true_motion"]
 
-TELLING = frozenset({
+MOTION_TYPES = frozenset({
     "DynamicJointState", "GPSFix", "Imu", "JointState", "LinkStates", "MagneticField", "ModelStates", "NavSatFix",
     "Odometry", "ParticleCloud", "Path", "PointStamped", "Pose", "Pose2D", "PoseArray", "PoseStamped",
     "PoseWithCovariance", "PoseWithCovarianceStamped", "TransformStamped", "TwistStamped", "TwistWithCovariance",
@@ -24,10 +24,10 @@ TELLING = frozenset({
 })  # fmt: skip
 """Messages that carry motion or poses, of whatever package: last part of the type."""
 
-ASKING = frozenset({"clicked_point", "cmd_vel", "goal", "goal_pose", "initialpose"})
+SETPOINT_TOPICS = frozenset({"clicked_point", "cmd_vel", "goal", "goal_pose", "initialpose"})
 """Topics that say where a robot should be, not where it is: last part of the name."""
 
-PLACED = {
+FRAMED_TYPES = {
     "sensor_msgs/msg/PointCloud2": 0,
     "nav_msgs/msg/GridCells": 0,
     "nav_msgs/msg/OccupancyGrid": 0,
@@ -41,16 +41,16 @@ PLACED = {
 """Message types that contain the true motion if given in the odom frame, and the byte of their (first) header."""
 
 
-LARGE = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})
+LARGE_TYPES = frozenset({"sensor_msgs/msg/PointCloud2", "nav2_msgs/msg/VoxelGrid"})
 """Messages that are not read for their frame's sake alone."""
 
 
 def may_be_placed(channel: Channel) -> bool:
     """Whether the frame of a channel's messages is needed, although the channel itself is not moved."""
-    return channel.msgtype in PLACED and channel.msgtype not in LARGE
+    return channel.msgtype in FRAMED_TYPES and channel.msgtype not in LARGE_TYPES
 
 
-def truth_tellers(
+def topics_with_true_motion(
     channels: Iterable[Channel], moved: Iterable[str], frames: Mapping[int, str], odom_frame: str
 ) -> list[str]:
     """Return the unmodified topics with messages that contain the true motion.
@@ -63,14 +63,14 @@ def truth_tellers(
         c.topic
         for c in channels
         if c.topic not in moved
-        and c.topic.rsplit("/", 1)[-1] not in ASKING
-        and (c.msgtype.rsplit("/", 1)[-1] in TELLING or frames.get(c.id) == plain(odom_frame) or _is_costmap(c))
+        and c.topic.rsplit("/", 1)[-1] not in SETPOINT_TOPICS
+        and (c.msgtype.rsplit("/", 1)[-1] in MOTION_TYPES or frames.get(c.id) == plain(odom_frame) or _is_costmap(c))
     })  # fmt: skip
 
 
 def _is_costmap(channel: Channel) -> bool:
     """Whether a channel is a costmap, which is centred on the robot even in the map frame."""
-    return channel.msgtype in PLACED and "costmap" in channel.topic
+    return channel.msgtype in FRAMED_TYPES and "costmap" in channel.topic
 
 
 def frame_of(block: Block, channel: Channel) -> str | None:
@@ -78,7 +78,7 @@ def frame_of(block: Block, channel: Channel) -> str | None:
 
     None where its type has none, or the message is too short.
     """
-    offset = PLACED.get(channel.msgtype)
+    offset = FRAMED_TYPES.get(channel.msgtype)
     rows = np.flatnonzero(block.table["channel"] == channel.id)
     if offset is None or channel.encoding not in ENCODINGS or not len(rows):
         return None

@@ -86,7 +86,7 @@ def effect_at(path: str) -> type[Effect]:
     module_name, _, class_name = path.rpartition(".")
     here = str(Path.cwd())
     if here not in sys.path:
-        sys.path.append(here)  # and there it stays: workers of a batch are told of the path, and load the class again
+        sys.path.append(here)  # and there it stays: workers of a batch get the path and load the class again
     try:
         kind = getattr(importlib.import_module(module_name), class_name, None)
     except Exception as error:  # somebody else's code may fail in any way

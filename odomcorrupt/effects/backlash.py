@@ -63,7 +63,7 @@ class Backlash(Effect):
 
     @property
     def lost_m(self) -> float:
-        """With a gyro, odometry has the mean of both motors alone, and cannot tell which of them crossed its play."""
+        """With a gyro, odometry has only the mean of both motors, which does not show whose play was crossed."""
         return 0.0 if self.heading == "wheels" else abs(self.travel)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn

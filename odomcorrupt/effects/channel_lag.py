@@ -53,7 +53,7 @@ class ChannelLag(Effect):
     channel: str = choice("what comes late", "yaw", "along")
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: what the filter still owes, by the accelerations of what odometry reports."""
+        """Return f: the lag of the filter, from the accelerations of the reported motion."""
         twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
         faster = accelerations(twist, motion.dt_s, state)
         f = self.tau * faster.rate[:, _COLUMN[self.channel]]
@@ -61,17 +61,17 @@ class ChannelLag(Effect):
         return TwistError(stacked(along, 0.0, yaw, f), faster.memory)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002
-        """Return the increments (n, 3) with one channel filtered: the way of which `twist_error` leads back."""
+        """Return the increments (n, 3) with one channel filtered: inverted by `twist_error`."""
         if self.tau == 0.0:
             return Recorded(steps, state)
         column = _COLUMN[self.channel]
-        filtered, way = steps.copy(), _Way() if state is None else copy.deepcopy(state)
+        filtered, way = steps.copy(), _FilterState() if state is None else copy.deepcopy(state)
         for i, (step, now_s) in enumerate(zip(steps[:, column].tolist(), t_s.tolist(), strict=True)):
             filtered[i, column] = way.reported(step, now_s, self.tau)
         return Recorded(filtered, way)
 
 
-class _Way:
+class _FilterState:
     """The last `TRAIL_S` of what a filtered channel reported, m or rad over seconds, and its mean speed over them."""
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class _Way:
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
         """Return what is reported of a step that ends then: r with r + tau (change of the mean speed) = step."""
-        if now_s < self.last_s:  # time began anew
+        if now_s < self.last_s:  # time was reset
             self.clock_s, self.gone = [], []
             self.last_s = 0.0
         dt_s, self.last_s = now_s - self.last_s, now_s

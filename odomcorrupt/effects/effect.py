@@ -1,9 +1,9 @@
-"""What an effect is: a physical cause by which odometry departs from the truth.
+"""Effects: physical causes of odometry errors.
 
-An effect is a frozen dataclass whose float fields are its parameters. It answers one question: by how much does the
-true body twist exceed the odometry's, f = truth minus odometry, as a function of the *odometry-side* motion? The f of
-several effects add. Corruption solves u' = u - f(u'), correction adds f, the fit uses -f as a regressor, diagnosis
-tries every registered effect at its identity: nothing about an effect is written anywhere but in its own file.
+An effect is a frozen dataclass whose float fields are its parameters. It gives f, the true body twist minus the
+odometry's, as a function of the *odometry-side* motion. The f of several effects add. Corruption solves u' = u - f(u'),
+correction adds f, the fit uses -f as a regressor, and the diagnosis tests every registered effect at its identity, so
+that an effect is described in its own file alone.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class TwistError(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """Increments (n, 3) as the driver reports them, metres along, metres left, radians; and the state to go on with."""
+    """Increments (n, 3) as reported, metres along, metres left, radians; and the state to go on with."""
 
     steps: Array
     state: State
@@ -77,9 +77,9 @@ class Moments(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """A random number that wanders, and what odometry does where it departs from its mean by one.
+    """A random coefficient (autoregressive, first order), and the odometry error per unit of it.
 
-    From interval to interval the number keeps the part `keep` of itself and is kicked with the variance `kick`.
+    From interval to interval it is multiplied by `keep`, and noise of variance `kick` is added.
 
     f : (n, 3) forward m/s, leftward m/s, yaw rad/s; its sign does not matter
     keep, kick : (n,)
@@ -93,13 +93,13 @@ class Gain(NamedTuple):
 
 
 class About(NamedTuple):
-    """What a person wants to know of an effect.
+    """Description of an effect for help texts and reports.
 
     equation : f, truth minus odometry, in plain text
     typical : sizes seen on real robots, in words
     source : where it is described
-    confused_with : names of effects that look alike, the likeliest first
-    drive : the manoeuvre that shows it and tells it from those
+    confused_with : names of effects with similar errors, the most similar first
+    drive : the manoeuvre that excites it and separates it from those
     """
 
     equation: str
@@ -110,20 +110,20 @@ class About(NamedTuple):
 
 
 class Effect:
-    """The protocol every effect obeys, with its defaults; `odomcorrupt.testing.check_effect` holds it to it.
+    """Base class of effects with defaults; `odomcorrupt.testing.check_effect` tests the contract.
 
     A subclass is a frozen dataclass that sets the class variables and answers `twist_error`. The body of an effect
     without memory is that one method.
 
-    clock : it acts on a bag by moving stamps, and its f is only what that looks like to a regression
+    clock : it acts on a bag by moving stamps; its f is the first-order equivalent for a regression
     layer : "motion" for a function f of the odometry's motion; "record" for what happens between the wheels and the
         message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
-    needs_track : it acts on single wheels and cannot do without the track
+    needs_track : it acts on single wheels and needs the track
     needs_sideways : only a robot that can drive sideways can have it
-    restorable : the report itself shows what it did, so that it can be put right even where it was chance
-    reads_truth : f reads acceleration, pose or distance, so a correction has to find them as it goes
-    reads_places : f depends on where the robot is or heads in the world, which the odometry's frame may not be
-    twin_of : name of the effect with the very same f, where no recording can tell the two apart
+    restorable : the odometry itself shows what it did, so that it can be undone although it is random
+    reads_truth : f depends on acceleration, pose or distance, which a correction estimates on the way
+    reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
+    twin_of : name of the effect with the same f: an alias, which no recording can separate from it
     """
 
     name: ClassVar[str]
@@ -148,19 +148,19 @@ class Effect:
 
     @property
     def lost_m(self) -> float:
-        """Up to how many metres of what it does no correction can get back, because odometry does not tell."""
+        """Bound on the part of its error that no correction can undo, metres."""
         return 0.0
 
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for effects with shapes
-        """Return the family at its identity with every shape that is worth trying on these motions.
+        """Return the effect at its identity for each candidate value of its shape parameters on these motions.
 
-        An effect without shapes is linear at its identity and needs one try.
+        An effect without shapes is linear at its identity and needs one candidate.
         """
         return (cls(),)
 
     def plain(self) -> Self:
-        """Return the same effect in the words that a person would choose, where there are several."""
+        """Return the same effect in its usual parametrisation, where there are several."""
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw

@@ -143,7 +143,7 @@ class Expression:
 
         """
         total = np.zeros(len(values["v"]))
-        with np.errstate(all="ignore"):  # told below
+        with np.errstate(all="ignore"):  # reported below
             for target, term in self.terms:
                 if target in targets:
                     total += term(values)

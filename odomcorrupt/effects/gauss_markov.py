@@ -1,4 +1,4 @@
-"""A gain that wanders about one: tyre pressure, load, floor, all that is correlated and has no name."""
+"""A gain that varies as a first-order Gauss-Markov process: tyre pressure, load, floor, any correlated cause."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 _MOST = 0.9
-"""A gain beyond this is held there: a robot that stands or goes back as its wheels roll on is no gain of them."""
+"""Limit of the gain: beyond it the robot would stand or reverse while its wheels roll forwards."""
 
 
 class _Gain(NamedTuple):
@@ -41,12 +41,12 @@ class _Gain(NamedTuple):
 class GaussMarkov(Effect):
     """f = g (v, 0, 0) or g (0, 0, omega), g' = -g / tau + white noise, stationary with deviation sigma.
 
-    It vanishes at rest, which a wandering bias does not. Its gain is held within 0.9: any motion has an odometry then.
+    It vanishes at rest, unlike a bias. The gain is limited to 0.9, so that every motion has an odometry.
     """
 
     name: ClassVar[str] = "gauss_markov"
     kind: ClassVar[Kind] = "noise"
-    summary: ClassVar[str] = "the gain of travel or turn wanders about one"
+    summary: ClassVar[str] = "the gain of travel or turn varies slowly about one (Gauss-Markov)"
     about: ClassVar[About | None] = About(
         equation="f_along = g v, or f_yaw = g omega; g Gauss-Markov of deviation sigma and correlation time tau",
         typical="1 to 5 % with correlation times of 2 to 30 s (an estimate)",

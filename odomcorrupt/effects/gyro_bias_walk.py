@@ -1,4 +1,4 @@
-"""The gyro's bias wanders."""
+"""The gyro's bias is a random walk, or first-order Gauss-Markov."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class GyroBiasWalk(Effect):
 
     name: ClassVar[str] = "gyro_bias_walk"
     kind: ClassVar[Kind] = "noise"
-    summary: ClassVar[str] = "the yaw rate's offset wanders, also while standing"
+    summary: ClassVar[str] = "the yaw rate's offset varies slowly, also at rest"
     about: ClassVar[About | None] = About(
         equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t); with tau Gauss-Markov of "
         "deviation density sqrt(tau / 2)",

@@ -18,14 +18,14 @@ class GyroScale(Effect):
     twin_of: ClassVar[str | None] = "wheelbase"
     about: ClassVar[About | None] = About(
         equation="f_yaw = -e / (1 + e) omega",
-        typical="0.1 to 3 % for a MEMS gyro that nobody calibrated",
+        typical="0.1 to 3 % for an uncalibrated MEMS gyro",
         source="Woodman 2007, An introduction to inertial navigation (calibration errors)",
         confused_with=("wheelbase", "turn_asymmetry"),
-        drive="turn on the spot both ways; which of the two it is only the source of the heading tells",
+        drive="turn on the spot both ways; only the source of the heading separates the two",
     )
 
     e: float = parameter("", "odometry yaw rate over the true one, minus one", low=-0.2, high=0.2, typical=0.01)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn is misjudged by the same factor."""
+        """Return f: every turn has the same scale error."""
         return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)

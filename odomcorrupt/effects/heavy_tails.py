@@ -42,7 +42,7 @@ class HeavyTails(Effect):
         typical="0.1 to 0.3, ten to three degrees of freedom (an estimate)",
         source="Lange, Little & Taylor 1989, JASA 84 (the t distribution for robust modelling)",
         confused_with=("slip_burst", "gauss_markov", "region_slip"),
-        drive="none in particular: look at single increments, for sums over many are normal again",
+        drive="none in particular: visible in single increments, since sums over many are nearly normal",
     )
 
     inverse_dof: float = parameter("", "one over the degrees of freedom; 0 is normal", low=0.0, high=0.45, typical=0.2)

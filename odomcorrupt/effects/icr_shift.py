@@ -21,7 +21,7 @@ class IcrShift(Effect):
         typical="a few centimetres on skid-steered and tracked robots",
         source="Martinez, Mandow, Morales, Pedraza & Garcia-Cerezo 2005, IJRR 24(10)",
         confused_with=("lever_arm", "side_slip", "mount_yaw"),
-        drive="turn on the spot; to tell it from a lever arm, move the marker and drive again",
+        drive="turn on the spot; to separate it from a lever arm, move the marker and drive again",
     )
 
     x: float = parameter("m", "minus the x of the rotation centre", low=-0.5, high=0.5, typical=0.03)

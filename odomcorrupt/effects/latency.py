@@ -1,4 +1,4 @@
-"""Odometry gets stuck on its way to whoever stamps it, and arrives late in one burst."""
+"""Odometry messages are delayed before they are stamped, and arrive late in one burst."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _BURST = 1e-3
-"""A burst takes this part of the time that it was stuck for: stamps still grow."""
+"""Duration of the burst over that of the delay: stamps still ascend."""
 
 
 @dataclass(frozen=True, slots=True)
 class Latency(Effect):
     """On a bag: stamps between time and time + delay move to the end of that stretch, close behind each other.
 
-    Poses are right and their stamps are not: a localisation that pairs them with its laser takes poses of before for
-    those of now. f is only what that looks like to a regression.
+    Poses are right and their stamps are late: a localisation pairs them with later laser scans. f is the first-order
+    equivalent for a regression.
     """
 
     name: ClassVar[str] = "latency"
     kind: ClassVar[Kind] = "event"
-    summary: ClassVar[str] = "once, messages of the odometry are stuck, and stamped when they arrive in a burst"
+    summary: ClassVar[str] = "once, odometry messages are delayed, and stamped when they arrive in a burst"
     clock: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
         equation="stamp = t + 0.999 (time + delay - t) where time <= t < time + delay; f = shift (a, ay, alpha) "
@@ -35,10 +35,10 @@ class Latency(Effect):
         typical="0.05 to 1 s over WiFi or a loaded computer (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("time_offset", "odometry_stop"),
-        drive="none: it happens once; stamps that stand and then bunch show it",
+        drive="none: it happens once; a pause in the stamps and then a burst show it",
     )
 
-    delay: float = parameter("s", "how long messages are stuck", low=0.0, high=60.0, typical=0.5)
+    delay: float = parameter("s", "how long messages are delayed", low=0.0, high=60.0, typical=0.5)
     time: float = time_parameter()
 
     @property

@@ -23,7 +23,7 @@ class LeverArm(Effect):
         typical="1 to 20 cm where nobody has measured it",
         source="Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2)",
         confused_with=("icr_shift", "mount_yaw", "side_slip", "unequal_wheels"),
-        drive="turn on the spot both ways, and drive straights; a second place of the marker tells it from icr_shift",
+        drive="turn on the spot both ways, and straights; a second position of the marker separates it from icr_shift",
     )
 
     x: float = parameter("m", "tracked point ahead of the base frame", low=-5.0, high=5.0, typical=0.03)

@@ -36,7 +36,7 @@ _ARM_M = 0.2
 """How far wheels are from the middle, about: a turn on the spot moves them, too."""
 _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
-"""Who stands for longer than this may have stopped."""
+"""A longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
 _OFTEN = 0.005
 """Part of increments that is lost alone, for two in a row to be likely at all."""
@@ -46,22 +46,22 @@ _OFTEN = 0.005
 class LostIncrements(Effect):
     """Each increment is lost with probability `fraction`: the reported pose stands still while the robot goes on.
 
-    On average it looks like a scale error of the same size, but which increments are lost is chance: it counts as
+    On average it equals a scale error of the same size, but which increments are lost is random: it counts as
     noise. A correction that scaled the others up would miss what is seen plainly in the log: an increment of zero
-    between neighbours that move, which is put right by what these say.
+    between neighbours that move, and is interpolated from these.
     """
 
     name: ClassVar[str] = "lost_increments"
     kind: ClassVar[Kind] = "noise"
     layer: ClassVar[Layer] = "record"
     restorable: ClassVar[bool] = True
-    summary: ClassVar[str] = "some increments of the odometry are lost, with the way they stood for"
+    summary: ClassVar[str] = "some increments of the odometry are lost, with their travel"
     about: ClassVar[About | None] = About(
         equation="reported increment = 0 with probability fraction",
         typical="0.1 to 5 % on a bad serial line (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("wheel_scale", "slip_burst"),
-        drive="any: look for single increments of zero between neighbours that move, in the odometry alone",
+        drive="any: single increments of zero between neighbours that move, in the odometry alone",
     )
 
     fraction: float = parameter("", "part of the increments that is lost", low=0.0, high=0.9, typical=0.01)

@@ -28,7 +28,7 @@ class Motion:
 
     Speeds are the odometry's. Acceleration, pose and distance are the true ones: of the clean motion in corruption, of
     the corrected one in correction, of the smoothest estimate in the study. A force accelerates the body and a floor is
-    where the body is; and only so can an effect that looks at accelerations be put in and taken out stably.
+    where the body is; and only so can an effect of accelerations be applied and undone stably.
     """
 
     t_s: Array

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 class OdometryStop(Effect):
     """Increments that end between time and time + duration are reported as zero.
 
-    Afterwards their way is lost, as where a motor controller starts again, or caught up in one increment, as where its
-    bus was stuck and its encoders went on counting.
+    Afterwards their travel is lost, as when a motor controller restarts, or added to the next increment, as when its
+    bus was blocked and its encoders went on counting.
     """
 
     name: ClassVar[str] = "odometry_stop"
@@ -50,7 +50,7 @@ class OdometryStop(Effect):
 
     duration: float = parameter("s", "how long it stands still", low=0.0, high=1e4, typical=2.0)
     time: float = time_parameter()
-    then: str = choice("what becomes of the way that was not reported", "lost", "caught_up")
+    then: str = choice("what becomes of the travel that was not reported", "lost", "caught_up")
 
     @property
     def window_s(self) -> tuple[float, float]:
@@ -59,11 +59,11 @@ class OdometryStop(Effect):
 
     @property
     def lost_m(self) -> float:
-        """All of its way: what was never reported is in no odometry."""
+        """Unbounded: travel that was never reported is in no odometry."""
         return float("inf") if self.acts else 0.0
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
-        """Return the motion that is withheld so far: none."""
+        """Return the motion withheld so far: none."""
         return np.zeros(3)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

@@ -65,7 +65,7 @@ class Quantization(Effect):
         return _Count(float(self.step * right), float(self.step * left))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f = 0: the ticks do not tell what lies between them."""
+        """Return f = 0: it is no function of the reported motion."""
         return TwistError(np.zeros((len(motion), 3)), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time

@@ -41,7 +41,7 @@ class RegionSlip(Effect):
         drive="cross the place again at other times and in other headings, and drive elsewhere as much",
     )
 
-    slip: float = parameter("", "part of the wheels' way that is lost inside", low=-0.1, high=0.5, typical=0.05)
+    slip: float = parameter("", "part of the wheels' travel that is lost inside", low=-0.1, high=0.5, typical=0.05)
     x: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     y: float = parameter("m", "centre", low=-1e8, high=1e8, typical=1.0, amplitude=False)
     radius: float = parameter("m", "of the disc", low=0.05, high=1e3, typical=1.0, identity=1.0, amplitude=False)

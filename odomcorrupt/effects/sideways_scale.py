@@ -10,7 +10,7 @@ from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, Twist
 
 @dataclass(frozen=True, slots=True)
 class SidewaysScale(Effect):
-    """f = (0, e vy, 0): only the sideways part of the way is wrong."""
+    """f = (0, e vy, 0): only sideways travel is wrong."""
 
     name: ClassVar[str] = "sideways_scale"
     kind: ClassVar[Kind] = "effect"
@@ -24,7 +24,7 @@ class SidewaysScale(Effect):
         drive="sideways to and fro, at two headings, and straights as long",
     )
 
-    e: float = parameter("", "true over nominal sideways way, minus one", low=-0.5, high=0.5, typical=0.03)
+    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.5, high=0.5, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, proportional to the sideways speed."""

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _BOTH, _SINGLE = ((1.0, 1.0),), ((1.0, 0.0), (0.0, 1.0))
 """How much of a burst the right wheel has, and the left."""
 _MOST = 0.75
-"""A wheel that loses more than this of its way cannot be told from one that spins on the spot."""
+"""A wheel that loses more than this part of its travel is not distinguishable from one that spins on the spot."""
 
 
 class _Burst(NamedTuple):
@@ -71,7 +71,13 @@ class SlipBurst(Effect):
 
     rate: float = parameter("1/s", "how many begin per second", low=0.0, high=5.0, typical=0.05)
     slip: float = parameter(
-        "", "mean part of the wheel's way that is lost", low=0.0, high=_MOST, typical=0.4, identity=0.4, amplitude=False
+        "",
+        "mean part of the wheel's travel that is lost",
+        low=0.0,
+        high=_MOST,
+        typical=0.4,
+        identity=0.4,
+        amplitude=False,
     )
     duration: float = parameter(
         "s", "how long one lasts", low=0.01, high=10.0, typical=0.3, identity=0.3, amplitude=False
@@ -88,7 +94,7 @@ class SlipBurst(Effect):
         return min(self.slip, _MOST - self.slip)
 
     def _draw(self, rng: Generator, after_s: float) -> _Burst:
-        # three draws for each burst, whatever the parameters: neighbouring values of them then look alike
+        # three draws for each burst, whatever the parameters: neighbouring values of them give similar runs
         gap, place, side = float(rng.standard_exponential()), float(rng.uniform(-1.0, 1.0)), int(rng.integers(3))
         begin = after_s + gap / self.rate if self.rate > 0.0 else np.inf
         both = self.sides == "both"

@@ -30,7 +30,7 @@ class SlipEvent(Effect):
         drive="none: it happens once; odometry that runs ahead of the truth at one time shows it",
     )
 
-    slip: float = parameter("", "part of the wheels' way that is lost", low=0.0, high=0.8, typical=0.4)
+    slip: float = parameter("", "part of the wheels' travel that is lost", low=0.0, high=0.8, typical=0.4)
     time: float = time_parameter()
     duration: float = duration_parameter(2.0)
     heading: str = heading_choice()

@@ -34,7 +34,7 @@ _KEEPING = ("abs", "min", "max", "hypot")
 
 
 class _Unclear(Exception):  # noqa: N818 - it never leaves this file
-    """The unit cannot be told."""
+    """The unit cannot be derived."""
 
 
 def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:

@@ -75,7 +75,7 @@ class UserEffect(Effect):
         return TwistError(f, state)
 
     def _shown(self, motion: Motion) -> dict[str, Any]:
-        """Return the values of its variables, and those that its conditions look at."""
+        """Return the values of its variables, and those that its conditions use."""
         if self.expression.names.isdisjoint(ACCELERATIONS):
             return _values(motion)
         past = {f"{name}{PAST}": value for name, value in _values(motion.just_before).items()}

@@ -1,4 +1,4 @@
-"""Both wheels are larger or smaller than the driver believes."""
+"""Both wheels are larger or smaller than their nominal radius."""
 
 from __future__ import annotations
 

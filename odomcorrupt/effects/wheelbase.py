@@ -1,4 +1,4 @@
-"""The wheels stand wider or narrower than the driver believes."""
+"""The effective track is wider or narrower than the nominal one."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Wheelbase(Effect):
         typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_b",
         confused_with=("gyro_scale", "turn_asymmetry", "speed_scale"),
-        drive="turn on the spot both ways; which of the twins it is only the source of the heading tells",
+        drive="turn on the spot both ways; only the source of the heading separates the two",
     )
 
     e: float = parameter("", "true over nominal track, minus one", low=-0.9, high=2.0, typical=0.015)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: every turn is misjudged by the same factor."""
+        """Return f: every turn has the same scale error."""
         return TwistError(stacked(0.0, 0.0, -self.e / (1.0 + self.e) * motion.omega, motion.v), state)

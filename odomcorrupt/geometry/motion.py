@@ -47,7 +47,7 @@ _NUDGE = 0.5
 """How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
 
 _RUNAWAY = 1e6
-"""An increment that is changed by more than this many metres will not settle."""
+"""An increment that changes by more metres than this diverges."""
 
 
 def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:

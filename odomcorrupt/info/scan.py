@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
-from odomcorrupt.corruption.odometry_source import stamps_or_log_ns
+from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS, plain, stamps_or_log_ns
 from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
-from odomcorrupt.corruption.targets import ENCODINGS, ODOMETRY, TRANSFORMS, plain
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.info.checks import CovarianceWatch

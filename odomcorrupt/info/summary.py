@@ -6,10 +6,10 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.corruption.odometry_source import GLOBAL_FRAMES, Frames, plain, side_of
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.summary import SIDEWAYS
-from odomcorrupt.corruption.targets import GLOBAL_FRAMES, Frames, plain, side_of
-from odomcorrupt.corruption.unmodified_topics import truth_tellers
+from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
 from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
@@ -42,16 +42,16 @@ def summarise(
         If `odom_topic` is not an odometry topic of the bag.
 
     """
-    driver = _driver(scan, odom_topic)
-    frames = _frames(driver, odom_frame, base_frame)
+    source = _source(scan, odom_topic)
+    frames = _frames(source, odom_frame, base_frame)
     drives = scan.odometry
     if not drives and frames is not None:
         drives = _edge_that_drives(scan, frames, odom_topic)
-        driver = drives[0] if drives else None
-    moved = {o.topic for o in drives if frames is not None and (o is driver or plain(o.frame) == frames.odom)}
+        source = drives[0] if drives else None
+    moved = {o.topic for o in drives if frames is not None and (o is source or plain(o.frame) == frames.odom)}
     return {
         "schema": SCHEMA,
-        "odometry_source": None if driver is None else driver.topic,
+        "odometry_source": None if source is None else source.topic,
         "odom_frame": None if frames is None else frames.odom,
         "base_frame": None if frames is None else frames.base,
         "topics": [
@@ -60,8 +60,8 @@ def summarise(
         ],
         "odometry": [_odometry(o, scan, frames, moved=o.topic in moved) for o in drives],
         "edges": [_edge(e, frames) for e in scan.edges],
-        "still_true": [] if frames is None else truth_tellers(scan.channels, moved, scan.placed, frames.odom),
-        "remarks": _remarks(scan, driver, frames, asked_frame=odom_frame),
+        "still_true": [] if frames is None else topics_with_true_motion(scan.channels, moved, scan.placed, frames.odom),
+        "remarks": _remarks(scan, source, frames, asked_frame=odom_frame),
     }
 
 
@@ -107,7 +107,7 @@ def provenance_words(provenance: Mapping[str, str]) -> str:
     return ", ".join(["before", *parts, *model])
 
 
-def _driver(scan: BagScan, asked: str | None) -> OdometryRecord | None:
+def _source(scan: BagScan, asked: str | None) -> OdometryRecord | None:
     if asked is None:
         return scan.odometry[0] if len(scan.odometry) == 1 else None
     for record in scan.odometry:
@@ -119,11 +119,11 @@ def _driver(scan: BagScan, asked: str | None) -> OdometryRecord | None:
     raise TopicError(f"{asked}: is no nav_msgs/Odometry with messages ({topics} is); name another one")
 
 
-def _frames(driver: OdometryRecord | None, odom: str | None, base: str | None) -> Frames | None:
-    stated = "" if driver is None else plain(driver.frame)
+def _frames(source: OdometryRecord | None, odom: str | None, base: str | None) -> Frames | None:
+    stated = "" if source is None else plain(source.frame)
     if odom is None and (not stated or stated.rsplit("/", 1)[-1] in GLOBAL_FRAMES):
         return None
-    child = plain(base if base is not None else "" if driver is None else driver.child)
+    child = plain(base if base is not None else "" if source is None else source.child)
     return Frames(stated if odom is None else plain(odom), child or None)
 
 
@@ -170,10 +170,10 @@ def _edge(edge: EdgeRecord, frames: Frames | None) -> dict[str, Any]:
 
 
 def _remarks(
-    scan: BagScan, driver: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
+    scan: BagScan, source: OdometryRecord | None, frames: Frames | None, *, asked_frame: str | None
 ) -> list[str]:
     said = []
-    if not scan.odometry and driver is not None:
+    if not scan.odometry and source is not None:
         said.append("no nav_msgs/Odometry topic: TF drives the model")
     elif not scan.odometry and frames is not None:
         ends = f"{frames.odom} and {frames.base or 'a base'}"
@@ -181,10 +181,10 @@ def _remarks(
     elif not scan.odometry:
         way_out = "; TF alone can be corrupted with --odom-frame and --base-frame" if scan.edges else ""
         said.append(f"no nav_msgs/Odometry topic{way_out}")
-    elif driver is None:
+    elif source is None:
         said.append("several nav_msgs/Odometry topics: name the one that drives the model with --odom-topic")
     elif frames is None and asked_frame is None:
-        said.append(f"{driver.topic} is in frame {driver.frame!r}: name the frame that is to drift with --odom-frame")
+        said.append(f"{source.topic} is in frame {source.frame!r}: name the frame that is to drift with --odom-frame")
     odom, base = (None, None) if frames is None else (frames.odom, frames.base)
     said += frame_faults([(e.parent, e.child) for e in scan.edges], odom, base)
     if frames is not None:
@@ -215,7 +215,7 @@ def summary_text(values: dict[str, Any]) -> str:
     for t in values["topics"]:
         rate = "" if t["rate_hz"] is None else f"{t['rate_hz']:.3g}"
         fate = "moves" if by_topic.get(t["topic"], {}).get("moved") else ""
-        fate = "still tells the truth" if t["topic"] in values["still_true"] else fate
+        fate = "holds the true motion" if t["topic"] in values["still_true"] else fate
         rows.append((t["topic"], t["type"].replace("/msg/", "/"), str(t["messages"]), rate, fate))
     lines = _table(rows)
     shown = [e for e in values["edges"] if e["moved"] or "static" not in e["topic"]]
@@ -230,18 +230,18 @@ def summary_text(values: dict[str, Any]) -> str:
     for one in values.get("provenance", ()):
         lines += ["", f"Note: it was corrupted {provenance_words(one)}."]
     for o in values["odometry"]:
-        lines += ["", *_about(o, driver=o["topic"] == values["odometry_source"])]
+        lines += ["", *_about(o, source=o["topic"] == values["odometry_source"])]
     lines += ["", *(f"Note: {remark}." for remark in values["remarks"])] if values["remarks"] else []
     return "\n".join(lines)
 
 
-def _about(o: dict[str, Any], *, driver: bool) -> list[str]:
+def _about(o: dict[str, Any], *, source: bool) -> list[str]:
     rate = "" if o["rate_hz"] is None else f", {o['rate_hz']:.3g} Hz"
     ends = f"{o['frame'] or 'no frame'} -> {o['child'] or 'no child'}"
     turned = f"{math.degrees(o['turned_rad']):.0f} deg of turning"
     driven = f"{o['distance_m']:.4g} m ({o['reverse_m']:.2f} m of it backwards) and {turned}"
     lines = [
-        f"{o['topic']} ({ends}{rate})" + (": drives the model" if driver else ""),
+        f"{o['topic']} ({ends}{rate})" + (": drives the model" if source else ""),
         f"  {driven} in {o['duration_s']:.4g} s, {o['standing_s']:.1f} s of them standing",
     ]
     counts = [f"{o[key]} {words}" for key, words in _COUNTS.items() if o[key]]

@@ -1,7 +1,9 @@
-"""Noisy paths of a whole drive that never enter a wall: many runs at once, one increment after the other.
+"""Motion within a map, p(x_t | u_t, x_t-1, m), by rejection: of one motion, and of many runs of a drive at once.
 
-An increment that does not end in free space is drawn again; a run of which no try is free is replaced by a copy of
-another one, its past included, as a particle filter resamples (Probabilistic Robotics, section 4.3).
+The book (Probabilistic Robotics, section 5.5) multiplies the motion's density by whether the pose is free; repeating a
+draw until its pose is free samples exactly that. The number of tries is bounded, because from a dead end no motion is
+free. In many runs, a run of which no try is free is replaced by a copy of another one with its past, as a particle
+filter resamples (section 4.3).
 """
 
 from __future__ import annotations
@@ -11,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.geometry.se2 import compose, inverse
-from odomcorrupt.mapping.conditioned import MAX_TRIES
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
@@ -23,6 +25,7 @@ from odomcorrupt.mapping.constrained_increments import (
     without_effects,
 )
 from odomcorrupt.rng import stream
+from odomcorrupt.sampling.samples import move_sampled
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,8 +33,86 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import Check, FreeSpace
     from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.model.noise_laws import Variances
+    from odomcorrupt.sampling.samples import Move
 
-__all__ = ["FreePaths", "FreeRuns", "free_paths"]
+__all__ = ["MAX_TRIES", "FreePaths", "FreeRuns", "FreeSamples", "free_paths", "move_sampled_in_map"]
+
+MAX_TRIES = 100
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSamples:
+    """Samples that a map allows.
+
+    xyt : (n, 3) metres, radians
+    candidates : how many were drawn for them
+    lost : how many samples were given up: none of their tries was free
+    free_at_first : how many of the first tries were free
+    """
+
+    xyt: Array
+    candidates: int
+    lost: int
+    free_at_first: int
+    tries: int
+
+    def account(self) -> str:
+        """Return what it took, in one sentence."""
+        asked = len(self.xyt) + self.lost
+        said = (
+            f"map: {self.free_at_first} of {asked} first draws were free, {self.candidates} draws made "
+            f"{len(self.xyt)} free samples"
+        )
+        return said + (f"; {self.lost} were given up after {self.tries} tries each" if self.lost else "")
+
+
+def move_sampled_in_map(
+    move: Move,
+    variances: Variances,
+    count: int,
+    rng: np.random.Generator,
+    space: FreeSpace,
+    *,
+    check: Check = "endpoint",
+    tries: int = MAX_TRIES,
+) -> FreeSamples:
+    """Draw end poses of a motion that a map allows; see `samples.move_sampled`.
+
+    Raises
+    ------
+    MapError
+        Where the motion begins in a wall, or no candidate at all is free.
+
+    """
+    if tries < 1:
+        raise ModelError(f"tries: {tries}; there must be one or more")
+    start = move.start_xyt[None, :2]
+    if not space.free(start)[0]:
+        x, y = start[0]
+        raise MapError(
+            f"the motion begins at ({x:.3f} m, {y:.3f} m), which the map does not leave free for this robot; check "
+            "--map-pose and --robot-radius"
+        )
+    out = np.empty((count, 3))
+    pending: NDArray[np.intp] = np.arange(count)
+    candidates = free_at_first = 0
+    for attempt in range(tries):
+        drawn = move_sampled(move, variances, len(pending), rng)
+        candidates += len(drawn)
+        good = space.allows(np.broadcast_to(start, (len(drawn), 2)), drawn[:, :2], check)
+        out[pending[good]] = drawn[good]
+        pending = pending[~good]
+        free_at_first += int(np.count_nonzero(good)) if attempt == 0 else 0
+        if not len(pending):
+            break
+    if len(pending) == count:
+        raise MapError(
+            f"none of {candidates} candidates is free: the motion ends in a wall, and its noise does not lead out of it"
+        )
+    found = np.delete(out, pending, axis=0)
+    return FreeSamples(found, candidates, len(pending), free_at_first, tries)
+
 
 _AT_ONCE = 1024
 """Increments that are held in memory together."""

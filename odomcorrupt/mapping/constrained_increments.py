@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED
-from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
+from odomcorrupt.corruption.path import JUMP_MIN_S, JUMP_SPEED, StepGrowth, noise_variances
 from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.geometry.increments import Increments, increments
 

@@ -1,19 +1,26 @@
-"""The noisy path of one run that never enters a wall: what `--map` puts in the place of the noisy path.
+"""The noisy path of one run that never enters a wall: the noisy path of `--map`.
 
-Most increments are free at their first draw. So a piece of the path is drawn as ever and asked for its first pose that
-is not free; up to there it stands, that one increment is drawn again, and the next piece begins behind it. A run that
-meets no wall has the bits that it has without a map.
+Most increments are free at their first draw. A piece of the path is drawn as without a map up to its first pose that is
+not free; that one increment is drawn again, and the next piece begins behind it. A run that meets no wall has the bits
+that it has without a map.
+
+Drawn increment by increment, a path can end in a pocket of the map from which no increment leads. Then many variants
+of a run are drawn side by side as by a particle filter: those that are stuck are replaced by copies of others, and one
+that reached the end is taken with its whole past. Only the first states of blocks are kept in memory; a block is drawn
+twice, the second time from the end, to follow the ancestors of the path that was taken.
 """
 
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.path import Knots, NoisyPath
-from odomcorrupt.mapping.conditioned import MAX_TRIES
+from odomcorrupt.corruption.drift import DriftMeter
+from odomcorrupt.corruption.path import NoisyPath, PathSamples
+from odomcorrupt.mapping.conditioned_runs import MAX_TRIES, FreeRuns
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
@@ -31,10 +38,118 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.constrained_increments import Motions
     from odomcorrupt.mapping.free_space import Check, FreeSpace
-    from odomcorrupt.mapping.whole_path import Plan
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["FreePath"]
+__all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
+
+PARTICLES = 64
+_BLOCK = 1024
+_TOO_FAR = 6.0
+"""A drift at the end of more than so many of its standard deviations is the map's doing and not the noise's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Normals of a path that is free as a whole.
+
+    stamps_ns : (n,) of the poses that the increments end at
+    normals : (n, 4) of rot1, trans, across and rot2
+    particles, resampled : how many paths were drawn side by side, and how often one was replaced
+    """
+
+    stamps_ns: NDArray[np.int64]
+    normals: Array
+    particles: int
+    resampled: int
+
+    def at(self, stamps_ns: NDArray[np.int64], otherwise: Array) -> Array:
+        """Return the normals (m, 4) of increments that end at stamps (m,); for unknown stamps those given instead."""
+        place = np.minimum(np.searchsorted(self.stamps_ns, stamps_ns), len(self.stamps_ns) - 1)
+        known = self.stamps_ns[place] == stamps_ns
+        return np.where(known[:, None], self.normals[place], otherwise)
+
+
+def plan_path(
+    stamps_ns: NDArray[np.int64],
+    clean_xyt: Array,
+    model: MotionModel,
+    space: FreeSpace,
+    *,
+    seed: int,
+    run: int = 0,
+    check: Check = "endpoint",
+    tries: int = MAX_TRIES,
+) -> Plan:
+    """Return the normals of a path that is free as a whole.
+
+    Parameters
+    ----------
+    stamps_ns, clean_xyt : (n,) and (n, 3)
+        The odometry, nanoseconds, metres and radians.
+
+    Raises
+    ------
+    MapError
+        Where the drive's first pose is not free, or all paths are stuck at one place.
+
+    """
+    runs = FreeRuns(model, space, seed=seed, runs=range(run, run + 1), check=check, tries=tries, particles=PARTICLES)
+    beginnings = []
+    for begin in range(0, len(stamps_ns), _BLOCK):
+        beginnings.append(copy.deepcopy(runs))
+        runs.feed(stamps_ns[begin : begin + _BLOCK], clean_xyt[begin : begin + _BLOCK])
+    taken = int(stream(seed, run, "map path").integers(PARTICLES))
+    normals = np.empty((len(stamps_ns), 4))
+    for number in range(len(beginnings) - 1, -1, -1):
+        part = slice(number * _BLOCK, (number + 1) * _BLOCK)
+        normals[part], taken = beginnings[number].feed(stamps_ns[part], clean_xyt[part]).lineage(taken)
+    return Plan(stamps_ns, normals, PARTICLES, runs.resampled)
+
+
+def whole_path(
+    stamps_ns: NDArray[np.int64],
+    clean_xyt: Array,
+    model: MotionModel,
+    space: FreeSpace,
+    *,
+    seed: int,
+    run: int = 0,
+    check: Check = "endpoint",
+    tries: int = MAX_TRIES,
+) -> FreePath:
+    """Return where one run of a known drive goes within free space; increment by increment where that reaches the end.
+
+    See `plan_path` for parameters.
+
+    Raises
+    ------
+    MapError
+        Where the map and the drive do not fit: no path is free, or the only free ones are far from what noise does.
+
+    """
+    try:
+        samples = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)
+        _refuse_held_back(samples)
+    except NoFreePoseError:
+        plan = plan_path(stamps_ns, clean_xyt, model, space, seed=seed, run=run, check=check, tries=tries)
+        trial = FreePath(model, space, seed=seed, run=run, check=check, tries=tries, plan=plan)
+        _refuse_held_back(trial.feed(stamps_ns, clean_xyt))
+        return FreePath(model, space, seed=seed, run=run, check=check, tries=tries, plan=plan)
+    return FreePath(model, space, seed=seed, run=run, check=check, tries=tries)
+
+
+def _refuse_held_back(samples: PathSamples) -> None:
+    """Raise NoFreePoseError where a path ends further from the odometry than its noise leads."""
+    meter = DriftMeter()
+    meter.add(samples)
+    drift = meter.result()
+    if drift is not None and drift.end_drawn_m > _TOO_FAR * drift.end_expected_m > 0.0:
+        raise NoFreePoseError(
+            f"the map and the drive do not fit: within the map the odometry ends {drift.end_drawn_m:.3g} m from where "
+            f"it was recorded, and noise of this model makes about {drift.end_expected_m:.2g} m; check --map-pose, "
+            "--robot-radius and --unknown, or leave out --map"
+        )
+
 
 _SHORT, _LONG = 4, 1024
 """Increments drawn ahead: few after a wall was met, more while none is."""
@@ -86,7 +201,7 @@ class FreePath:
             said += f". The odometry itself is where the map is not free at {self.astray} poses; is --map-pose right?"
         return said if self.astray else f"{said}."
 
-    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> Knots:
+    def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return the path at the next n poses; see `NoisyPath.feed`.
 
         Raises
@@ -118,14 +233,14 @@ class FreePath:
             done += len(part)
         return _joined(parts)
 
-    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> Knots:
+    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
         """Draw increments ahead, and go on those that come before the first one that is not free."""
         count = len(stamps_ns)
         clean_xyt = motions.clean_xyt[at + 1 : at + 1 + count]
         trial = copy.copy(self._path)
         self._replay.rows = normals
-        knots = trial.feed(stamps_ns, clean_xyt)
-        noisy_xy = clean_xyt[:, :2] + knots.error_xyt[:, :2]
+        samples = trial.feed(stamps_ns, clean_xyt)
+        noisy_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
         from_xy = np.concatenate((self._pose[None, :2], noisy_xy[:-1]))
         good = self._space.allows(from_xy, noisy_xy, self._check)
         good |= (motions.jump | motions.rest)[at : at + count]
@@ -134,13 +249,13 @@ class FreePath:
         if good.all():
             self._path = trial
             self._ahead = min(2 * self._ahead, _LONG)
-            return knots
+            return samples
         free = int(np.argmin(good))
         self._ahead = _SHORT
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> Knots:
+    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
         """Go on one increment whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]
@@ -151,12 +266,12 @@ class FreePath:
             for number in np.flatnonzero(self._space.allows(from_xy, candidates[:, :2], self._check)):
                 trial = copy.copy(self._path)
                 self._replay.rows = again[number : number + 1]
-                knots = trial.feed(stamp_ns, clean_xyt)
+                samples = trial.feed(stamp_ns, clean_xyt)
                 # on the edge of a cell the last bit decides, and the path's own counts
-                there_xy = clean_xyt[:, :2] + knots.error_xyt[:, :2]
+                there_xy = clean_xyt[:, :2] + samples.error_xyt[:, :2]
                 if self._space.allows(from_xy[:1], there_xy, self._check)[0]:
                     self._path = trial
-                    return knots
+                    return samples
         x, y = self._pose[:2]
         raise NoFreePoseError(
             f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
@@ -176,10 +291,10 @@ class _Replay:
         return self.rows.reshape(size)
 
 
-def _joined(parts: list[Knots]) -> Knots:
+def _joined(parts: list[PathSamples]) -> PathSamples:
     if len(parts) == 1:
         return parts[0]
-    return Knots(
+    return PathSamples(
         np.concatenate([part.stamps_ns for part in parts]),
         np.concatenate([part.clean_xyt for part in parts]),
         np.concatenate([part.error_xyt for part in parts]),

@@ -9,14 +9,14 @@ import numpy as np
 
 from odomcorrupt.errors import MapError
 from odomcorrupt.geometry.se2 import rotate
-from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN
+from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN
 from odomcorrupt.mapping.raycast import traverse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.mapping.grid import Grid
+    from odomcorrupt.mapping.mapfile import Grid
 
 __all__ = ["CHECKS", "Check", "FreeSpace", "Unknown", "free_space"]
 

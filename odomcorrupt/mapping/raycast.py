@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN, Grid
+from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, Grid
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""How the errors of a fit's parameters hang together: what one recording cannot tell apart is wrong in company.
+"""Correlation of a fit's parameters: those that one recording cannot separate have correlated errors.
 
 A wheel scale and a wheelbase that were fitted to one drive are uncertain along one line, not in a whole box; robots
 that are drawn from their standard errors alone would be worse copies than the data allow.
@@ -87,7 +87,7 @@ class Correlation:
         return cls(tuple(names), tuple(map(tuple, matrix.tolist())))
 
     def among(self, names: Iterable[str]) -> Correlation:
-        """Return the part that tells of these names, in their order; names it does not know are left out."""
+        """Return the submatrix of these names, in their order; unknown names are left out."""
         where = {name: i for i, name in enumerate(self.names)}
         own = [name for name in names if name in where]
         return Correlation(

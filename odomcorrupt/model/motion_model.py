@@ -85,7 +85,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class TruthNoise:
-    """How noisy the truth is: white per sample (m, rad), and wandering (m per sqrt(s))."""
+    """Noise of the truth: white per sample (m, rad), and random walk (m per sqrt(s))."""
 
     xy_m: float = 0.003
     yaw_rad: float = 0.003

@@ -247,7 +247,7 @@ def law_named(name: str) -> Law:
 def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
     """Return the variances of noise on n increments, the law applied to each increment as one step.
 
-    `diffusion` looks at |dtheta| and the length of the travel only, never at its bearing: a parked robot with
+    `diffusion` uses only |dtheta| and the length of the travel, not its bearing: a parked robot with
     10 um of jitter does not spin. The laws of turn, drive, turn split it at the bearing, see `rot_trans_rot`.
     White noise on twists, which goes with time, is not counted here.
     """
@@ -255,7 +255,7 @@ def variances(law: Law, k: Coefficients, steps: Increments) -> Variances:
 
 
 def magnitudes(law: Law, steps: Increments) -> tuple[Array, Array, Array]:
-    """Return what a law looks at: how much each step turns, travels and turns again (n,), none negative."""
+    """Return the arguments of a law: rot1, trans and rot2 of each step (n,), none negative."""
     if not law.split:
         half = np.abs(steps.dtheta_rad) / 2.0
         travel = np.hypot(steps.ds_m, steps.dl_m)

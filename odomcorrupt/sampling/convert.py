@@ -76,7 +76,7 @@ def convert(noise: Noise, law: Law, step: Step | None) -> Noise:
         value = getattr(wanted, field.name)
         if not value:
             continue
-        # variances are homogeneous in the coefficients: what one makes tells what any makes
+        # variances are homogeneous in the coefficients, so one evaluation scales to all
         unit = _drift(law, dataclasses.replace(nothing, **{field.name: 1.0}), step or ANY_STEP)
         if not getattr(unit, field.name):
             raise ModelError(f"law {law.name}: has no {field.name}; the drift of {value:g} from it cannot be converted")

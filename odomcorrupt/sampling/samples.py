@@ -1,28 +1,36 @@
-"""One motion drawn many times: its variances under a noise law, samples of the end pose, their moments."""
+"""Samples of the motion model for one motion (sample_motion_model), their moments, and a book's examples."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.corruption.step_law import StepGrowth, noise_variances
+from odomcorrupt.corruption.path import StepGrowth, noise_variances
 from odomcorrupt.errors import ModelError
 from odomcorrupt.geometry.increments import BEARING_MIN_M, increments, rot_trans_rot
 from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.model.motion_model import Noise
+from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from odomcorrupt.geometry.increments import Increments, RotTransRot
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.model.motion_model import Noise
     from odomcorrupt.model.noise_laws import Variances
 
 __all__ = [
+    "DEFAULT_EXAMPLE",
+    "EXAMPLES",
     "Ellipse",
+    "Example",
     "Moments",
     "Move",
     "ellipse",
+    "example_named",
     "linearised_moments",
     "move_between",
     "move_sampled",
@@ -166,7 +174,7 @@ def sample_moments(xyt: Array) -> Moments:
 
 
 def linearised_moments(move: Move, variances: Variances) -> Moments:
-    """Return what a Kalman filter believes: the odometry's end, and its covariance to first order in the noise."""
+    """Return a Kalman filter's prediction: the odometry's end, and its covariance to first order in the noise."""
     along, shift = move.along_xy, move.shift_xy
     shorter = float(move.chord_per_arc(np.array([move.turn_rad]))[0])
     # a chord shrinks as its arc turns more
@@ -190,3 +198,49 @@ def ellipse(moments: Moments, sigmas: float) -> Ellipse:
     minor, major = np.sqrt(np.maximum(values, 0.0)) * sigmas
     angle = np.arctan2(vectors[1, 1], vectors[0, 1])
     return Ellipse(moments.mean_xyt[:2], float(major), float(minor), float(angle))
+
+
+DEFAULT_EXAMPLE = "article"
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """A motion with its noise: poses in metres and radians, how many samples, and whose numbers these are."""
+
+    name: str
+    noise: Noise
+    start_xyt: Pose
+    end_xyt: Pose
+    count: int
+    source: str
+
+
+_TURN = (0.0, 0.0, 0.0), (1.0, 0.35, math.radians(40.0))
+_OURS = "the lecture's three pictures; motion and values are ours"
+
+EXAMPLES: Mapping[str, Example] = {
+    example.name: example
+    for example in (
+        Example(
+            DEFAULT_EXAMPLE,
+            Noise("linear", Coefficients(0.05, math.radians(15.0), 0.05, 0.01)),
+            (0.0, 0.0, math.radians(30.0)),
+            (0.2, 0.35, math.radians(10.0)),
+            1000,
+            "Adding noise to odometry data published by the Gazebo simulator (2018), its worked example",
+        ),
+        Example("balanced", Noise("quadratic", Coefficients(0.02, 0.015, 0.006, 0.006)), *_TURN, 500, _OURS),
+        Example("translation-heavy", Noise("quadratic", Coefficients(0.002, 0.001, 0.04, 0.01)), *_TURN, 500, _OURS),
+        Example("rotation-heavy", Noise("quadratic", Coefficients(0.2, 0.15, 0.0005, 0.0005)), *_TURN, 500, _OURS),
+    )
+}
+
+
+def example_named(name: str) -> Example:
+    """Return the example of that name; ModelError names the ones there are."""
+    try:
+        return EXAMPLES[name]
+    except KeyError:
+        raise ModelError(f"no example is called {name!r}; there are {', '.join(EXAMPLES)}") from None

@@ -30,12 +30,12 @@ def draw_parameters(cause: str, size: float, rng: np.random.Generator) -> Drawn:
     size : float
         Factor on the magnitude; 1 is realistic.
     """
-    flaw = EVERY[cause]
-    magnitude = size * float(np.exp(rng.uniform(np.log(flaw.low), np.log(flaw.high))))
-    return _plain(flaw.draw(magnitude, rng))
+    fault = EVERY[cause]
+    magnitude = size * float(np.exp(rng.uniform(np.log(fault.low), np.log(fault.high))))
+    return _plain(fault.draw(magnitude, rng))
 
 
-def draw_flaw(
+def draw_fault(
     cause: str, size: float, robot_seed: int, path: np.ndarray | None, given: Parameters | None = None
 ) -> Drawn:
     """Return all parameters of a fault, with those not given drawn at random.
@@ -50,10 +50,10 @@ def draw_flaw(
     EffectError
         If a given parameter is none of the cause's, or of the wrong kind or sign.
     """
-    flaw = EVERY[cause]
+    fault = EVERY[cause]
     drawn = draw_parameters(cause, size, stream(robot_seed, f"cause {cause}"))
-    if flaw.place is not None and path is not None:
-        drawn |= _plain(flaw.place(path, stream(robot_seed, f"place {cause}")))
+    if fault.place is not None and path is not None:
+        drawn |= _plain(fault.place(path, stream(robot_seed, f"place {cause}")))
     for name, value in (given or {}).items():
         if name not in drawn:
             raise EffectError(f"{cause}: has no parameter {name}; it has {', '.join(drawn)}")
@@ -63,15 +63,15 @@ def draw_flaw(
             raise EffectError(f"{cause}: {name} {value} is no number")
     drawn |= given or {}
     first = next(iter(drawn.values()))
-    if flaw.one_signed and not isinstance(first, str) and first < 0:
+    if fault.one_signed and not isinstance(first, str) and first < 0:
         raise EffectError(f"{cause}: {next(iter(drawn))} {first}; this has no negative")
     return drawn
 
 
-def spoil(robot: Robot, flaws: Mapping[str, Parameters]) -> Robot:
+def with_faults(robot: Robot, faults: Mapping[str, Parameters]) -> Robot:
     """Return the robot with these faults."""
-    for cause, parameters in flaws.items():
-        robot = EVERY[cause].spoil(robot, parameters)
+    for cause, parameters in faults.items():
+        robot = EVERY[cause].apply(robot, parameters)
     return robot
 
 
@@ -132,11 +132,11 @@ def draw_causes(seed: int, yaw_from: str | None = None) -> Hidden:
     kind = rng.choice(list(_LOT), p=list(_LOT.values()))
     fair = str(rng.choice(("encoders", "gyro")))
     source = yaw_from or fair
-    known = [name for name, flaw in CAUSES.items() if source in flaw.shows_with]
+    known = [name for name, fault in CAUSES.items() if source in fault.shows_with]
     if kind == "none":
         return Hidden((), source)
     if kind == "outside":
-        foreign = [name for name, flaw in OUTSIDE.items() if source in flaw.shows_with]
+        foreign = [name for name, fault in OUTSIDE.items() if source in fault.shows_with]
         return Hidden((str(rng.choice(foreign)),), source)
     while True:
         causes = tuple(str(name) for name in rng.choice(known, size=1 + (kind == "two"), replace=False))

@@ -25,7 +25,7 @@ class Cause:
         Range of the magnitude at medium size.
     draw : callable
         Magnitude and generator in, parameters out.
-    spoil : callable
+    apply : callable
         Robot and parameters in, faulty robot out.
     yaw_from : {"encoders", "gyro"}
         Default source of turns of the odometry.
@@ -42,7 +42,7 @@ class Cause:
     low: float
     high: float
     draw: Callable[[float, np.random.Generator], Drawn]
-    spoil: Callable[[Robot, Mapping[str, Any]], Robot]
+    apply: Callable[[Robot, Mapping[str, Any]], Robot]
     yaw_from: str = "encoders"
     shows_with: tuple[str, ...] = ("encoders", "gyro")
     place: Callable[[np.ndarray, np.random.Generator], Drawn] | None = None
@@ -162,10 +162,10 @@ def _wobble(robot: Robot, p: Mapping[str, Any]) -> Robot:
 def _adds(parameter: str, name: str) -> Callable[[Robot, Mapping[str, Any]], Robot]:
     """Return a function that adds a fault's parameter to one field of the machine."""
 
-    def spoil(robot: Robot, p: Mapping[str, Any]) -> Robot:
+    def apply(robot: Robot, p: Mapping[str, Any]) -> Robot:
         return replace(robot, **{name: getattr(robot, name) + p[parameter]})
 
-    return spoil
+    return apply
 
 
 CAUSES: dict[str, Cause] = {

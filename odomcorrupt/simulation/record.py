@@ -47,17 +47,17 @@ class SimulatedRun:
     track_m: float
 
 
-def record(odom: Odometry, track: Track, flaws: Mapping[str, Parameters], track_m: float) -> SimulatedRun:
+def record(odom: Odometry, track: Track, faults: Mapping[str, Parameters], track_m: float) -> SimulatedRun:
     """Return the recording of odometry and tracker, with its faults.
 
     Parameters
     ----------
-    flaws : mapping
+    faults : mapping
         Parameters of each fault by its name.
     track_m : float
         Nominal track, m.
     """
-    causes = {name: dict(parameters) for name, parameters in flaws.items()}
+    causes = {name: dict(parameters) for name, parameters in faults.items()}
     single = next(iter(causes.values())) if len(causes) == 1 else {}
     return SimulatedRun(
         odom_stamps_ns=_to_ns(odom.stamps_s),

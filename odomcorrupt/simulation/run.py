@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from odomcorrupt.simulation.commands import Commands, obey
 from odomcorrupt.simulation.drivetrain import wheel_angles
 from odomcorrupt.simulation.encoders import Rig, reckon
-from odomcorrupt.simulation.fault_draws import draw_flaw, is_placed, names_of, source_of_turns, spoil
+from odomcorrupt.simulation.fault_draws import draw_fault, is_placed, names_of, source_of_turns, with_faults
 from odomcorrupt.simulation.kinematics import drive
 from odomcorrupt.simulation.planar import add_up_steps
 from odomcorrupt.simulation.record import SimulatedRun, record
 from odomcorrupt.simulation.robot import build_robot
-from odomcorrupt.simulation.routes import ROUTES, Segment, follow
+from odomcorrupt.simulation.routes import ROUTES, Commands, Segment, follow, obey
 from odomcorrupt.simulation.streams import Streams, stream
 from odomcorrupt.simulation.tracker import TRACKERS, Tracker, dock, watch
 
@@ -100,8 +99,8 @@ def simulate(
     given: Mapping[str, Any] = {cause: what.parameters} if isinstance(cause, str) else (what.parameters or {})
     daily = what.home or ("office" if isinstance(what.route, Commands) else what.route)
     path = _plan(daily, robot_seed, start_xyt) if placed else None
-    flaws = {name: draw_flaw(name, what.size, robot_seed, path, given.get(name)) for name in causes}
-    robot = spoil(build_robot(stream(robot_seed, "robot"), what.drive_type), flaws)
+    faults = {name: draw_fault(name, what.size, robot_seed, path, given.get(name)) for name in causes}
+    robot = with_faults(build_robot(stream(robot_seed, "robot"), what.drive_type), faults)
 
     streams = Streams(seed)
     speeds = _speeds(what.route, what.duration_s, seed, grid_s)
@@ -109,7 +108,7 @@ def simulate(
     driven = drive(grid_s, angle_rad, robot, what.rig.creep, streams, start_xyt)
     odom = reckon(driven, robot, what.rig, yaw_from, streams)
     track = watch(driven, robot, tracker, streams)
-    return record(odom, track, flaws, robot.nominal_track_m)
+    return record(odom, track, faults, robot.nominal_track_m)
 
 
 def simulate_without(seed: int, cause: str | Sequence[str] | None, **options: Any) -> SimulatedRun:

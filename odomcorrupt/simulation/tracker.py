@@ -22,7 +22,7 @@ class Tracker:
     dropouts_per_min: float = 1.0
     dropout_mean_s: float = 0.2
     wander_m: float = 0.0
-    """Deviation of what wanders slowly beside the white noise (satellites, atmosphere, reflections)."""
+    """Standard deviation of slowly varying errors beside the white noise (satellites, atmosphere, reflections)."""
     wander_tau_s: float = 60.0
     clock_offset_s: float = 0.0
     """Tracker's clock minus true time at the start."""

@@ -1,18 +1,73 @@
-"""Wheel odometry integrated from velocities, clean and with white noise on them."""
+"""Trajectories integrated from velocities, written to a bag or a file, and their errors against the recorded one."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate, scatter
+from odomcorrupt.bags.open import open_reader, open_writer
+from odomcorrupt.corruption.odometry_source import ODOMETRY, TRANSFORMS, Frames, plain, side_of
+from odomcorrupt.corruption.se2_on_se3 import SpatialPoses, from_left, from_right
 from odomcorrupt.errors import ModelError
+from odomcorrupt.geometry.se2 import compose, interpolate, inverse, wrap
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from odomcorrupt.geometry.se2 import Array
+    from pathlib import Path
 
-__all__ = ["RULES", "Hold", "Rule", "integrate", "noisy_twists"]
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.block import Block
+    from odomcorrupt.bags.messages import Item, Layout
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.recording import Trajectory
+    from odomcorrupt.trajectories.reader import Drive
+
+__all__ = ["RULES", "Hold", "PathError", "Rewritten", "Rule", "integrate", "noisy_twists", "path_error", "rewrite_path"]
+
+
+@dataclass(frozen=True, slots=True)
+class PathError:
+    """A path and the truth at n common stamps, aligned at the first of them.
+
+    t_s : (n,) seconds since the path's first stamp
+    path_xyt, truth_xyt : (n, 3) in the truth's frame
+    """
+
+    t_s: Array
+    path_xyt: Array
+    truth_xyt: Array
+
+    @property
+    def position_m(self) -> Array:
+        """Position error (n,), metres."""
+        out: Array = np.hypot(*(self.path_xyt - self.truth_xyt)[:, :2].T)
+        return out
+
+    @property
+    def heading_rad(self) -> Array:
+        """Heading error (n,), path minus truth, radians."""
+        return wrap(self.path_xyt[:, 2] - self.truth_xyt[:, 2])
+
+
+def path_error(stamps_ns: NDArray[np.int64], xyt: Array, truth: Trajectory) -> PathError | None:
+    """Return a path (n, 3) and the truth at common stamps; None where they do not overlap in time.
+
+    The truth is interpolated at the path's stamps. Only the first common pose is aligned: an alignment over the whole
+    path would hide part of the error.
+    """
+    shared = (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
+    if np.count_nonzero(shared) < 2:
+        return None
+    origin = int(stamps_ns[0])
+    t_s = (stamps_ns[shared] - origin) * np.float64(1e-9)
+    true = truth.at(t_s, origin)
+    own = xyt[shared]
+    return PathError(t_s, compose(compose(true[0], inverse(own[0])), own), true)
+
 
 Rule = Literal["euler", "midpoint", "exact"]
 Hold = Literal["next", "previous"]
@@ -72,3 +127,59 @@ def noisy_twists(twist: Array, sd_v: float, sd_omega: float, *, seed: int, runs:
         row[:, 0] += sd_v * draws[:, 0]
         row[:, 2] += sd_omega * draws[:, 1]
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class Rewritten:
+    """Numbers of moved odometry messages and transforms."""
+
+    messages: int
+    transforms: int
+
+
+def rewrite_path(
+    source: Path, target: Path, drive: Drive, xyt: Array, provenance: dict[str, str], *, overwrite: bool = False
+) -> Rewritten:
+    """Copy a bag with odometry poses replaced by xyt (n, 3), m and rad; return the numbers of moved messages.
+
+    TF edges of the odom frame are moved accordingly, at their own stamps. z, roll and pitch, and all other bytes, are
+    kept.
+    """
+    correction = compose(xyt, inverse(drive.xyt))
+    frames = Frames(plain(drive.frame_id), plain(drive.child_frame_id) or None)
+    messages = transforms = 0
+    with open_reader(source) as reader, open_writer(target, reader, overwrite=overwrite) as writer:
+        odometry = {c.id for c in reader.channels.values() if c.msgtype == ODOMETRY and c.topic == drive.topic}
+        channels = [c for c in reader.channels.values() if c.id in odometry or c.msgtype in TRANSFORMS]
+        for block in reader.blocks():
+            for channel in channels:
+                for layout in locate(block, channel):
+                    for item in layout.items:
+                        own = channel.id in odometry
+                        side = "left" if own else side_of(item.frame_id, item.child_frame_id, frames)
+                        if side is None:
+                            continue
+                        at = _at(block, layout, item, drive, correction)
+                        _move(block, layout, item, at, right=side == "right")
+                        messages += len(layout.rows) * own
+                        transforms += len(layout.rows) * (not own)
+            writer.write(block)
+        writer.provenance("odomcorrupt", provenance)
+    return Rewritten(messages, transforms)
+
+
+def _at(block: Block, layout: Layout, item: Item, drive: Drive, correction_xyt: Array) -> Array:
+    """Return the correction (m, 3) at the messages' stamps, constant before and after the drive."""
+    stamps = gather_stamps_ns(block, layout, item)
+    stamps = np.where(stamps == 0, block.table["log_ns"][layout.rows], stamps)
+    inside = np.clip(stamps, drive.stamps_ns[0], drive.stamps_ns[-1])
+    left = np.minimum(np.searchsorted(drive.stamps_ns, inside, side="right") - 1, len(drive) - 2)
+    span = drive.stamps_ns[left + 1] - drive.stamps_ns[left]
+    return interpolate(correction_xyt[left], correction_xyt[left + 1], (inside - drive.stamps_ns[left]) / span)
+
+
+def _move(block: Block, layout: Layout, item: Item, correction_xyt: Array, *, right: bool) -> None:
+    poses = SpatialPoses(gather(block, layout, item, "position"), gather(block, layout, item, "orientation"))
+    moved = (from_right if right else from_left)(correction_xyt, poses)
+    scatter(block, layout, item, "position", moved.position)
+    scatter(block, layout, item, "orientation", moved.quat_xyzw)

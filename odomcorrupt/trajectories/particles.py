@@ -59,8 +59,8 @@ def sample_particles(drive: Drive, model: MotionModel, *, seed: int, runs: int, 
     places = places_along(drive, every_m)
     xyt = np.empty((runs, len(places), 3))
     for run in range(runs):
-        knots = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
-        xyt[run] = drive.xyt[places] + knots.error_xyt[places]
+        samples = NoisyPath(model, seed, run).feed(drive.stamps_ns, drive.xyt)
+        xyt[run] = drive.xyt[places] + samples.error_xyt[places]
     return particles_at(drive, places, xyt, seed)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.corruption.targets import ODOMETRY, find_driver, plain
+from odomcorrupt.corruption.odometry_source import ODOMETRY, find_odometry, plain
 from odomcorrupt.errors import RecordingError, TopicError
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.study.io.recording import Trajectory
@@ -81,7 +81,7 @@ def read_drive(path: Path, topic: str | None) -> Drive:
 
     """
     with open_reader(path) as reader:
-        name = find_driver(reader.channels.values(), topic, reader.name)
+        name = find_odometry(reader.channels.values(), topic, reader.name)
         rows = _Rows([c for c in reader.channels.values() if c.topic == name and c.msgtype == ODOMETRY])
         for block in reader.blocks():
             rows.take(block)

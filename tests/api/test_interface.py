@@ -118,11 +118,11 @@ def test_corrupting_again_is_said(tmp_path, capsys):
     assert [one["seed"] for one in json.loads(capsys.readouterr().out)["provenance"]] == ["7", "8"]
 
 
-@pytest.mark.parametrize("module", ["api.model", "api.motion", "api.corruption", "api.simulation"])
+@pytest.mark.parametrize("module", ["batch", "correction", "corruption", "model", "motion", "simulation"])
 def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)
-    failed, tried = doctest.testmod(importlib.import_module(f"odomcorrupt.{module}"), optionflags=doctest.ELLIPSIS)
+    failed, tried = doctest.testmod(importlib.import_module(f"odomcorrupt.api.{module}"), optionflags=doctest.ELLIPSIS)
     assert (failed, tried > 0) == (0, True)
 
 
@@ -130,5 +130,5 @@ def test_the_examples_of_docstrings_run(module, tmp_path, monkeypatch):
 def test_the_examples_of_the_study_run(tmp_path, monkeypatch):
     (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
     monkeypatch.chdir(tmp_path)
-    for module in ("api.recordings", "api.study"):
-        assert doctest.testmod(importlib.import_module(f"odomcorrupt.{module}")).failed == 0
+    for module in ("comparison", "diagnosis", "fit", "learning", "recordings"):
+        assert doctest.testmod(importlib.import_module(f"odomcorrupt.api.{module}")).failed == 0

@@ -9,7 +9,7 @@ from oracles import OFFICE_BAG, OFFICE_MCAP
 from odomcorrupt.bags.mcap.channel_table import Directory
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.output import Output
-from odomcorrupt.bags.ros1.connections import Connections
+from odomcorrupt.bags.ros1.writer import Connections
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 

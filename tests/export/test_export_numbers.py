@@ -164,8 +164,8 @@ def test_twist_variances_are_those_of_the_models_velocities(name):
     n = len(t_s) - 1
     rows = (np.full(n, DRIVE.speed), np.zeros(n), np.full(n, DRIVE.yaw_rate))
     clean = accumulate(np.zeros(3), Increments(*(row / DRIVE.rate_hz for row in rows)))
-    knots = NoisyPath(MotionModel(noise), 7).feed((t_s * 1e9).astype(np.int64), clean)
-    noisy = increments(clean + knots.error_xyt)
+    samples = NoisyPath(MotionModel(noise), 7).feed((t_s * 1e9).astype(np.int64), clean)
+    noisy = increments(clean + samples.error_xyt)
     drawn = [np.var(part * DRIVE.rate_hz) for part in (noisy.ds_m, noisy.dl_m, noisy.dtheta_rad)]
     assert (found.forward, found.leftward, found.yaw) == pytest.approx(drawn, rel=0.08)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-sys.path.append(str(Path(__file__).parents[1] / "corrupt"))
+sys.path.append(str(Path(__file__).parents[1] / "corruption"))
 
 from bagged import ODOM, MemoryBag, blocks_of, odometry, quaternion, read, robot, twists
 
@@ -63,11 +63,11 @@ def test_a_day_of_driving_adds_up_to_the_last_digits():
     path = NoisyPath(MotionModel(still, (effect_from_values("wheel_scale", {"e": 0.01}),)), 7)
     xyt = np.column_stack((np.arange(n) * step_m, np.zeros(n), np.zeros(n)))
     for begin in range(0, n, 65_536):
-        knots = path.feed(stamps[begin : begin + 65_536], xyt[begin : begin + 65_536])
+        samples = path.feed(stamps[begin : begin + 65_536], xyt[begin : begin + 65_536])
     driven = xyt[-1, 0]
     # the truth is 1 % more than what the wheels tell, so the wheels tell this
-    np.testing.assert_allclose(knots.error_xyt[-1, 0], driven / 1.01 - driven, rtol=1e-11)
-    np.testing.assert_allclose(knots.travelled_m[-1], driven, rtol=1e-11)
+    np.testing.assert_allclose(samples.error_xyt[-1, 0], driven / 1.01 - driven, rtol=1e-11)
+    np.testing.assert_allclose(samples.travelled_m[-1], driven, rtol=1e-11)
 
 
 def test_a_thousand_times_a_second_twists_are_the_steps_of_the_poses():

@@ -141,7 +141,7 @@ def corrupt(path: Path, target: Path, recover: bool) -> list[str]:  # noqa: FBT0
     """Corrupt a bag as the command does; return the losses."""
     transform = Transform(MODEL, 7, 0, Options(odom_topic="/odom"))
     with open_reader(path, recover=recover) as reader:
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         with open_writer(target, reader) as writer:
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)
@@ -155,7 +155,7 @@ def corrupt_pipe(data: bytes) -> tuple[int, str]:
     source.seekable = lambda: False  # type: ignore[method-assign]
     transform = Transform(MODEL, 7, 0, Options(odom_topic="/odom"))
     with open_reader(None, source) as reader:
-        transform.driver.prepare(reader, reader.name)
+        transform.odometry.prepare(reader, reader.name)
         with open_writer(None, reader, stream=out) as writer:
             for block in transform.blocks(reader, reader.name, writer):
                 writer.write(block)

@@ -8,9 +8,8 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import MapError, ModelError
 from odomcorrupt.mapping.conditioned_runs import FreeRuns
-from odomcorrupt.mapping.constrained_path import FreePath
+from odomcorrupt.mapping.constrained_path import FreePath, whole_path
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.whole_path import whole_path
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import Coefficients
 

@@ -4,10 +4,9 @@ from rooms import MODEL, RESOLUTION, drive, room
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import MapError
-from odomcorrupt.mapping.conditioned import move_sampled_in_map
-from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths
+from odomcorrupt.mapping.conditioned_runs import FreeRuns, free_paths, move_sampled_in_map
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.grid import OCCUPIED, UNKNOWN, Grid
+from odomcorrupt.mapping.mapfile import OCCUPIED, UNKNOWN, Grid
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.samples import move_between, move_sampled

@@ -7,8 +7,7 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.mapping.frames import mount_at
-from odomcorrupt.mapping.grid import OCCUPIED
-from odomcorrupt.mapping.mapfile import read_map
+from odomcorrupt.mapping.mapfile import OCCUPIED, read_map
 from odomcorrupt.mapping.scan_map import place, slow_rays
 from odomcorrupt.mapping.scans import read_rays
 from odomcorrupt.mapping.wall_thickness import wall_thickness

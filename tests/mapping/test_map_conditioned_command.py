@@ -9,11 +9,10 @@ from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
 from odomcorrupt.commands._poses import POSE
 from odomcorrupt.errors import TopicError
-from odomcorrupt.mapping import recorded
+from odomcorrupt.mapping import map_condition
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.grid import FREE, OCCUPIED, UNKNOWN
-from odomcorrupt.mapping.mapfile import read_map
-from odomcorrupt.mapping.recorded import read_map_from_odom, read_recorded_map
+from odomcorrupt.mapping.map_condition import read_map_from_odom, read_recorded_map
+from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, read_map
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 GAZEBO, MAPS = SHARED / "real" / "rob521_gazebo.mcap", SHARED / "bags" / "maps"
@@ -105,7 +104,7 @@ def test_recorded_map_is_the_last_one_of_its_topic(monkeypatch):
         def __exit__(self, *_):
             return None
 
-    monkeypatch.setattr(recorded, "open_reader", lambda _path, **_: Bag())
+    monkeypatch.setattr(map_condition, "open_reader", lambda _path, **_: Bag())
     found = read_recorded_map(Path("bag"), "map")
     assert found.grid.cells.tolist() == [[FREE, FREE, UNKNOWN], [UNKNOWN, OCCUPIED, UNKNOWN]]
     assert found.frame_id == "map"

@@ -12,9 +12,8 @@ import pytest
 from odomcorrupt.cli import run
 from odomcorrupt.commands._poses import POSE
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.grid import OCCUPIED, Grid
-from odomcorrupt.mapping.mapfile import format_map, read_map
-from odomcorrupt.mapping.recorded import read_map_from_odom
+from odomcorrupt.mapping.map_condition import read_map_from_odom
+from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, format_map, read_map
 from odomcorrupt.trajectories.reader import read_drive
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"

@@ -18,8 +18,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.errors import TopicError
 from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
-from odomcorrupt.preview.forecast import CleanDrive, forecast, read_clean_drive
-from odomcorrupt.preview.text import forecast_json, forecast_text
+from odomcorrupt.preview.forecast import CleanDrive, forecast, forecast_json, forecast_text, read_clean_drive
 
 T, POSES = office(10.0, 40.0)
 DRIVE = CleanDrive("/odom", T, POSES)

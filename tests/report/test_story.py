@@ -17,12 +17,10 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.report.html.diagnosis import Story, found_html
 from odomcorrupt.report.json.diagnosis import learned_json
-from odomcorrupt.report.plots.candidates import draw_candidates
-from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
-from odomcorrupt.report.plots.plan import draw_plan
 from odomcorrupt.report.text.comparison import comparison_text
-from odomcorrupt.report.text.confidence import law_numbers, told_expression
+from odomcorrupt.report.text.confidence import fitted_expression, law_numbers
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
 from odomcorrupt.report.text.fit import fit_text, laws_table
@@ -144,12 +142,15 @@ def poor(searched):
 def test_the_text_tells_effects_noise_unknowns_and_what_is_open(rich):
     text = found_text(rich, ADVICE)
     assert "missing, in the order of evidence" in text
-    assert re.search(r"  \+ unequal_wheels .* mm after 10 s   sure 0\.\d\d", text)
+    assert re.search(r"  \+ unequal_wheels .* mm after 10 s   confidence 0\.\d\d", text)
     # 40 nats of what depends on something look like a gain that wanders, too, and are more than its 25
-    assert "noise: gauss_markov (yaw), sigma 2 %, tau 4 s (sure 0.38): the gain of travel or turn wanders" in text
+    assert (
+        "noise: gauss_markov (yaw), sigma 2 %, tau 4 s (confidence 0.38): the gain of travel or turn varies slowly"
+        in text
+    )
     assert "unknown: the yaw error depends on speed (40 nats), and no known effect explains it" in text
-    assert f"believed and fitted: {UNKNOWNS[0].expression}" in text
-    assert f"to try: {UNKNOWNS[1].expression}" in text
+    assert f"fitted: {UNKNOWNS[0].expression}" in text
+    assert f"suggested: {UNKNOWNS[1].expression}" in text
     assert "the yaw error per radian turned depends on yaw rate" in text
     assert "nan" not in text
     alone = found_text(replace(rich, unknown=UNKNOWNS[4:]), NONE)
@@ -164,9 +165,9 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     lines = advice_text(ADVICE).splitlines()
     assert len(lines) == len(CHOICES) + 3
     assert lines[0].startswith(
-        "side_slip or turn_asymmetry: these data cannot tell (it never turned to the left); drive "
+        "side_slip or turn_asymmetry: these data do not separate them (it never turned to the left); drive "
     )
-    assert lines[0].endswith("that is expected to tell by 12 nats")
+    assert lines[0].endswith("that is expected to separate them by 12 nats")
     assert "up to 46 deg/s" in lines[1]
     assert lines[2] == "wheel_scale or speed_scale: the same to every drive: measure a wheel"
     assert "no drive of ten minutes would" in lines[3]
@@ -175,7 +176,7 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
     assert lines[6] == "time_offset: not testable here: it stood still"
     assert advice_text(NONE) == limits_sentence(()) == ""
     assert limits_sentence(LIMITS) == (
-        "these sizes would have been seen: wheel_scale 0.12 %, lever_arm x 3.4 mm, lever_arm y 5 mm"
+        "smallest detectable sizes: wheel_scale 0.12 %, lever_arm x 3.4 mm, lever_arm y 5 mm"
     )
 
 
@@ -214,12 +215,12 @@ def kept(judgement):
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, ladder):
     first = ladder.judgements[0]
     text = found_text(poor, NONE, judged=first)
-    assert text == f"nothing that is known is missing, but the model is rejected: {rejection(first)}"
-    assert "times what it expects (NEES " in text
-    assert "something is left that has no name here" in text
+    assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
+    assert "times the predicted ones (NEES " in text
+    assert "an effect that is not in the library remains" in text
     assert found_text(poor, NONE, judged=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, judged=first)
-    assert "nothing else that is known is missing, but" in beside
+    assert "no further known effect is missing, but" in beside
     page = found_html(Story(poor, replace(ladder, judgements=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
     told = [learned_json(poor, ladder.judgements[:1], NONE, judged=one)["rejected"] for one in (first, kept(first))]
@@ -229,9 +230,11 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, ladder
 def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(ladder):
     first = ladder.judgements[0]
     small = tuple(replace(h, nees=0.25, nees_bounds=(0.5, 1.5)) for h in first.horizons)
-    assert "0.5 times what it expects (NEES 0.25): it expects more noise" in rejection(replace(first, horizons=small))
+    assert "0.5 times the predicted ones (NEES 0.25): it predicts more noise" in rejection(
+        replace(first, horizons=small)
+    )
     right = tuple(replace(h, nees=1.0, nees_bounds=(0.5, 1.5)) for h in first.horizons)
-    assert rejection(replace(first, horizons=right)).endswith("the size of its errors is what it expects")
+    assert rejection(replace(first, horizons=right)).endswith("the size of its errors is as predicted")
 
 
 def test_a_believed_law_is_told_with_the_numbers_of_the_model(searched):
@@ -240,10 +243,10 @@ def test_a_believed_law_is_told_with_the_numbers_of_the_model(searched):
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
     learned = replace(searched, unknown=(found,), laws=(found,))
     text = found_text(learned, NONE, fit=fit)
-    assert "believed and fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
+    assert "fitted: yaw += v * (0.0123 * a)  (k 0.7047 +- 0.057 deg s^2/m^2)" in text
     numbers = law_numbers(found, learned, fit)
     assert numbers == {"k": (0.0123, 0.001, "rad s^2/m^2")}
-    assert told_expression(found, {}) == found.expression
+    assert fitted_expression(found, {}) == found.expression
     assert law_numbers(found, replace(learned, laws=()), fit) == {}
 
 
@@ -251,7 +254,7 @@ def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
     off = replace(poor.clocks, clocks=(Clock(-9e-5, 1.5e-4),), free=((True, True),), errors=((2e-4, 5e-7),))
     text = found_text(replace(poor, clocks=off), NONE)
     # the offset is free beside a skew, and not there itself
-    assert text.endswith("the odometry's clock is off: skew 150 +- 0.5 ppm (sure 0.99)")
+    assert text.endswith("the odometry's clock is off: skew 150 +- 0.5 ppm (confidence 0.99)")
     assert NOTHING not in text
 
 
@@ -312,7 +315,7 @@ def test_clocks_that_are_off_have_a_line_and_others_none(searched):
         errors=tuple((0.001, 1e-6) for _ in searched.clocks.clocks),
     )
     assert clock_lines(["a"], clocks) == [
-        "a: the odometry's clock is off: offset 50 +- 1 ms (sure 0.99), skew 20 +- 1 ppm (sure 0.99)"
+        "a: the odometry's clock is off: offset 50 +- 1 ms (confidence 0.99), skew 20 +- 1 ppm (confidence 0.99)"
     ]
     assert clock_lines(["a"], replace(clocks, free=((False, False),))) == []
 

@@ -5,12 +5,11 @@ import pytest
 
 from odomcorrupt.errors import ModelError
 from odomcorrupt.mapping.free_space import free_space
-from odomcorrupt.mapping.grid import OCCUPIED, Grid
+from odomcorrupt.mapping.mapfile import OCCUPIED, Grid
 from odomcorrupt.model.motion_model import Noise
 from odomcorrupt.model.noise_laws import Coefficients, Variances
 from odomcorrupt.sampling.density import density_on_grid, hypothetical, pose_density, product, within_map
-from odomcorrupt.sampling.examples import EXAMPLES
-from odomcorrupt.sampling.samples import move_between, move_sampled, move_variances
+from odomcorrupt.sampling.samples import EXAMPLES, move_between, move_sampled, move_variances
 
 FORWARD = move_between(np.array([0.3, -0.2, 0.5]), np.array([1.1, 0.4, 1.2]))
 REVERSE = move_between(np.array([0.3, -0.2, 0.5]), np.array([-0.5, -0.5, 0.2]))

@@ -8,8 +8,8 @@ from odomcorrupt.errors import ModelError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Step
 from odomcorrupt.model.noise_laws import LAWS, Coefficients, Variances, law_named
 from odomcorrupt.rng import stream
-from odomcorrupt.sampling.examples import EXAMPLES
 from odomcorrupt.sampling.samples import (
+    EXAMPLES,
     ellipse,
     linearised_moments,
     move_between,

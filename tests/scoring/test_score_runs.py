@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odomcorrupt.batching.tum import format_tum, read_tum
+from odomcorrupt.batching.sinks import format_tum, read_tum
 from odomcorrupt.cli import run
 from odomcorrupt.scoring import Limits, score
 from odomcorrupt.scoring.errors import ScoreError

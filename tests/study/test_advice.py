@@ -61,7 +61,7 @@ def test_following_the_advice_settles_a_or_b(cause, rival, first, tmp_path):
     assert choice.plan is not None
     assert choice.nats > 10.0
     assert advice.best is not None
-    assert "these data cannot tell" in advice_text(advice)
+    assert "these data do not separate them" in advice_text(advice)
 
     after = met(cause, advice.best, 4, tmp_path / "next.mcap")
     settled = learn([before, after])

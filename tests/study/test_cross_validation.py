@@ -82,7 +82,7 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, resets_s, pieces):
 def test_learn_and_compare_read_a_drive_with_resets(tmp_path, office, capsys):
     bag, model = tmp_path / "run.mcap", tmp_path / "robot.toml"
     write_mcap(with_resets(office, 40, 110), bag)
-    assert command(["learn", str(bag), "-o", str(model)]) == 0
+    assert command(["learn", "-v", str(bag), "-o", str(model)]) == 0
     said = capsys.readouterr()
     assert "2 resets" in said.err
     assert "3 independent stretches used" in said.err

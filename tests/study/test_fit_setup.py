@@ -55,7 +55,7 @@ def test_of_all_laws_the_one_that_made_the_noise_is_the_likeliest():
     steps = wander(5, 300.0)
     run = recording(steps, noisy_path(steps, Coefficients(0.05, 0.02, 0.05, 0.01), 5), seed=5)
     results = fit_every_law([run], ())
-    assert results.keys() == LAWS.keys()
+    assert set(results) == {name for name, law in LAWS.items() if law.fitted}
     assert next(iter(results)) == "diffusion"
     nats = [result.information_nats for result in results.values()]
     assert nats == sorted(nats, reverse=True)

@@ -52,8 +52,8 @@ def test_heavy_tails_of_the_librarys_own_are_named_and_normal_noise_is_not():
     shown = {}
     for inverse_dof in (0.0, 0.45):
         effects = (effect_from_values("heavy_tails", {"inverse_dof": inverse_dof}),)
-        knots = NoisyPath(MotionModel(noise, effects), 4).feed(run.odometry.stamps_ns, run.odometry.xyt)
-        odometry = Trajectory(run.odometry.stamps_ns, run.odometry.xyt + knots.error_xyt)
+        samples = NoisyPath(MotionModel(noise, effects), 4).feed(run.odometry.stamps_ns, run.odometry.xyt)
+        odometry = Trajectory(run.odometry.stamps_ns, run.odometry.xyt + samples.error_xyt)
         shown[inverse_dof] = heavy_tails(fitted(replace(run, odometry=odometry)))
     assert shown[0.0] is None
     effect, nats = shown[0.45]

@@ -12,7 +12,7 @@ from hidden import as_recording
 
 from laboratory.advice.blind import first_drive, on_the_way, place_of
 from laboratory.advice.verdicts import settled
-from laboratory.answer import told
+from laboratory.answer import plain_answer
 from odomcorrupt.simulation import read_commands, simulate
 from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.design.advise import advise
@@ -43,7 +43,7 @@ def follow(case: AdviceCase) -> dict[str, Any]:
         between = time.process_time()
         advice = advise(learned)
         spent = {"learn_s": between - begun, "advise_s": time.process_time() - between}
-        looks.append({"answer": told(learned), **_plain(advice), **spent})
+        looks.append({"answer": plain_answer(learned), **_plain(advice), **spent})
         told_so_far = {"case": asdict(case), "looks": looks}
         route = _through_a_bag(advice)
         if route is None or drive == MOST_DRIVES or (drive and settled(told_so_far, drive)):

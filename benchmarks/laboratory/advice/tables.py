@@ -22,17 +22,17 @@ def advice_section(rows: Rows) -> list[str]:
     good = [row for row in rows if "failed" not in row]
     of_kind = {kind: [row for row in good if row["case"]["kind"] == kind] for kind in ("open", "unseen")}
     asked = [row for row in good if open_names(row)]
-    lines = ["## Following the advice", "", f"{len(rows)} robots, {len(rows) - len(good)} broke.", ""]
-    lines += ["A or B, on first drives that cannot tell two effects apart:", "", *_opened(of_kind["open"])]
-    lines += ["After the drive that was advised, where a choice had been said to be open:", "", *_settled(asked)]
-    lines += ["Nothing named though a cause is hidden, and a drive advised:", "", *_shown(good)]
+    lines = ["## Following the advice", "", f"{len(rows)} robots, {len(rows) - len(good)} failed.", ""]
+    lines += ["A or B, on first drives that do not separate two effects:", "", *_opened(of_kind["open"])]
+    lines += ["After the drive that was advised, where a choice was open:", "", *_settled(asked)]
+    lines += ["Nothing named although there is a cause, and a drive advised:", "", *_shown(good)]
     lines += ["By first drive and cause:", "", *_by_row(good)]
     lines += ["Not settled, or not shown, after one advised drive:", "", *_misses(good)]
-    lines += ["Named alone by a first drive that was to leave it open, and wrong:", "", *_silent(of_kind["open"])]
+    lines += ["Wrong, and named alone by a first drive that does not separate it:", "", *_silent(of_kind["open"])]
     seconds = [look["advise_s"] for row in good for look in row["looks"]]
     return [
         *lines,
-        f"CPU seconds of making the advice: median {np.median(seconds):.1f}, largest {max(seconds):.1f}.",
+        f"CPU seconds of the advice: median {np.median(seconds):.1f}, largest {max(seconds):.1f}.",
         "",
     ]
 
@@ -41,7 +41,7 @@ def _opened(rows: Rows) -> list[str]:
     asked = [row for row in rows if open_names(row)]
     quiet = [row for row in rows if not open_names(row)]
     return table(("asked", "result"), [
-        ["a choice was said to be open", part([bool(open_names(row)) for row in rows])],
+        ["a choice was reported as open", part([bool(open_names(row)) for row in rows])],
         ["the cause was one of its names", part([cause_of(row) in open_names(row) for row in asked])],
         ["a drive was advised for it", part([_advised(row) for row in asked])],
         ["no choice was open: the cause was named first", part([named_first(row, 0) for row in quiet])],

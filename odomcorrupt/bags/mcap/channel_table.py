@@ -8,8 +8,7 @@ import numpy as np
 
 from odomcorrupt import __version__
 from odomcorrupt.bags.block import Channel
-from odomcorrupt.bags.definition import with_common_text
-from odomcorrupt.bags.derive_definition import retyped
+from odomcorrupt.bags.definition import retyped, with_common_text
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord, string
 from odomcorrupt.errors import BagError

@@ -1,8 +1,10 @@
-"""ROS 2 bag reader for one or more files."""
+"""ROS 2 bag reader, for a directory of one or more storage files."""
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -11,7 +13,8 @@ from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
 from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.mcap.reader import McapReader
-from odomcorrupt.bags.rosbag2.parts import BagFiles, find_files
+from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
+from odomcorrupt.bags.rosbag2.metadata import read_info
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -23,7 +26,98 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["Rosbag2Reader", "open_part"]
+__all__ = ["BagFiles", "Rosbag2Reader", "find_files", "open_part"]
+
+
+@dataclass(frozen=True, slots=True)
+class BagFiles:
+    """The files of a bag.
+
+    files : in the order of recording
+    metadata : text of metadata.yaml, or None without one
+    """
+
+    files: list[Path]
+    metadata: str | None
+
+
+def find_files(directory: Path) -> BagFiles:
+    """Return a bag's files, listed in metadata.yaml or found by name.
+
+    Raises
+    ------
+    BagError
+        If there are none, they are compressed as files or message by message, one is listed twice, or they do not
+        belong to one recording.
+
+    """
+    metadata = directory / "metadata.yaml"
+    found = _listed(directory, metadata) if metadata.exists() else BagFiles(_named(directory), None)
+    seen: dict[tuple[int, int], str] = {}
+    for file in found.files:
+        if not file.is_file():
+            raise BagError(f"{file}: is no file (a directory, pipe or device); restore it")
+        same = file.stat().st_dev, file.stat().st_ino
+        if same in seen:
+            raise BagError(
+                f"{directory}: {file.name} is the same file as {seen[same]}: every message would be there twice; "
+                "remove the link, or the second entry of metadata.yaml"
+            )
+        seen[same] = file.name
+    return found
+
+
+def _listed(directory: Path, metadata: Path) -> BagFiles:
+    """Return the files that a metadata.yaml lists."""
+    info = read_info(metadata)
+    mode = str(info.get("compression_mode") or "none").lower()
+    if mode != "none":
+        raise BagError(
+            f"{directory}: is compressed {mode} by {mode} ({info.get('compression_format')}); `ros2 bag convert` "
+            "can undo that"
+        )
+    # Old versions put the directory's own name before the files'.
+    files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
+    missing = [file.name for file in files if not file.exists()]
+    if missing or not files:
+        raise BagError(f"{metadata}: lists {', '.join(missing) or 'no file'}, which is not there; restore it")
+    return BagFiles(files, read_text(metadata))
+
+
+def _named(directory: Path) -> list[Path]:
+    """Return the files of a directory without metadata.yaml, whose names must be those of one recording."""
+    visible = [path for path in directory.iterdir() if not path.name.startswith(".")]
+    names = sorted(visible, key=lambda path: [int(x) if x.isdecimal() else x for x in _PARTS.split(path.name)])
+    files = [path for path in names if path.suffix in (".db3", ".mcap")]
+    if files:
+        if not _is_one_recording(files):
+            held = ", ".join(path.name for path in files[:_SHOWN]) + (", ..." if len(files) > _SHOWN else "")
+            raise BagError(
+                f"{directory}: has no metadata.yaml, and holds {len(files)} bags that are not evidently parts of one "
+                f"recording ({held}); name one of them"
+            )
+        return files
+    packed = [path.name for path in names if path.suffix in (".zstd", ".zst")]
+    if packed:
+        raise BagError(f"{directory}: {packed[0]} is compressed as a whole; decompress it first (`zstd -d`)")
+    ros1 = [path.name for path in names if path.suffix == ".bag"]
+    more = f"; it holds {ros1[0]}, name that" if ros1 else ""
+    raise BagError(f"{directory}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files){more}")
+
+
+def _is_one_recording(files: list[Path]) -> bool:
+    """Return whether names differ only in their last, consecutive number, as in a bag split by rosbag2."""
+    if len(files) == 1:
+        return True
+    parts = [_COUNTED.fullmatch(path.name) for path in files]
+    names = {(part["stem"], part["suffix"]) for part in parts if part}
+    numbers = [int(part["number"]) for part in parts if part]
+    return all(parts) and len(names) == 1 and numbers == list(range(numbers[0], numbers[0] + len(files)))
+
+
+_PARTS = re.compile(r"([0-9]{1,18})")
+_COUNTED = re.compile(r"(?P<stem>.*?)(?P<number>[0-9]{1,18})(?P<suffix>\.[a-z0-9]+)")
+_SHOWN = 6
 
 
 class Rosbag2Reader:

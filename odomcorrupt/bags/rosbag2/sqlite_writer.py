@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
-from odomcorrupt.bags.derive_definition import retyped
+from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.placement import beside, place, remove, sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
-from odomcorrupt.bags.rosbag2.salvage import copy_tables
-from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, kept
+from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, copy_tables, kept
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

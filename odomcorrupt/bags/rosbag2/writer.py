@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block, Channel, PartFraming
-from odomcorrupt.bags.derive_definition import retyped
+from odomcorrupt.bags.definition import retyped
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output

@@ -1,4 +1,4 @@
-"""Findings as cards: name, numbers, how sure, and what the error was before and after."""
+"""Findings as cards: name, numbers, confidence, and what the error was before and after."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.text.confidence import law_numbers, noise_sure, step_sure, told_expression, twins_of
+from odomcorrupt.report.text.confidence import (
+    fitted_expression,
+    law_numbers,
+    noise_confidence,
+    step_confidence,
+    twins_of,
+)
 from odomcorrupt.report.text.diagnosis import dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
@@ -33,7 +39,7 @@ def cards(learned: Learned, ladder: Comparison) -> list[str]:
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     names = [recording.name for recording in learned.fit.problem.recordings]
     found = [_clock(line) for line in clock_lines(names, learned.clocks)]
-    found += [_effect(look, learned, *own[look.added], ladder) for look in learned.steps if look.added in own]
+    found += [_effect(step, learned, *own[step.added], ladder) for step in learned.steps if step.added in own]
     found += [_noise(gain, learned) for gain in learned.noise]
     found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
@@ -50,17 +56,17 @@ def _clock(line: str) -> str:
     )
 
 
-def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
-    sure = step_sure(look, learned)
+def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
+    sure = step_confidence(step, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
     if twins := twins_of(effect.name):
         lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
-    if rivals := [name for name in look.alternatives if name not in twins]:
-        lines.append(f"<p>or {escape(', '.join(rivals))}: these data cannot tell</p>")
-    lines += _meter(sure, look.candidates[0].gain)
+    if rivals := [name for name in step.alternatives if name not in twins]:
+        lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")
+    lines += _meter(sure, step.candidates[0].gain)
     names = [judgement.name for judgement in ladder.judgements]
-    place = names.index(f"+ {look.added}") if f"+ {look.added}" in names else 0
+    place = names.index(f"+ {step.added}") if f"+ {step.added}" in names else 0
     if place:
         before, after = (ladder.judgements[i].ten_second_error_m for i in (place - 1, place))
         if isfinite(before) and isfinite(after):
@@ -73,7 +79,7 @@ def _effect(look: Step, learned: Learned, effect: Effect, errors: Sequence[float
 def _meter(sure: float, nats: float) -> list[str]:
     return [
         f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>',
-        f"<p>{100.0 * sure:.1f} % sure, {nats:.0f} nats</p>",
+        f"<p>{100.0 * sure:.1f} % confidence, {nats:.0f} nats</p>",
     ]
 
 
@@ -83,13 +89,13 @@ def _noise(gain: RandomCoefficient, learned: Learned) -> str:
     return _card(
         "noise",
         gain.effect.name + channel,
-        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_sure(gain, learned), gain.nats)],
+        [*values, f"<p>noise: {escape(gain.effect.summary)}</p>", *_meter(noise_confidence(gain, learned), gain.nats)],
     )
 
 
 def _unknown(unknown: Dependence, learned: Learned) -> str:
-    expression = told_expression(unknown, law_numbers(unknown, learned))
+    expression = fitted_expression(unknown, law_numbers(unknown, learned))
     what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
-    then = "believed and fitted" if unknown in learned.laws else "to try"
+    then = "fitted" if unknown in learned.laws else "suggested"
     lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
     return _card("unknown", "unknown", lines)

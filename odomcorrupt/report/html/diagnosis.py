@@ -1,4 +1,4 @@
-"""The report of a search: what is missing, how sure that is, what it gains, and what to drive next."""
+"""The report of a search: what is missing, its confidence, what it gains, and what to drive next."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from odomcorrupt.report.html.cards import cards
 from odomcorrupt.report.html.comparison import ladder_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
-from odomcorrupt.report.plots.candidates import draw_candidates
-from odomcorrupt.report.plots.dependence import draw_unknown
+from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
-from odomcorrupt.report.plots.plan import draw_plan
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
@@ -93,8 +91,8 @@ _UNKNOWN = "What is left when everything that was found is taken out, as a curve
 def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
-        named = [look for look in learned.steps if look.added is not None]
-        names = [_named(str(look.added), look.alternatives) for look in named]
+        named = [step for step in learned.steps if step.added is not None]
+        names = [_named(str(step.added), step.alternatives) for step in named]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -115,7 +113,7 @@ def _named(name: str, alternatives: Sequence[str]) -> str:
 
 def _next(story: Story) -> str:
     items = [*advice_sentences(story.advice)]
-    items += [f"to try: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
+    items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{_items(items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"

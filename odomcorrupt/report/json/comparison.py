@@ -23,7 +23,7 @@ SCHEMA = 2
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison."""
-    told: dict[str, Any] = finite(
+    values: dict[str, Any] = finite(
         {
             "schema": SCHEMA,
             "signs": SIGNS,
@@ -38,7 +38,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             "models": [_judgement(j) for j in comparison.judgements],
         }
     )
-    return told
+    return values
 
 
 def _judgement(j: Judgement) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def _judgement(j: Judgement) -> dict[str, Any]:
         "verdict": {
             "rejected": j.verdict.rejected,
             "level": j.verdict.level,
-            "looks": [{"question": look.question, "p": look.p} for look in j.verdict.looks],
+            "looks": [{"question": test.question, "p": test.p} for test in j.verdict.looks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.confidence import clocks_found, law_numbers, noise_sure, step_sure, told_expression
+from odomcorrupt.report.text.confidence import (
+    clocks_found,
+    fitted_expression,
+    law_numbers,
+    noise_confidence,
+    step_confidence,
+)
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
 from odomcorrupt.report.text.lack_of_fit import rejection
@@ -45,26 +51,26 @@ def learned_json(
 
     ladder : the models on the way judged on held-out halves, as `study.judge.ladder` gives them
     judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
-    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
+    fit : the fit of the final model, where it is not the search's own
     """
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     found = [*_clocks_found(learned)]
-    for place, look in enumerate(learned.steps):
-        if look.added is not None:
-            effect, spread = own[look.added]
-            sure = step_sure(look, learned)
+    for place, step in enumerate(learned.steps):
+        if step.added is not None:
+            effect, spread = own[step.added]
+            sure = step_confidence(step, learned)
             held_out = _held_out(ladder[place], ladder[place + 1])
-            found.append(_entry(effect, spread, look.alternatives, sure) | {"held_out": held_out})
+            found.append(_entry(effect, spread, step.alternatives, sure) | {"held_out": held_out})
     found += [_noise(gain, learned) for gain in learned.noise]
-    told: dict[str, Any] = finite(
+    values: dict[str, Any] = finite(
         {
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
             "rejected": (judged and rejection(judged)) or None,
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
-            "unknown": [_unknown(u, law_numbers(u, learned, fit), believed=u in learned.laws) for u in learned.unknown],
+            "unknown": [_unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws) for u in learned.unknown],
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
@@ -99,7 +105,7 @@ def learned_json(
             **_advice(advice),
         }
     )
-    return told
+    return values
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
@@ -150,7 +156,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
 
 def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
-    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_sure(gain, learned))
+    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_confidence(gain, learned))
     for p in parameters(gain.effect):
         entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
     return entry | {"held_out": None}
@@ -165,7 +171,7 @@ def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
     }
 
 
-def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed: bool) -> dict[str, Any]:
+def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> dict[str, Any]:
     return {
         "channel": unknown.channel,
         "depends_on": unknown.regressor,
@@ -179,12 +185,12 @@ def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed:
             "wavelength_m": unknown.wavelength_m,
             "wheels": unknown.wheels,
         },
-        "expression": told_expression(unknown, numbers),
+        "expression": fitted_expression(unknown, numbers),
         "parameters": {
             name: {"value": number.value, "standard_error": number.error, "unit": number.unit}
             for name, number in numbers.items()
         },
-        "in_model": believed,
+        "in_model": fitted,
     }
 
 

@@ -23,7 +23,7 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
     """Return a report, and the verdicts of a gate: metres, radians, seconds; unknown and infinite are null."""
     found = report.breakdown
     grown = report.growth
-    told: dict[str, Any] = finite(
+    values: dict[str, Any] = finite(
         {
             "schema": SCHEMA,
             "estimate": report.estimate,
@@ -42,7 +42,7 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
             "notes": list(report.notes),
         }
     )
-    return told
+    return values
 
 
 def _run(run: RunScore, report: ScoreReport) -> dict[str, Any]:

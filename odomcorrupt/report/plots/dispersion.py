@@ -1,19 +1,82 @@
-"""The picture of a batch: where its runs went, and how their errors grow within the predicted band."""
+"""Where the runs of a model are along a drive, and how far they differ."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.patches import Ellipse as EllipsePatch
 
-from odomcorrupt.report.plots.figure import BLUE, RED, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.maps import draw_free_space
+from odomcorrupt.sampling.samples import ellipse, sample_moments
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from odomcorrupt.batching.dispersion import SpreadReport
+    from odomcorrupt.mapping.free_space import FreeSpace
+    from odomcorrupt.trajectories.particles import ParticleSet
 
-__all__ = ["draw_spread"]
+__all__ = ["draw_cloud", "draw_spread"]
+
+SIGMAS = 2.0
+
+
+def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -> Figure:
+    """Draw the odometry's path, and at each place the runs' positions with their ellipse.
+
+    space : the map they were held against, drawn below
+    """
+    colours = (BLUE, ORANGE, GREEN, RED, SKY)
+    size = float(np.clip(2500.0 / len(cloud.xyt), 1.0, 8.0))
+    with drawing():
+        figure = new_figure(8.6, 6.8)
+        axes = figure.subplots()
+        if space is not None:
+            draw_free_space(axes, space)
+        for i, distance in enumerate(cloud.distance_m):
+            colour = colours[i % len(colours)]
+            points = cloud.xyt[:, i]
+            axes.scatter(
+                points[:, 0], points[:, 1], s=size, color=colour, alpha=0.45, linewidths=0, rasterized=True, zorder=2
+            )
+            # on white, or it drowns in the cloud
+            here = cloud.clean_xyt[i, :2]
+            axes.plot(*here, "o", color="white", markeredgecolor=BLACK, markersize=5, zorder=6)
+            axes.annotate(
+                f"{distance:.3g} m", (here[0], here[1]), xytext=(7, 7), textcoords="offset points", fontsize=9,
+                bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}, zorder=7,
+            )  # fmt: skip
+            if space is not None:
+                # walls tear a cloud apart: two moments do not describe what is left
+                continue
+            e = ellipse(sample_moments(points), SIGMAS)
+            patch = EllipsePatch(
+                (e.centre_xy[0], e.centre_xy[1]), 2 * e.major_m, 2 * e.minor_m, angle=float(np.degrees(e.angle_rad)),
+                fill=False, edgecolor=colour, linewidth=1.6, zorder=4,
+            )  # fmt: skip
+            axes.add_patch(patch)
+        axes.plot(*cloud.path_xyt[:, :2].T, color=BLACK, linewidth=1.3, zorder=5, label="odometry")
+        axes.plot(*cloud.path_xyt[0, :2], "s", color=BLACK, markersize=7, zorder=6, label="start")
+        axes.scatter([], [], s=14, color=BLUE, label=f"{len(cloud.xyt)} runs, after so many metres")
+        if space is None:
+            axes.plot([], [], color=BLUE, linewidth=1.6, label=f"their {SIGMAS:g} sigma ellipse")
+        axes.set(xlabel="x (m)", ylabel="y (m)", title=title)
+        if space is None:
+            axes.margins(0.06)
+            axes.set_aspect("equal", adjustable="datalim")
+        else:
+            # the whole map may be far larger than where the robot was
+            every = np.concatenate((cloud.xyt.reshape(-1, 3), cloud.path_xyt))[:, :2]
+            low, high = every.min(axis=0), every.max(axis=0)
+            pad = 0.06 * float((high - low).max())
+            axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
+            axes.set_aspect("equal", adjustable="box")
+        axes.grid(visible=True, color="0.92")
+        axes.set_axisbelow(True)
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=9)
+    return figure
 
 
 def draw_spread(report: SpreadReport) -> Figure:

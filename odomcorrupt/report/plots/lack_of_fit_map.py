@@ -1,4 +1,4 @@
-"""The map of where a model fails: the truth's path in colour, and the places, moments and stretches that were told."""
+"""The map of where a model fails: the truth's path in colour, and the reported places, moments and stretches."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _BINS = 8
 _UNITS = ("mm per m", "mm per m", "deg per m")
 
 
-class Driver(NamedTuple):
+class Regressor(NamedTuple):
     """Something that an error may depend on, over K intervals of a stretch; scale makes it a unit people think in."""
 
     label: str
@@ -34,13 +34,13 @@ class Driver(NamedTuple):
 
 
 def draw_residuals(comparison: Comparison) -> Figure:
-    """Draw growth of the error against every driver, a row for each channel, with what chance makes of it."""
+    """Draw growth of the error against every regressor, a row for each channel, with what chance makes of it."""
     headed = all(piece.headed for judgement in comparison.judgements for piece in judgement.pieces)
     count = 3 if headed else 2
     shown = _shown(comparison)
     first = shown[0][0].pieces
-    labels = [driver.label for driver in _drivers(first[0])]
-    edges = [_edges(np.concatenate([_drivers(piece)[d].values for piece in first])) for d in range(len(labels))]
+    labels = [regressor.label for regressor in _regressors(first[0])]
+    edges = [_edges(np.concatenate([_regressors(piece)[d].values for piece in first])) for d in range(len(labels))]
     drawn: list[list[Array]] = [[] for _ in range(count)]
     with drawing():
         figure = new_figure(12.0, 1.0 + 2.1 * count)
@@ -74,15 +74,15 @@ def _shown(comparison: Comparison) -> list[tuple[Judgement, int]]:
     return numbered if len(numbered) <= 3 else [numbered[0], numbered[-1]]
 
 
-def _drivers(piece: Evaluation) -> list[Driver]:
+def _regressors(piece: Evaluation) -> list[Regressor]:
     m = node_motion(piece.problem)
     return [
-        Driver("speed (m/s)", m.v),
-        Driver("yaw rate (deg/s)", np.degrees(m.omega)),
-        Driver("acceleration (m/s²)", m.a),
-        Driver("time (s)", m.t_s),
-        Driver("heading (deg)", np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading)))),
-        Driver("path driven (m)", m.distance),
+        Regressor("speed (m/s)", m.v),
+        Regressor("yaw rate (deg/s)", np.degrees(m.omega)),
+        Regressor("acceleration (m/s²)", m.a),
+        Regressor("time (s)", m.t_s),
+        Regressor("heading (deg)", np.degrees(np.arctan2(np.sin(m.heading), np.cos(m.heading)))),
+        Regressor("path driven (m)", m.distance),
     ]
 
 
@@ -92,11 +92,11 @@ def _edges(values: Array) -> Array:
     return np.linspace(low, max(high, low + 1e-9), _BINS + 1)
 
 
-def _rates(pieces: Sequence[Evaluation], driver: int, channel: int, edges: Array) -> Array:
+def _rates(pieces: Sequence[Evaluation], regressor: int, channel: int, edges: Array) -> Array:
     """Return growth per metre (bins,) in mm or deg, and one standard deviation of chance (bins,), over all pieces."""
     weight, total = np.zeros(_BINS), np.zeros(_BINS)
     for piece in pieces:
-        part = np.clip(np.digitize(_drivers(piece)[driver].values, edges) - 1, 0, _BINS - 1).astype(np.int64)
+        part = np.clip(np.digitize(_regressors(piece)[regressor].values, edges) - 1, 0, _BINS - 1).astype(np.int64)
         unit = unit_columns(piece.problem)[:, :, channel]
         rates = joint_rates(piece.whitener, piece.innovations, unit, part, _BINS)
         known = np.isfinite(rates.estimate) & (rates.allowed > 0.0)

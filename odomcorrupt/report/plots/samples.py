@@ -1,4 +1,4 @@
-"""The picture of one motion drawn many times: the banana."""
+"""Samples of one motion, and its density, beside their moments."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.mapping.free_space import FreeSpace
     from odomcorrupt.model.noise_laws import Variances
+    from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["draw_banana", "draw_move", "draw_samples", "frame_samples"]
+__all__ = ["draw_banana", "draw_density", "draw_move", "draw_samples", "frame_samples"]
 
 SIGMAS = 2.0
 
@@ -143,3 +144,27 @@ def _headings(axes: Axes, move: Move, xyt: Array) -> None:
     reach = 1.08 * max(float(np.abs(error).max()), 1e-6)
     end = float(np.degrees(wrap(move.end_xyt[2])))
     axes.set(ylim=(-reach, reach), xlabel="samples", ylabel=f"heading minus the odometry's {end:.4g} deg (deg)")
+
+
+def draw_density(move: Move, grid: DensityGrid, xyt: Array, title: str, unit: str) -> Figure:
+    """Draw samples (n, 3) on the left and a density on the right, on the same axes."""
+    with drawing():
+        figure = new_figure(10.0, 5.2)
+        left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+        image = right.pcolormesh(
+            grid.x_m, grid.y_m, np.ma.masked_less(grid.density, 0.01 * grid.density.max()), cmap="Blues",
+            shading="nearest", rasterized=True,
+        )  # fmt: skip
+        draw_samples(left, xyt)
+        shown = grid.density > 1e-3 * grid.density.max()
+        rows, columns = np.nonzero(shown.any(axis=1))[0], np.nonzero(shown.any(axis=0))[0]
+        box = np.column_stack((grid.x_m[columns[[0, -1]]], grid.y_m[rows[[0, -1]]]))
+        for axes in (left, right):
+            draw_move(axes, move)
+            frame_samples(axes, move, np.concatenate((xyt[:, :2], box)))
+        left.set_title(f"{len(xyt)} samples")
+        right.set_title("closed form, summed over the heading")
+        right.set_ylabel("")
+        figure.colorbar(image, ax=right, label=unit, shrink=0.85)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure

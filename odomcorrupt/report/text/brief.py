@@ -9,11 +9,11 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.report.text.comparison import measures_words
 from odomcorrupt.report.text.confidence import (
     clocks_found,
+    confidence_words,
+    fitted_expression,
     law_numbers,
-    noise_sure,
-    step_sure,
-    sure_words,
-    told_expression,
+    noise_confidence,
+    step_confidence,
     twins_of,
 )
 from odomcorrupt.report.text.diagnosis import dependence
@@ -39,7 +39,7 @@ _SHOWN_MODELS = 4
 
 
 def readings(name: str) -> str:
-    """Return an effect's name with its twin: one error with two readings, which no recording can tell apart."""
+    """Return an effect's name with its alias: two names for the same error, which no recording can separate."""
     twins = twins_of(name)
     return f"{name} (= {', '.join(twins)})" if twins else name
 
@@ -65,7 +65,7 @@ def findings_brief(
     """
     lines = _found_lines(search, fit or search.fit)
     verdict, tone = _verdict(search, comparison)
-    first = lines[0].text if lines else "nothing that is known would explain more than chance does"
+    first = lines[0].text if lines else "no known effect explains more than chance"
     lines = [Line(verdict, first, tone), *lines[1:]]
     lines += _open_lines(advice)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
@@ -75,7 +75,7 @@ def findings_brief(
         lines.insert(_effects_of(search), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
-        lines.insert(1, Line("errors", f"10 s error {change} with the clock set right"))
+        lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
     last = comparison.judgements[-1]
     if last.verdict.rejected and not search.unknown:
         worst = last.verdict.against[0]
@@ -106,13 +106,14 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
     for step in search.steps:
         if step.added is not None and step.added in own:
             values = ", ".join(numbers_text(*own[step.added]))
-            said = f"{readings(step.added)}  {values}  {sure_words(step_sure(step, search))}"
+            said = f"{readings(step.added)}  {values}  {confidence_words(step_confidence(step, search))}"
             lines.append(Line("", said + _rivals(step)))
     for unknown in search.unknown[:2]:
-        expression = told_expression(unknown, law_numbers(unknown, search, fit))
+        expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         lines.append(Line("", f"{dependence(unknown)}: {expression}"))
     for gain in search.noise:
-        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {sure_words(noise_sure(gain, search))}"
+        sure = confidence_words(noise_confidence(gain, search))
+        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {sure}"
         lines.append(Line("noise", said))
     names = [r.name for r in search.fit.problem.recordings]
     for one in clocks_found(search.clocks):
@@ -123,7 +124,7 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
         )
         lines.append(Line("clock", f"{one.name} {value} in {names[one.recording]}"))
     lines += [
-        Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): was something changed?", "warning")
+        Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
     return lines
@@ -141,8 +142,10 @@ def _open_lines(advice: Advice) -> list[Line]:
     if not rivals:
         return []
     names = "; ".join(" or ".join(choice.names) for choice in rivals)
-    told = any(choice.plan is not None for choice in rivals)
-    return [Line("open", f"{names}{': --drive NEXT.mcap writes the drive that tells' if told else ''}", "warning")]
+    shown = any(choice.plan is not None for choice in rivals)
+    return [
+        Line("open", f"{names}{': --drive NEXT.mcap writes a drive that separates them' if shown else ''}", "warning")
+    ]
 
 
 def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
@@ -159,7 +162,7 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
         first = Line(label, f"{last.name}: {measures_words(comparison)}", tone)
     lines = [first]
     if isfinite(comparison.raw_error_m):
-        lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as it came"))
+        lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
     shown = comparison.judgements[-_SHOWN_MODELS:]
     for judgement in shown:
         rejected = "rejected" if judgement.verdict.rejected else "not rejected"

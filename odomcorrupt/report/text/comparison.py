@@ -41,14 +41,14 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def failure_lines(judgement: Judgement) -> list[str]:
-    """Return the verdict, and where the model fails, the plainest first."""
+    """Return the verdict, and where the model fails, the most significant first."""
     lines = [judgement_sentence(judgement)]
     if judgement.failures:
         shown, more = judgement.failures[:MOST], len(judgement.failures) - MOST
         lines += [f"  {number}. {sentence(f)}" for number, f in enumerate(shown, start=1)]
         lines += [f"  and {more} more, see --json"] if more > 0 else []
     else:
-        lines.append("  no motion, time, place or moment in which it fails")
+        lines.append("  no lack of fit in any motion, time, place or moment")
     return lines
 
 
@@ -91,10 +91,10 @@ def _length(metres: float) -> str:
 
 
 def ladder_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | None]]:
-    """Return names and 10 s errors (m), from the odometry as it came to the last model."""
-    steps: list[tuple[str, float, Judgement | None]] = [("odometry as it came", comparison.raw_error_m, None)]
+    """Return names and 10 s errors (m), from the measured odometry to the last model."""
+    steps: list[tuple[str, float, Judgement | None]] = [("measured odometry", comparison.raw_error_m, None)]
     if comparison.clock_error_m != comparison.raw_error_m:
-        steps.append(("its clock set right", comparison.clock_error_m, None))
+        steps.append(("with its clock corrected", comparison.clock_error_m, None))
     return [*steps, *((j.name, j.ten_second_error_m, j) for j in comparison.judgements)]
 
 
@@ -167,7 +167,7 @@ def _trajectory_lines(comparison: Comparison) -> list[str]:
     cut = len(comparison.judgements[0].pieces) > len(comparison.recordings)
     which = "paths, in halves" if cut else "whole paths"
     lines = [f"{which}, each model's effects taken out (ATE, RPE as evo has them, RMS):"]
-    steps: list[tuple[str, TrajectoryError]] = [("odometry, clock right", comparison.clock_trajectory)]
+    steps: list[tuple[str, TrajectoryError]] = [("odometry, clock corrected", comparison.clock_trajectory)]
     steps += [(j.name, j.trajectory) for j in comparison.judgements]
     for name, e in steps:
         lines += _named(

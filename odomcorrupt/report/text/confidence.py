@@ -1,4 +1,4 @@
-"""How sure each finding is, and the numbers of a believed law: the same in the terminal, the report and JSON."""
+"""Confidence of findings, and coefficients of a fitted dependence: the same in the terminal, the report and JSON."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ __all__ = [
     "ClockFound",
     "LawNumber",
     "clocks_found",
+    "confidence_words",
+    "fitted_expression",
     "law_numbers",
-    "noise_sure",
-    "step_sure",
-    "sure_words",
-    "told_expression",
+    "noise_confidence",
+    "step_confidence",
     "twins_of",
 ]
 
@@ -38,7 +38,7 @@ _REAL = 3.9
 
 
 class ClockFound(NamedTuple):
-    """A clock that is off: as which effect, of which recording, its value, its standard error and how sure that is."""
+    """A clock that is off: as which effect, of which recording, its value, its standard error and confidence."""
 
     name: str
     recording: int
@@ -56,7 +56,7 @@ class LawNumber(NamedTuple):
 
 
 def twins_of(name: str) -> list[str]:
-    """Return the effects with the very same error as a named one: other readings of it, and no rivals."""
+    """Return the effects with the very same error as a named one: aliases of it, not alternatives."""
     kinds = registry()
     twins = [other for other, kind in kinds.items() if kind.twin_of == name]
     own = kinds[name].twin_of if name in kinds else None
@@ -76,27 +76,27 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 
-def step_sure(look: Step, learned: Learned) -> float:
-    """Return how sure a name is that a look added."""
-    return confidence(evidence_of(look, learned))
+def step_confidence(step: Step, learned: Learned) -> float:
+    """Return the confidence in the name of the effect that a step added."""
+    return confidence(evidence_of(step, learned))
 
 
-def noise_sure(gain: RandomCoefficient, learned: Learned) -> float:
-    """Return how sure a name of noise is; whatever depends on something looks like a gain that wanders."""
+def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
+    """Return the confidence in the name of a random effect; any dependence resembles a slow gain."""
     like_anything = gain.effect.name in WANDERING
     left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
     return confidence(Evidence(gain.nats, left=left))
 
 
-def sure_words(sure: float) -> str:
-    """Return "sure 0.99"; never more than it is, for 0.999 is not certain."""
-    return f"sure {int(100.0 * sure) / 100.0:.2f}"
+def confidence_words(sure: float) -> str:
+    """Return "confidence 0.99", rounded down: 0.999 is not certain."""
+    return f"confidence {int(100.0 * sure) / 100.0:.2f}"
 
 
 def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
-    """Return the numbers of a believed law by name, as a fit of the final model has them; of others none.
+    """Return the coefficients of a fitted dependence by name, from the final fit; none for one that is not fitted.
 
-    fit : the fit that is told or written, where it is not the search's own
+    fit : the fit that is reported, where it is not the search's own
     """
     fit = fit or learned.fit
     if unknown not in learned.laws or unknown.best is None:
@@ -109,8 +109,8 @@ def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -
     return {}
 
 
-def told_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
-    """Return the expression of an unknown dependence: with these numbers, where its law is believed."""
+def fitted_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
+    """Return the expression of an unknown dependence: with these coefficients, where it is fitted."""
     if unknown.best is None or not numbers:
         return unknown.expression
     return unknown.best.term.expression([number.value for number in numbers.values()])

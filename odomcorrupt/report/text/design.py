@@ -38,16 +38,16 @@ def advice_sentences(advice: Advice) -> list[str]:
 
 
 def choice_sentence(choice: Choice) -> str:
-    """Return "A or B: these data cannot tell; drive X"."""
+    """Return "A or B: these data do not separate them; drive X"."""
     names = " or ".join(choice.names)
     if choice.plan is None:
         if choice.hint:
             return f"{names}: the same to every drive: {choice.hint}"
-        return f"{names}: these data cannot tell, and no drive of ten minutes would: what they differ in is too small"
+        return f"{names}: these data do not separate them, and no drive of ten minutes would"
     why = f" ({choice.why})" if choice.why else ""
     return (
-        f"{names}: these data cannot tell{why}; drive {drive_sentence(choice.plan)}: "
-        f"that is expected to tell by {choice.nats:.0f} nats"
+        f"{names}: these data do not separate them{why}; drive {drive_sentence(choice.plan)}: "
+        f"that is expected to separate them by {choice.nats:.0f} nats"
     )
 
 
@@ -73,14 +73,14 @@ def drive_sentence(plan: Plan) -> str:
 
 
 def limits_sentence(limits: Sequence[Limit]) -> str:
-    """Return the sizes that would have been seen, in units a person thinks in; "" where there are none."""
+    """Return the smallest detectable sizes in common units; "" where there are none."""
     if not limits:
         return ""
     names = [limit.effect for limit in limits]
     sizes = ", ".join(
         f"{limit_name(limit, alone=names.count(limit.effect) == 1)} {limit_size(limit)}" for limit in limits
     )
-    return f"these sizes would have been seen: {sizes}"
+    return f"smallest detectable sizes: {sizes}"
 
 
 def limit_name(limit: Limit, *, alone: bool) -> str:
@@ -89,6 +89,6 @@ def limit_name(limit: Limit, *, alone: bool) -> str:
 
 
 def limit_size(limit: Limit) -> str:
-    """Return a size in two figures and a unit a person thinks in."""
+    """Return a size in two figures and a common unit."""
     number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
     return f"{float(f'{float(number):.2g}'):g} {unit}".strip()

@@ -1,4 +1,4 @@
-"""What a search found, as plain text: effects, noise, what is unknown, and what would have been seen."""
+"""What a search found, as plain text: effects, noise, unexplained dependences, and the smallest detectable sizes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.confidence import law_numbers, noise_sure, sure_words, told_expression
+from odomcorrupt.report.text.confidence import confidence_words, fitted_expression, law_numbers, noise_confidence
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.lack_of_fit import rejection, size
 from odomcorrupt.report.text.tables import clock_lines, ladder_text, noise_text, value_text
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 
 __all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
 
-NOTHING = "nothing is missing: no known effect would explain more than chance does"
+NOTHING = "nothing is missing: no known effect explains more than chance"
 
 
 def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = None, fit: Fit | None = None) -> str:
-    """Return the findings in the order of their weight, what is open, and the sizes that would have been seen.
+    """Return the findings in order of evidence, what is open, and the smallest detectable sizes.
 
     judged : the verdict on the final model, where it is known
-    fit : the fit of the final model whose numbers are told elsewhere, where it is not the search's own
+    fit : the fit of the final model, where it is not the search's own
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
@@ -45,17 +45,17 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     for gain in learned.noise:
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
-        sure = sure_words(noise_sure(gain, learned))
+        sure = confidence_words(noise_confidence(gain, learned))
         lines.append(f"noise: {gain.effect.name}{channel}, {values} ({sure}): {gain.effect.summary}")
     for unknown in learned.unknown[:3]:
-        lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), believed=unknown in learned.laws)
+        lines += _unknown_lines(unknown, law_numbers(unknown, learned, fit), fitted=unknown in learned.laws)
     lines += [_event_line(one) for one in single_events(learned.fit)]
     like_a_clock = [name for name in learned.added if name in RIVALS]
     if like_a_clock and learned.clocks.ambiguous_nats > 0.0:
         lines.append(
-            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, for the clock is "
-            "plain only without them; give the offset if it is known (--truth-shift), or speed up and brake hard at "
-            "two speeds, with turns on the spot between"
+            f"{' and '.join(like_a_clock)} or a clock that is off: these data do not separate them, because the clock "
+            "is significant only without them; give the offset if it is known (--truth-shift), or speed up and brake "
+            "hard at two speeds, with turns on the spot between"
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
@@ -96,7 +96,7 @@ def _event_line(one: Event) -> str:
     x, y = one.place_xy
     return (
         f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
-        f"moved {moved or 'hardly'}, and odometry does not know of it (a push, a lift, a bump); left out of the fit. "
+        f"moved {moved or 'hardly'}, which is not in the odometry (a push, a lift, a bump); left out of the fit. "
         f"To corrupt with it: --effect push:{push}"
     )
 
@@ -107,26 +107,26 @@ def _disagreement_line(one: Disagreement, learned: Learned) -> str:
         for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
     )
     slow = [gain.effect.name for gain in learned.noise if gain.effect.name in WANDERING]
-    noise = f" ({slow[0]} may be nothing but that)" if slow else ""
+    noise = f" ({slow[0]} may be caused by that)" if slow else ""
     return (
-        f"the recordings disagree about {one.effect}: {says}. Something was changed between them{noise}: "
-        "learn from those that belong together"
+        f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
+        "learn from recordings of one state"
     )
 
 
 def unnamed(why: str, *, found: bool) -> str:
-    """Return what to say of a model that is rejected and of which nothing that is known is missing.
+    """Return the sentence on a rejected model in which no known effect is missing.
 
     found : whether something was found on the way
     """
-    return f"nothing {'else ' if found else ''}that is known is missing, but the model is rejected: {why}"
+    return f"no {'further ' if found else ''}known effect is missing, but the model is rejected: {why}"
 
 
-def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, believed: bool) -> list[str]:
+def _unknown_lines(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: bool) -> list[str]:
     finding = f"unknown: {dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
     spread = ", ".join(f"{name} {value_text(*number)}" for name, number in numbers.items())
-    told = f"{told_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
-    return [finding, f"  {'believed and fitted' if believed else 'to try'}: {told}"]
+    shown = f"{fitted_expression(unknown, numbers)}{f'  ({spread})' if spread else ''}"
+    return [finding, f"  {'fitted' if fitted else 'suggested'}: {shown}"]
 
 
 def dependence(unknown: Dependence) -> str:

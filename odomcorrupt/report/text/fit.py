@@ -24,7 +24,7 @@ _MOST_EVENTS = 8
 
 
 def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
-    """Return what a fit found; without clocks where these are told beside it."""
+    """Return what a fit found; without clocks where these are reported beside it."""
     truth = result.fit.noise.truth
     names = [r.name for r in result.fit.problem.recordings]
     lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
@@ -67,7 +67,7 @@ def _event_lines(found: Sequence[Event]) -> list[str]:
     if not found:
         return []
     total = sum(event.end_s - event.start_s for event in found)
-    lines = [f"{len(found)} stretches ({total:.1f} s) are no ordinary noise and weigh less; the largest:"]
+    lines = [f"{len(found)} stretches ({total:.1f} s) are outliers with reduced weight; the largest:"]
     largest = sorted(found, key=lambda e: abs(e.along_m) + abs(e.yaw_rad), reverse=True)[:_MOST_EVENTS]
     lines += [
         f"  {e.recording} {e.start_s:8.1f} to {e.end_s:.1f} s: odometry {e.along_m * 1e3:+.0f} mm ahead of the truth, "

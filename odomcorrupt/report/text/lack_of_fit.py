@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 __all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size"]
 
 MOST = 8
-"""Sentences told of a model; JSON has all of them."""
+"""Sentences printed for a model; JSON has all of them."""
 SIGNS = (
     "Signs: odometry minus truth. Plus means that the odometry ends too far ahead, too far left, or turns too far left."
 )
@@ -25,7 +25,7 @@ _SENSE = {
 
 
 def size(channel: str, value: float, *, digits: int = 2, signed: bool = False) -> str:
-    """Return a length (m) or angle (rad) in the unit a person thinks in; a dash where it is not known."""
+    """Return a length (m) or angle (rad) in a common unit; a dash where it is not known."""
     if not isfinite(value):
         return "–"
     if channel == "yaw":
@@ -48,7 +48,7 @@ def _magnitude(value: float) -> int:
 
 
 def sentence(failure: Failure) -> str:
-    """Return a failure as a person says it."""
+    """Return a failure as a sentence."""
     tail = f" ({failure.recording})" if failure.recording else ""
     channel, measured, expected = failure.channel, failure.measured, failure.expected
     sense = _SENSE[channel][measured < 0.0]
@@ -56,18 +56,18 @@ def sentence(failure: Failure) -> str:
         more = "larger" if measured > expected else "smaller"
         return (
             f"{channel} error is {size(channel, measured)} RMS {failure.where}, {more} than the "
-            f"{size(channel, expected)} that the model expects ({failure.amount:g} windows){tail}"
+            f"{size(channel, expected)} that the model predicts ({failure.amount:g} windows){tail}"
         )
     if failure.kind == "moment":
         return (
             f"{channel} error jumps by {size(channel, measured, signed=True)} {failure.where}: "
-            f"{sense}; the model expects no more than {size(channel, expected)}{tail}"
+            f"{sense}; the model predicts no more than {size(channel, expected)}{tail}"
         )
     per, span = (10.0, "10 m") if failure.per == "m" else (60.0, "minute")
     besides = "on top of the above, " if failure.besides else ""
     return (
         f"{besides}{channel} error grows {size(channel, measured * per, signed=True)} per {span} "
-        f"{failure.where}: {sense}; the model expects no more than {size(channel, expected * per)}{tail}"
+        f"{failure.where}: {sense}; the model predicts no more than {size(channel, expected * per)}{tail}"
     )
 
 
@@ -75,9 +75,9 @@ def judgement_sentence(judgement: Judgement) -> str:
     """Return the verdict on a model."""
     verdict = judgement.verdict
     count = len(verdict.looks)
-    level = f"{100.0 * verdict.level:g} % level, {count} looks together"
+    level = f"{100.0 * verdict.level:g} % level, {count} tests together"
     if not verdict.rejected:
-        return f"{judgement.name} is not rejected ({level}): errors of this size and kind are what it expects"
+        return f"{judgement.name} is not rejected ({level}): errors of this size and kind are as predicted"
     worst = verdict.against[0]
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
@@ -94,14 +94,14 @@ def rejection(judgement: Judgement) -> str:
     large = [h for h in judgement.horizons if h.nees > h.nees_bounds[1]]
     small = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
     if large:
-        return f"{said}; {_times(max(large, key=lambda h: h.nees))}: something is left that has no name here"
+        return f"{said}; {_times(max(large, key=lambda h: h.nees))}: an effect that is not in the library remains"
     if small:
-        return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it expects more noise than there is"
-    return f"{said}; the size of its errors is what it expects"
+        return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
+    return f"{said}; the size of its errors is as predicted"
 
 
 def _times(h: Horizon) -> str:
-    return f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times what it expects (NEES {h.nees:.2g})"
+    return f"errors over {h.distance_m:g} m of path are {h.nees**0.5:.2g} times the predicted ones (NEES {h.nees:.2g})"
 
 
 def _p(p: float) -> str:

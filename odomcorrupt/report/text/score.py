@@ -27,7 +27,7 @@ _STATUSES: tuple[Status, ...] = ("lost", "diverged", "partial", "missing", "unre
 
 
 def metric_text(metric: str, value: float) -> str:
-    """Return a metric in a unit that a person thinks in; "-" where it is not known."""
+    """Return a metric in a common unit; "-" where it is not known."""
     if value != value:  # noqa: PLR0124 - NaN alone
         return "-"
     if not isfinite(value):
@@ -68,10 +68,10 @@ def sentences(report: ScoreReport) -> list[str]:
     """Return what there is to say of all runs, a sentence each, the most important first."""
     counts = Counter(run.status for run in report.runs)
     failed = sum(report.failed(run) for run in report.runs)
-    told = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
+    parts = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
     lines = [
         f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed"
-        + (f" ({', '.join(told)})" if told else "")
+        + (f" ({', '.join(parts)})" if parts else "")
         + "."
     ]
     left = len(report.runs) - len(report.counted)
@@ -129,21 +129,21 @@ def _breakdown_sentence(report: ScoreReport) -> str:
 
 
 def _place_sentences(report: ScoreReport) -> list[str]:
-    told = []
+    parts = []
     known = [s for s in report.sections if s.runs]
     worst = max(known, key=lambda s: s.median_m, default=None)
     if worst is not None:
-        told.append(
+        parts.append(
             f"Errors are largest {worst.from_m:.1f} to {worst.to_m:.1f} m along the path, about ({worst.xy_m[0]:.1f}, "
             f"{worst.xy_m[1]:.1f}): median {metric_text('_m', worst.median_m)}, p90 {metric_text('_m', worst.p90_m)}."
         )
     most = max(known, key=lambda s: s.failures, default=None)
     if most is not None and most.failures > 1:
-        told.append(
+        parts.append(
             f"{most.failures} of {sum(s.failures for s in known)} losses begin {most.from_m:.1f} to {most.to_m:.1f} m "
             f"along the path, about ({most.xy_m[0]:.1f}, {most.xy_m[1]:.1f})."
         )
-    return told
+    return parts
 
 
 def run_heads() -> list[str]:

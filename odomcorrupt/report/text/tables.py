@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.report.text.confidence import clocks_found, step_sure, sure_words, twins_of
+from odomcorrupt.report.text.confidence import clocks_found, confidence_words, step_confidence, twins_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +20,7 @@ __all__ = ["candidates_table", "clock_lines", "ladder_text", "noise_text", "numb
 
 
 def value_text(value: float, error: float | None, unit: str) -> str:
-    """Return a value with its error in units a person thinks in."""
+    """Return a value with its error in common units."""
     if unit.startswith("rad"):
         value, error, unit = degrees(value), None if error is None else degrees(error), "deg" + unit[3:]
     elif unit == "m":
@@ -36,16 +36,16 @@ def value_text(value: float, error: float | None, unit: str) -> str:
 def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
     """Return an effect's numbers in words: amplitudes with their errors, then its shape, places in metres."""
     own = amplitudes(effect)
-    told = zip(own, errors, strict=True)
-    sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in told]
+    shown = zip(own, errors, strict=True)
+    sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in shown]
     shapes = [p for p in parameters(effect) if not p.amplitude]
     return sizes + [f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes]
 
 
 def noise_text(effect: Effect) -> list[str]:
     """Return a random effect's numbers in words; a time of zero is none."""
-    told = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
-    return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in told]
+    shown = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
+    return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown]
 
 
 def _shape_text(value: float, unit: str) -> str:
@@ -54,20 +54,20 @@ def _shape_text(value: float, unit: str) -> str:
 
 
 def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
-    """Return a line for every recording whose clock is off, with how sure that is."""
+    """Return a line for every recording whose clock is off, with its confidence."""
     parts: dict[int, list[str]] = {}
     for one in clocks_found(clocks):
         offset = f"offset {value_text(one.value, one.error, 's')}"
         skew = f"skew {one.value * 1e6:.0f} +- {one.error * 1e6:.2g} ppm"
         said = offset if one.name == "time_offset" else skew
-        parts.setdefault(one.recording, []).append(f"{said} ({sure_words(one.sure)})")
+        parts.setdefault(one.recording, []).append(f"{said} ({confidence_words(one.sure)})")
     return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
 
 
-def candidates_table(look: Step, *, most: int = 8) -> str:
-    """Return the candidates of one look, the plainest first."""
+def candidates_table(step: Step, *, most: int = 8) -> str:
+    """Return the candidates of one step, those with most evidence first."""
     lines = [f"{'effect':<16}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"]
-    lines += [_candidate_line(c) for c in look.candidates[:most]]
+    lines += [_candidate_line(c) for c in step.candidates[:most]]
     return "\n".join(lines)
 
 
@@ -98,17 +98,17 @@ def words_text(effect: Effect) -> str:
 def ladder_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
     lines, own = [], {effect.name: effect for effect in learned.fit.effects}
-    for look in learned.steps:
-        if look.added is not None:
-            before, after = look.candidates[0].rmse
-            twins = twins_of(look.added)
-            others = [name for name in look.alternatives if name not in twins]
-            rivals = f" (= {', '.join(twins)}: one error, two readings)" if twins else ""
-            rivals += f" (or {', '.join(others)}: these data cannot tell)" if others else ""
-            name = look.added + words_text(own[look.added])
-            sure = sure_words(step_sure(look, learned))
+    for step in learned.steps:
+        if step.added is not None:
+            before, after = step.candidates[0].rmse
+            twins = twins_of(step.added)
+            others = [name for name in step.alternatives if name not in twins]
+            rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
+            rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""
+            name = step.added + words_text(own[step.added])
+            sure = confidence_words(step_confidence(step, learned))
             lines.append(
-                f"  + {name:<16}{look.candidates[0].gain:+8.1f} nats   "
+                f"  + {name:<16}{step.candidates[0].gain:+8.1f} nats   "
                 f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {sure}{rivals}"
             )
     return "\n".join(lines)

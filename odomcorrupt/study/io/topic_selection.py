@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from typing import TYPE_CHECKING, Literal
 
-from odomcorrupt.corruption.targets import says_truth
+from odomcorrupt.corruption.odometry_source import says_truth
 from odomcorrupt.errors import TopicError
 from odomcorrupt.study.io.address import plain
 

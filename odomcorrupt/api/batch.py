@@ -1,0 +1,190 @@
+"""Many corrupted runs of one bag, or of several."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Unpack
+
+from odomcorrupt.api.bag_options import as_condition, split_options
+from odomcorrupt.api.model import as_model
+from odomcorrupt.api.recordings import as_paths
+from odomcorrupt.api.result import Result
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.api.bag_options import BagOptions
+    from odomcorrupt.api.model import ModelLike
+    from odomcorrupt.api.recordings import PathLikes
+    from odomcorrupt.batching.job import Job
+    from odomcorrupt.batching.runner import Failure
+    from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.report.text.summary import Summary
+
+__all__ = ["Batch", "batch"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Batch(Result):
+    """Many corrupted runs of one bag, or of several.
+
+    directory : where they are
+    jobs : one for each input and each point of a sweep
+    made_now : how many runs this call made
+    failures : runs that could not be made, and why
+    """
+
+    directory: Path
+    jobs: tuple[Job, ...]
+    made_now: int
+    failures: tuple[Failure, ...]
+
+    @property
+    def seed(self) -> int:
+        """Seed of all draws."""
+        return self.jobs[0].seed
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """What the manifest says of each run: file, command, seed, drift."""
+        from odomcorrupt.batching.manifest import read_records
+
+        return [record for job in self.jobs for _, record in sorted(read_records(job.directory).items())]
+
+    @property
+    def paths(self) -> list[Path]:
+        """Files of the runs, in order."""
+        from odomcorrupt.batching.manifest import read_records
+
+        return [
+            job.directory / record["file"]
+            for job in self.jobs
+            for _, record in sorted(read_records(job.directory).items())
+        ]
+
+    @property
+    def losses(self) -> tuple[str, ...]:
+        """What could not be read of damaged inputs, each once."""
+        return tuple(dict.fromkeys(loss for record in self.records for loss in record.get("losses", ())))
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def summary(self) -> Summary:
+        """Return how many runs there are, with their drift, and what failed."""
+        from odomcorrupt.batching.summary import brief
+
+        return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses)
+
+    def details(self) -> str:
+        """Return the same in sentences."""
+        from odomcorrupt.batching.summary import sentences
+
+        return sentences(self.directory, len(self.records), self.made_now, self.seed, self.failures, self.losses)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the manifest: the directory, the seed, and a record of each run."""
+        return {
+            "schema": 2,
+            "directory": str(self.directory),
+            "seed": self.seed,
+            "made_now": self.made_now,
+            "failures": [{"run": run, "why": why} for run, why in self.failures],
+            "runs": self.records,
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each run: its number, file and drift."""
+        return [{"run": r["run"], "file": r["file"], "input": r["input"], **r.get("drift", {})} for r in self.records]
+
+    def _figure(self) -> Figure:
+        """Return how the runs spread with the distance, and what the linearised model predicts."""
+        from odomcorrupt.batching.dispersion import measure
+        from odomcorrupt.report.plots.dispersion import draw_spread
+
+        return draw_spread(measure(self.jobs[0].directory))
+
+
+def batch(
+    inputs: PathLikes,
+    directory: str | PathLike[str],
+    *,
+    model: ModelLike | None = None,
+    runs: int,
+    seed: int | None = None,
+    output: Literal["full", "overlay", "trajectories"] = "full",
+    robots: Literal["stated", "posterior"] = "stated",
+    sweeps: Sequence[str] = (),
+    jobs: int = 1,
+    within: MapCondition | str | PathLike[str] | None = None,
+    **options: Unpack[BagOptions],
+) -> Batch:
+    """Make runs 0 to n - 1 of a seed: the bytes that `corrupt` gives one by one, much faster; what is there stays.
+
+    Parameters
+    ----------
+    inputs : path or several
+        Bags.
+    directory : path
+        Where the runs go; manifest.jsonl there has the command that makes any single one.
+    model : Model, Noise, path of a model file or name of a preset, optional
+        By default the preset `typical`. Of a file, what it states as "a +- b" is drawn for each run.
+    runs : int
+        How many.
+    seed : int, optional
+        Of all draws; by default that of the batch in the directory, or one is drawn.
+    output : {"full", "overlay", "trajectories"}
+        Whole bags, only the changed topics, or only paths (TUM and npz).
+    robots : {"stated", "posterior"}
+        Draw for each run what the model states as "a +- b", or everything with a standard error.
+    sweeps : sequence of str
+        As "alpha-scale=0.5,1,2": every combination has a directory of its own.
+    jobs : int
+        Processes. In a script, call from under ``if __name__ == "__main__"``.
+    within : MapCondition or path of a map's .yaml, optional
+        As in `corrupt`.
+    **options
+        See `BagOptions`.
+
+    Returns
+    -------
+    Batch
+        The runs; `paths` are their files, `to_pandas()` their drift.
+
+    Raises
+    ------
+    BatchError, BagError, TopicError, ModelError
+        Where inputs would share a directory, the directory has another batch, or no run could be made.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> runs = oc.batch("fixtures/office.mcap", "runs", model="typical", runs=3, seed=1, output="trajectories")
+    >>> len(runs.paths)
+    3
+
+    """
+    from odomcorrupt.batching.plan import BatchSpec, plan, run_batch, seed_of
+
+    moved, container = split_options(options)
+    chosen = as_model(model)
+    file = Path(fspath(model)) if isinstance(model, str | PathLike) and fspath(model).endswith(".toml") else None
+    target = Path(fspath(directory))
+    spec = BatchSpec(
+        model=chosen.motion_model,
+        seed=seed_of(target) if seed is None else seed,
+        model_file=file,
+        sweeps=tuple(sweeps),
+        posterior=robots == "posterior",
+        options=moved,
+        container=container,
+        output=output,
+        condition=as_condition(within),
+    )
+    planned = plan(as_paths(inputs), target, spec)
+    made = run_batch(planned, range(runs), processes=jobs)
+    return Batch(target, tuple(planned), made.runs, made.failures)

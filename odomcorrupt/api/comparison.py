@@ -1,0 +1,167 @@
+"""Models compared on measurements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.model import Model, as_model
+from odomcorrupt.api.recordings import as_recordings
+from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.errors import ModelError, OdomCorruptError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.api.model import ModelLike
+    from odomcorrupt.api.recordings import PathLikes, Recordings
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.study.validate.compare import Comparison as ModelComparison
+
+__all__ = ["Comparison", "compare"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Comparison(Result):
+    """Models against measurements: the errors measured and expected, and where each model fails.
+
+    result : everything that was computed
+    following : the command to type next
+    """
+
+    result: ModelComparison
+    following: str = ""
+
+    @property
+    def rejected(self) -> bool:
+        """Whether the data reject the last model."""
+        return self.result.judgements[-1].verdict.rejected
+
+    def summary(self) -> Summary:
+        """Return whether the last model is better than the first by all measures, and a line for each model."""
+        from odomcorrupt.report.text.brief import comparison_brief
+
+        return comparison_brief(self.result, next_line(self.following))
+
+    def details(self) -> str:
+        """Return clocks, the table of horizons, the models in order, and every failure."""
+        from odomcorrupt.report.text.comparison import comparison_text
+        from odomcorrupt.report.text.tables import clock_lines
+
+        lines = clock_lines(self.result.recordings, self.result.clocks)
+        return "\n".join([*lines, comparison_text(self.result)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the comparison as docs/json.md describes it."""
+        from odomcorrupt.report.json.comparison import comparison_json
+
+        return comparison_json(self.result)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each model: errors in metres, log likelihood in nats per metre, whether it is rejected."""
+        return [
+            {
+                "model": j.name,
+                "error_10s_m": j.ten_second_error_m,
+                "nats_per_m": j.nats.per_m,
+                "nats_per_m_error": j.nats.error,
+                "ate_m": j.trajectory.ate_m,
+                "rpe_1m_m": j.trajectory.rpe_m,
+                "rejected": j.verdict.rejected,
+            }
+            for j in self.result.judgements
+        ]
+
+    def horizon_rows(self) -> list[dict[str, Any]]:
+        """Return a row for each model and length of path: errors measured and expected, metres and radians, NEES."""
+        return [
+            {
+                "model": j.name,
+                "distance_m": h.distance_m,
+                "windows": h.windows,
+                "position_measured_m": h.position_measured,
+                "position_expected_m": h.position_expected,
+                "yaw_measured_rad": h.measured[2],
+                "yaw_expected_rad": h.expected[2],
+                "nees": h.nees,
+            }
+            for j in self.result.judgements
+            for h in j.horizons
+        ]
+
+    def report(self) -> str:
+        """Return all of it as one page of HTML, pictures too."""
+        from odomcorrupt import __version__
+        from odomcorrupt.report.html.comparison import report_html
+
+        return report_html(self.result, version=__version__)
+
+    def draw(self, picture: str) -> Figure:
+        """Return a picture: error (against distance), path, nees, residuals, map or pit."""
+        from odomcorrupt.report.plots.comparison import PICTURES
+
+        if (picture or "error") not in PICTURES:
+            raise OdomCorruptError(f"no picture is called {picture!r}; there are {', '.join(PICTURES)}")
+        return PICTURES[picture or "error"].draw(self.result)
+
+
+def compare(
+    recordings: Recordings | PathLikes, models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]
+) -> Comparison:
+    """Compare models with measurements, and see where they fail.
+
+    Recordings that a model was fitted to are cut in halves: it is refitted to one and judged on the other.
+
+    Parameters
+    ----------
+    recordings : Recordings or paths
+        What to judge on.
+    models : one model, several, or several by name
+        Models, paths of model files, or names of presets; the first is what the others are measured against.
+
+    Returns
+    -------
+    Comparison
+        `to_pandas()` has a row for each model.
+
+    Raises
+    ------
+    ModelError
+        Where there is no model, or a file is none.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> rec = oc.read_recordings("fixtures/mystery_other.mcap")
+    >>> table = oc.compare(rec, ["typical", oc.Model(oc.Noise(alpha=(0.1, 0.1, 0.1, 0.1)))]).rows()
+    >>> [row["model"] for row in table]
+    ['typical', 'model 2']
+
+    """
+    named = _named_models(models)
+    track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
+    runs = as_recordings(recordings).on_track(track)
+    from odomcorrupt.study.validate.compare import compare as compare_models
+
+    return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
+
+
+def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:
+    """Return models by name: that of a file alone where it tells them apart, of others their number."""
+    from collections.abc import Mapping, Sequence
+
+    if isinstance(models, Mapping):
+        return {name: as_model(model) for name, model in models.items()}
+    given = list(models) if isinstance(models, Sequence) and not isinstance(models, str) else [models]
+    if not given:
+        raise ModelError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
+    full = [fspath(m) if isinstance(m, str | PathLike) else f"model {i}" for i, m in enumerate(given, start=1)]
+    short = [Path(name).name for name in full]
+    names = short if len(set(short)) == len(short) else full
+    if len(set(names)) < len(names):
+        raise ModelError(f"models: {', '.join(names)}; the same one is named twice")
+    return {name: as_model(model) for name, model in zip(names, given, strict=True)}

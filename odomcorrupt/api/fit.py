@@ -1,0 +1,137 @@
+"""A motion model fitted to recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.model import Model, as_model
+from odomcorrupt.api.recordings import Recordings, as_recordings
+from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.extras import require
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.api.model import ModelLike
+    from odomcorrupt.api.recordings import PathLikes
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.validate.round_trip import RoundTrip
+
+__all__ = ["Fit", "fit", "require_effects"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Fit(Result):
+    """A motion model fitted to recordings.
+
+    recordings : what it was fitted to
+    result : the model with confidence intervals, clocks, and the fit itself
+    proof : the model as it can be used: read back, corrected and corrupted with
+    laws : the fits of every law where all were tried, the likeliest first
+    following : the command to type next
+    """
+
+    recordings: Recordings
+    result: RobotFit
+    proof: RoundTrip
+    laws: Mapping[str, RobotFit] = field(default_factory=dict)
+    following: str = ""
+
+    @property
+    def model(self) -> Model:
+        """The model that was fitted, as it can be used."""
+        return Model.of(self.proof.model)
+
+    def summary(self) -> Summary:
+        """Return the error on the fitted data, the noise and the effects."""
+        from odomcorrupt.report.text.brief import fit_brief
+
+        return fit_brief(self.result, next_line(self.following))
+
+    def details(self) -> str:
+        """Return all coefficients with their intervals, effects, clocks, and stretches that weigh less."""
+        from odomcorrupt.report.text.fit import fit_text, laws_table
+
+        return "\n\n".join(
+            [*([laws_table(self.laws)] if self.laws else []), fit_text(self.result), *self.proof.changes]
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
+        from odomcorrupt.report.json.fit import fit_json
+
+        return fit_json(self.result, self.laws)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a row for each parameter: value and standard error."""
+        errors = self.model.standard_errors
+        return [
+            {"parameter": name, "value": value, "standard_error": errors.get(name)}
+            for name, value in self.model.parameters.items()
+        ]
+
+
+def fit(
+    recordings: Recordings | PathLikes,
+    effects: Sequence[str] = (),
+    *,
+    start: ModelLike | None = None,
+    law: str | None = None,
+) -> Fit:
+    """Fit a robot's motion model to recordings: noise, that of the truth, clocks, set-up, and the effects asked for.
+
+    Parameters
+    ----------
+    recordings : Recordings or paths
+        Runs of one robot, each with a clock of its own.
+    effects : sequence of str
+        Names of effects to fit besides those of `start`.
+    start : Model or path of a model file, optional
+        Model whose effects are refitted.
+    law : str, optional
+        Noise law, or "all" for the likeliest; by default that of `start`, or diffusion.
+
+    Returns
+    -------
+    Fit
+        `model` is the model; `to_pandas()` its parameters with standard errors.
+
+    Raises
+    ------
+    EffectError
+        Where an effect is unknown or cannot be fitted this way.
+    FitError
+        Where the recordings do not carry what a fit needs.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> result = oc.fit("fixtures/mystery.mcap", ["wheel_scale"])
+    >>> "wheel_scale.e" in result.model.parameters
+    True
+
+    """
+    from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
+    from odomcorrupt.study.pipeline import LAW
+    from odomcorrupt.study.validate.round_trip import proved
+
+    begin = None if start is None else as_model(start).motion_model
+    wanted = effects_to_fit(begin, effects)
+    law_name = law or (LAW if begin is None else begin.noise.law_name)
+    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    if law_name == "all":
+        laws = fit_every_law(runs, wanted, start=begin)
+        best = next(iter(laws.values()))
+        return Fit(runs, best, proved(best.model, runs), laws)
+    best = fit_robot(runs, wanted, law_name=law_name, start=begin)
+    return Fit(runs, best, proved(best.model, runs))
+
+
+def require_effects(start: Model | None, effects: Sequence[str]) -> None:
+    """Raise EffectError where one of the effects cannot be fitted, before recordings are read."""
+    require("scipy", "the study needs it", "study")
+    from odomcorrupt.study.estimate.calibrate import effects_to_fit
+
+    effects_to_fit(None if start is None else start.motion_model, effects)

@@ -1,0 +1,125 @@
+"""A robot's model, learned from recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from odomcorrupt.api.comparison import Comparison
+from odomcorrupt.api.diagnosis import Findings
+from odomcorrupt.api.model import Model
+from odomcorrupt.api.recordings import Recordings, as_recordings
+from odomcorrupt.api.result import next_line
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.api.recordings import PathLikes
+    from odomcorrupt.report.text.summary import Summary
+    from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
+    from odomcorrupt.study.pipeline import LearnedRobot, Watch
+    from odomcorrupt.study.validate.compare import Judgement
+
+__all__ = ["Learned", "learn"]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Learned(Findings):
+    """A robot's model with what was found on the way, and how it does on recordings it was not fitted to."""
+
+    result: LearnedRobot
+
+    @property
+    def model(self) -> Model:
+        """The model that was learned, as it can be used."""
+        return Model.of(self.result.proof.model)
+
+    @property
+    def comparison(self) -> Comparison:
+        """The model without and with what was found, on held-out recordings."""
+        return Comparison(self.result.comparison)
+
+    @property
+    def _judged(self) -> Judgement:
+        return self.result.comparison.judgements[-1]
+
+    @property
+    def _fit(self) -> ModelFit:
+        return self.result.robot.fit
+
+    def summary(self) -> Summary:
+        """Return what was found, how large and how probable it is, and the held-out errors without and with it."""
+        from odomcorrupt.report.text.brief import findings_brief
+
+        found = self.result
+        return findings_brief(
+            found.search,
+            found.advice,
+            found.comparison,
+            fit=self._fit,
+            notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
+            following=next_line(self.following),
+        )
+
+    def details(self) -> str:
+        """Return what was found, what is open, the fit, and the comparison in full."""
+        from odomcorrupt.report.text.comparison import comparison_text
+        from odomcorrupt.report.text.diagnosis import found_text
+        from odomcorrupt.report.text.fit import fit_text
+
+        found = self.result
+        said = found_text(found.search, found.advice, judged=self._judged, fit=self._fit)
+        fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
+        return "\n".join([said, *found.dropped, *fitted, "", comparison_text(found.comparison)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return what was found, and the comparison, as docs/json.md describes them."""
+        return Findings.to_dict(self) | {"comparison": self.comparison.to_dict()}
+
+    def draw(self, picture: str) -> Figure:
+        """Return the errors without and with what was found; or another picture of a comparison by name."""
+        return self.comparison.draw(picture)
+
+
+def learn(
+    recordings: Recordings | PathLikes,
+    *,
+    validate: Recordings | PathLikes = (),
+    watch: Watch = lambda _stage, _share: None,
+) -> Learned:
+    """Learn which effects a robot has: fit, find what is missing, add it, until nothing is missing.
+
+    Parameters
+    ----------
+    recordings : Recordings or paths
+        Runs of one robot.
+    validate : Recordings or paths, optional
+        Recordings to judge the result on, read like the first ones; without any it is cross-validated.
+    watch : callable
+        Called with the name of each stage and the share of the work that is done.
+
+    Returns
+    -------
+    Learned
+        `model` is the robot's model; `print` says what was found and how the error changes.
+
+    Raises
+    ------
+    FitError, RecordingError
+        Where the recordings do not carry what a fit needs.
+
+    Examples
+    --------
+    >>> import odomcorrupt as oc
+    >>> rec = oc.read_recordings("fixtures/mystery.mcap", truth="/ground_truth")
+    >>> result = oc.learn(rec, validate="fixtures/mystery_other.mcap")
+    >>> result.missing
+    ('wheelbase',)
+
+    """
+    runs = as_recordings(recordings)
+    held_out = validate if isinstance(validate, Recordings) or validate else ()
+    others = as_recordings(held_out, like=runs) if held_out else ()
+    from odomcorrupt.study.pipeline import learn_robot
+
+    return Learned(runs, learn_robot(runs, others, watch=watch))

@@ -1,0 +1,214 @@
+"""Paths in the plane: clean and corrupted, against the truth, of many runs, of models; and their errors over time."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.errors import EffectError
+from odomcorrupt.report.plots.figure import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    RED,
+    SKY,
+    drawing,
+    new_figure,
+    remove_unused,
+    short_name,
+    shown_models,
+)
+from odomcorrupt.study.validate.predictive_check import replay
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.preview.forecast import Forecast
+    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.predictive_check import Replay
+    from odomcorrupt.trajectories.integrate import PathError
+
+__all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_runs", "paths_of"]
+
+RUNS = 100
+_MARKS = 20
+_SHOWN_M = 100.0
+"""Path drawn at most, metres: beyond it lines hide lines. What is said of places holds for all of it."""
+
+
+def paths_of(judgement: Judgement) -> Replay:
+    """Return the longest stretch that a model was judged on, with 100 runs of the model."""
+    longest = max(judgement.pieces, key=lambda piece: float(piece.node_metres.sum()))
+    return replay(longest, runs=RUNS)
+
+
+def draw_paths(comparison: Comparison) -> Figure:
+    """Draw a panel for each model."""
+    shown = shown_models(comparison.judgements)
+    columns = min(len(shown), 2)
+    rows = -(-len(shown) // columns)
+    with drawing():
+        figure = new_figure(9.0, 0.7 + (4.6 if columns == 2 else 6.5) * rows)
+        # panels side by side without a gap, below the legend
+        figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        remove_unused(panels, len(shown))
+        for axes, judgement in zip(panels.flat, shown, strict=False):
+            try:
+                _panel(axes, paths_of(judgement), short_name(judgement.name))
+            except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
+                axes.set_title(
+                    f"{short_name(judgement.name)}\nno odometry of this drive obeys it: no runs to show", fontsize=10
+                )
+        handles, labels = panels.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="upper left", ncols=4, fontsize=9)
+    return figure
+
+
+def _panel(axes: Axes, paths: Replay, name: str) -> None:
+    end = int(np.searchsorted(paths.distance_m, _SHOWN_M))
+    truth, measured, runs = paths.truth_xyt[:end], paths.measured_xyt[:end], paths.runs_xyt[:, :end]
+    for i, run in enumerate(runs):
+        axes.plot(
+            run[:, 0], run[:, 1], color=SKY, linewidth=0.6, alpha=0.35, rasterized=True, zorder=1,
+            label=f"{len(runs)} runs of the model" if i == 0 else None,
+        )  # fmt: skip
+    axes.plot(*runs[:, -1, :2].T, ".", color=BLUE, markersize=4, alpha=0.7, zorder=2, label="their ends")
+    axes.plot(*truth[:, :2].T, color=BLACK, linewidth=1.2, zorder=3, label="truth")
+    axes.plot(*measured[:, :2].T, color=RED, linewidth=1.4, zorder=4, label="measured odometry")
+    axes.plot(*truth[0, :2], "s", color=BLACK, markersize=7, zorder=5)
+    axes.plot(*truth[-1, :2], "o", color=BLACK, markersize=7, zorder=5)
+    axes.plot(*measured[-1, :2], "o", color=RED, markeredgecolor="white", markersize=8, zorder=6)
+    marks = np.searchsorted(paths.distance_m, np.linspace(0.0, paths.distance_m[-1], _MARKS + 1)[1:])
+    inside = int(paths.inside(np.minimum(marks, len(paths.distance_m) - 1)).sum())
+    shown = f" (first {_SHOWN_M:g} m)" if end < len(paths.distance_m) else ""
+    axes.set_title(f"{name}{shown}\nmeasured in its 90 % region at {inside} of {_MARKS} places", fontsize=10)
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="box")
+    axes.grid(visible=True, color="0.93")
+    axes.set_axisbelow(True)
+
+
+def draw_corruption(
+    before_xyt: Array, after_xyt: Array, title: str, names: tuple[str, str] = ("clean", "noisy")
+) -> Figure:
+    """Draw a path before and after it was changed, and the difference in position and heading against distance.
+
+    Parameters
+    ----------
+    before_xyt, after_xyt : (n, 3) metres and radians, the same messages in the same order
+    title : of the picture
+    names : of the two paths
+    """
+    count = min(len(before_xyt), len(after_xyt))
+    before, after = before_xyt[:count], after_xyt[:count]
+    driven_m = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(before[:, :2], axis=0).T))))
+    error = after - before
+    with drawing():
+        figure = new_figure(9.0, 4.6)
+        plane, growth = figure.subplots(1, 2, width_ratios=(3, 2))
+        plane.plot(after[:, 0], after[:, 1], color=BLUE, linewidth=1.2, label=names[1])
+        plane.plot(before[:, 0], before[:, 1], color=BLACK, linewidth=1.4, label=names[0])
+        plane.set(xlabel="x in odom, m", ylabel="y in odom, m")
+        plane.set_aspect("equal", adjustable="datalim")
+        plane.legend(loc="best", fontsize=9)
+        growth.plot(driven_m, np.hypot(error[:, 0], error[:, 1]), color=BLUE, label="position, m")
+        growth.set(xlabel="distance driven, m", ylabel="position, m", xlim=(0.0, None), ylim=(0.0, None))
+        heading = growth.twinx()
+        heading.spines["right"].set_visible(True)
+        heading.plot(driven_m, np.degrees(error[:, 2]), color=ORANGE, linestyle="--", label="heading, deg")
+        heading.set_ylabel("heading, deg")
+        lines = [*growth.get_lines(), *heading.get_lines()]
+        growth.legend(lines, [str(line.get_label()) for line in lines], loc="upper left", fontsize=9)
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure
+
+
+def draw_errors(error: PathError, name: str, title: str) -> Figure:
+    """Draw a path and its heading over the truth, each with its error below."""
+    t = error.t_s
+    with drawing():
+        figure = new_figure(10.0, 6.6)
+        (path, heading), (position, turn) = figure.subplots(2, 2, height_ratios=(2.2, 1))
+        for xyt, colour, style, label in (
+            (error.truth_xyt, BLUE, "-", "truth"),
+            (error.path_xyt, RED, (0, (4, 3)), name),
+        ):
+            path.plot(xyt[:, 0], xyt[:, 1], color=colour, linestyle=style, label=label, linewidth=1.8)
+            heading.plot(t, np.degrees(xyt[:, 2]), color=colour, linestyle=style, linewidth=1.8)
+        path.plot(*error.truth_xyt[0, :2], "s", color=BLACK, markersize=6, label="start")
+        _plane(path)
+        path.legend(loc="best")
+        heading.set(ylabel="heading (deg)", xlabel="time (s)")
+        worst = float(error.position_m.max())
+        position.plot(t, 1e3 * error.position_m, color=BLACK, linewidth=1.2)
+        position.set(ylabel="position error (mm)", xlabel="time (s)", title=f"at most {worst:.4f} m", ylim=(0.0, None))
+        worst = float(np.abs(error.heading_rad).max())
+        turn.plot(t, 1e3 * error.heading_rad, color=BLACK, linewidth=0.8)
+        turn.set(ylabel="heading error (mrad)", xlabel="time (s)", title=f"at most {worst:.4f} rad")
+        for axes in (heading, position, turn):
+            axes.grid(visible=True, color="0.92")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure
+
+
+def draw_runs(runs_xyt: Array, true_xyt: Array, true_name: str, title: str) -> Figure:
+    """Draw noisy paths (runs, n, 3) in red and the true one (m, 3) in blue over them."""
+    with drawing():
+        figure = new_figure(8.0, 6.4)
+        axes = figure.subplots()
+        # a thousand points a run are more than a picture shows
+        every = max(runs_xyt.shape[1] // 1000, 1)
+        for i, run in enumerate(runs_xyt):
+            label = f"{len(runs_xyt)} noisy runs" if i == 0 else None
+            axes.plot(run[::every, 0], run[::every, 1], color=RED, linewidth=0.6, alpha=0.5, label=label)
+        ends = runs_xyt[:, -1]
+        axes.plot(ends[:, 0], ends[:, 1], ".", color=RED, markersize=5, label="their ends")
+        axes.plot(true_xyt[:, 0], true_xyt[:, 1], color=BLUE, linewidth=2.2, label=true_name)
+        axes.plot(*true_xyt[0, :2], "s", color=BLACK, markersize=7, label="start")
+        axes.plot(*true_xyt[-1, :2], "o", color="white", markeredgecolor=BLACK, markersize=7, label="true end")
+        _plane(axes)
+        legend = axes.legend(loc="best")
+        for handle in legend.legend_handles:
+            if handle is not None:
+                handle.set_alpha(1.0)
+        axes.set_title(title)
+    return figure
+
+
+def _plane(axes: Axes) -> None:
+    axes.set(xlabel="x (m)", ylabel="y (m)")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(visible=True, color="0.92")
+    axes.set_axisbelow(True)
+
+
+def draw_fan(outlook: Forecast, title: str) -> Figure:
+    """Draw noisy paths over the clean one, and how position and heading drift with the distance."""
+    with drawing():
+        figure = new_figure(9.0, 4.6)
+        places = figure.add_gridspec(2, 2, width_ratios=(3, 2))
+        plane = figure.add_subplot(places[:, 0])
+        position, heading = figure.add_subplot(places[0, 1]), figure.add_subplot(places[1, 1])
+        for path in outlook.noisy_xy:
+            plane.plot(path[:, 0], path[:, 1], color=BLUE, alpha=0.15, linewidth=0.8)
+            plane.plot(path[-1, 0], path[-1, 1], ".", color=BLUE, alpha=0.6, markersize=4)
+        plane.plot([], [], color=BLUE, label=f"{outlook.runs} runs, ends as dots")
+        plane.plot(outlook.clean_xy[:, 0], outlook.clean_xy[:, 1], color=BLACK, linewidth=1.4, label="clean")
+        plane.set(xlabel="x in odom (m)", ylabel="y in odom (m)", title="Where odometry would say the robot went")
+        plane.set_aspect("equal", adjustable="datalim")
+        plane.legend(loc="best", fontsize=9)
+        distance = [row.after_m for row in outlook.rows]
+        position.plot(distance, [row.position_rms_m for row in outlook.rows], "o-", color=BLUE)
+        position.set(title="How the drift grows (root mean square)", ylabel="position (m)")
+        heading.plot(distance, [math.degrees(row.heading_rms_rad) for row in outlook.rows], "s-", color=ORANGE)
+        heading.set(xlabel="distance driven (m)", ylabel="heading (deg)")
+        for axes in (position, heading):
+            axes.set(xlim=(0.0, None), ylim=(0.0, None))
+            axes.grid(visible=True, color="0.92")
+        figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure

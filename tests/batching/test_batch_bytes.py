@@ -1,0 +1,148 @@
+"""One pass for many runs gives what many single calls give: the same bytes."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.batching.sinks import read_tum
+from odomcorrupt.cli import run
+from odomcorrupt.corruption.transform import Options
+from odomcorrupt.geometry.se2 import wrap
+from odomcorrupt.model.motion_model import MotionModel
+from odomcorrupt.model.presets import preset_named
+from odomcorrupt.preview.forecast import read_clean_drive
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+BAGS = ["office.bag", "office.mcap", "office_ros2"]
+MODEL = [
+    "--alpha",
+    "5deg",
+    "0.02",
+    "0.05",
+    "0.01",
+    "--effect",
+    "wheel_scale:e=0.01",
+    "--effect",
+    "time_offset:offset=0.05",
+]
+
+
+def bytes_of(path):
+    """Return a bag's files by what they are, without the bag's own name."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return [(file.name if path.is_dir() else "", file.read_bytes()) for file in files]
+
+
+def messages_of(path):
+    """Return a bag's messages by topic, in their order: log time and bytes."""
+    found = {}
+    with open_reader(path) as reader:
+        for block in reader.blocks():
+            for channel, log_ns, offset, length in block.table.tolist():
+                one = (log_ns, block.data[offset : offset + length].tobytes())
+                found.setdefault(reader.channels[channel].topic, []).append(one)
+    return found
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Return a directory that is the working one, with links to the fixtures."""
+    monkeypatch.chdir(tmp_path)
+    for name in [*BAGS, "mystery.mcap"]:
+        (tmp_path / name).symlink_to(FIXTURES / name)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_every_run_has_the_bytes_of_the_command_in_the_manifest(name, here):
+    assert run(["batch", name, "runs", "--runs", "3", *MODEL, "--seed", "7"]) == 0
+    for line in (here / "runs" / "manifest.jsonl").read_text().splitlines():
+        record = json.loads(line)
+        assert run(shlex.split(record["command"])[1:]) == 0
+        alone = here / shlex.split(record["command"])[2]
+        assert bytes_of(alone) == bytes_of(here / "runs" / record["file"])
+
+
+def test_small_portions_and_groups_give_the_same_bytes(here, monkeypatch):
+    assert run(["batch", "office.mcap", "one", "--runs", "4", *MODEL, "--seed", "7"]) == 0
+    monkeypatch.setattr("odomcorrupt.batching.patch_batch.PORTION_MESSAGES", 7)
+    monkeypatch.setattr("odomcorrupt.batching.engine.GROUP", 3)
+    assert run(["batch", "office.mcap", "two", "--runs", "4", *MODEL, "--seed", "7"]) == 0
+    for k in range(4):
+        name = f"run_{k:06d}.mcap"
+        assert (here / "one" / name).read_bytes() == (here / "two" / name).read_bytes()
+
+
+def test_random_effects_and_book_laws_survive_the_shared_pass(here):
+    model = [
+        "--alpha", "0.05", "0.17", "0.05", "0.01", "--law", "linear", "--step", "0.25m,0.2rad", "--twist-noise", "0.1",
+        "0.02", "--effect", "slip_burst:rate=0.1,slip=0.3", "--covariance", "keep",
+    ]  # fmt: skip
+    assert run(["batch", "office.mcap", "runs", "--runs", "2", *model, "--seed", "3"]) == 0
+    assert run(["office.mcap", "alone.mcap", *model, "--seed", "3", "--run", "1"]) == 0
+    assert (here / "alone.mcap").read_bytes() == (here / "runs" / "run_000001.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("name", ["office.bag", "office.mcap"])
+@pytest.mark.parametrize("codec", [None, "none"])
+def test_split_has_the_messages_of_full_with_the_changed_ones_apart(name, codec, here):
+    more = [] if codec is None else ["--compression", codec]
+    assert run(["batch", name, "full", "--runs", "2", *MODEL, "--seed", "7"]) == 0
+    assert run(["batch", name, "split", "--runs", "2", *MODEL, "--seed", "7", "--layout", "split", *more]) == 0
+    for k in range(2):
+        file = f"run_{k:06d}{Path(name).suffix}"
+        assert messages_of(here / "split" / file) == messages_of(here / "full" / file)
+    with open_reader(here / "split" / file) as reader:
+        odom = {c.id for c in reader.channels.values() if c.topic == "/odom"}
+        others = [set(block.table["channel"].tolist()) for block in reader.blocks() if len(block.table)]
+    assert any(odom & one for one in others)
+    assert all(len(one - odom) <= 1 for one in others if odom & one)  # /tf alone goes with it
+
+
+@pytest.mark.parametrize("name", BAGS)
+def test_an_overlay_has_the_changed_topics_alone_and_assembles_to_the_full_bytes(name, here):
+    assert run(["batch", name, "full", "--runs", "2", *MODEL, "--seed", "7"]) == 0
+    assert run(["batch", name, "over", "--runs", "2", *MODEL, "--seed", "7", "--output", "overlay"]) == 0
+    whole = here / "full" / f"run_000001{Path(name).suffix}"
+    part = messages_of(here / "over" / "run_000001.mcap")
+    assert part == {topic: some for topic, some in messages_of(whole).items() if topic in {"/odom", "/tf"}}
+    assert run(["assemble", "over/run_000001.mcap", "joined" + Path(name).suffix]) == 0
+    assert bytes_of(here / f"joined{Path(name).suffix}") == bytes_of(whole)
+
+
+def test_an_overlay_of_another_bag_is_refused(here, capsys):
+    assert run(["batch", "office.mcap", "over", "--runs", "1", "--seed", "7", "--output", "overlay"]) == 0
+    assert run(["assemble", "over/run_000000.mcap", "joined.mcap", "--input", "mystery.mcap"]) == 1
+    assert "was made from" in capsys.readouterr().err
+    assert not (here / "joined.mcap").exists()
+
+
+def test_trajectories_are_the_paths_of_the_whole_bags(here):
+    typed = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "--runs", "3"]
+    assert run(["batch", "office.mcap", "full", *typed]) == 0
+    assert run(["batch", "office.mcap", "paths", *typed, "--output", "trajectories"]) == 0
+    whole = np.load(here / "paths" / "trajectories.npz")
+    model = MotionModel(preset_named("typical").noise)
+    for k in range(3):
+        with open_reader(here / "full" / f"run_{k:06d}.mcap") as reader:
+            drive = read_clean_drive(reader, model, Options())
+        path = read_tum(here / "paths" / f"run_{k:06d}.tum")
+        assert np.array_equal(path.stamps_ns, drive.stamps_ns)
+        assert np.abs(path.xyt[:, :2] - drive.xyt[:, :2]).max() < 2e-9
+        assert np.abs(wrap(path.xyt[:, 2] - drive.xyt[:, 2])).max() < 1e-9
+        assert np.array_equal(whole["xyt"][k], path.xyt)
+    assert np.array_equal(whole["runs"], [0, 1, 2])
+    assert np.array_equal(whole["stamps_ns"], drive.stamps_ns)
+
+
+def test_a_model_that_does_nothing_copies_the_bag(here):
+    assert run(["batch", "office.mcap", "runs", "--runs", "1", "--seed", "1", "--sweep", "alpha-scale=0,1"]) == 0
+    still, moved = (here / "runs" / f"alpha-scale={k}" / "run_000000.mcap" for k in (0, 1))
+    assert still.read_bytes() == (here / "office.mcap").read_bytes()
+    assert moved.read_bytes() != still.read_bytes()

@@ -1,0 +1,384 @@
+"""A batch goes on where it was killed, refuses what it was not begun with, and tells what failed."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.bags.placement import beside
+from odomcorrupt.batching import manifest
+from odomcorrupt.batching import runner as making
+from odomcorrupt.batching.estimate import Need, require_space
+from odomcorrupt.batching.manifest import BatchError
+from odomcorrupt.cli import run
+from odomcorrupt.commands._progress import left_words
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+TYPED = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7"]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in.mcap").write_bytes((FIXTURES / "office.mcap").read_bytes())
+    return tmp_path
+
+
+def files_of(directory):
+    return {path.name: path.read_bytes() for path in directory.iterdir() if path.is_file()}
+
+
+def batch(count, *more, target="runs"):
+    return run(["batch", "in.mcap", target, "--runs", str(count), *TYPED, *more])
+
+
+def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.batching.engine.GROUP", 2)
+    assert batch(12, target="whole") == 0
+    program = "import odomcorrupt.batching.engine as e; e.GROUP = 2; from odomcorrupt.cli import run; import sys; "
+    program += "sys.exit(run(sys.argv[1:]))"
+    words = [sys.executable, "-c", program, "batch", "in.mcap", "runs", "--runs", "12", *TYPED]
+    made = 0
+    for number in range(3):
+        process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+        # a kill while some pass is under way: when two more files have come
+        deadline = time.monotonic() + 30
+        while len(list(here.glob("runs/run_*"))) < made + 2 and time.monotonic() < deadline:
+            time.sleep(0.002)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        found = {path.name: path.read_bytes() for path in here.glob("runs/run_*")}
+        assert all(data == (here / "whole" / name).read_bytes() for name, data in found.items())
+        assert made < len(found) < 12, number
+        made = len(found)
+        before = {name: (here / "runs" / name).stat().st_mtime_ns for name in found}
+    assert batch(12) == 0
+    assert files_of(here / "runs") == files_of(here / "whole") | {
+        name: data for name, data in files_of(here / "runs").items() if name in {"manifest.jsonl", "batch.json"}
+    }
+    assert [record["run"] for record in records(here / "runs")] == list(range(12))
+    assert all((here / "runs" / name).stat().st_mtime_ns == then for name, then in before.items())
+    assert not list(here.glob("runs/.*.partial"))
+
+
+@pytest.fixture
+def dead():
+    """Return the number of a process that is no more."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+HOST = beside(Path("any")).name.split(".")[2]
+LEFT = ("run_000001.mcap", "run_000007.mcap", "clean.tum", "manifest.jsonl", "batch.json", "robots/000002.toml")
+
+
+def test_leftovers_of_made_runs_and_of_the_batch_itself_are_swept(here, dead):
+    noise = {"rot_rot": "0.03", "rot_trans": '"0.02 +- 0.008"', "trans_trans": "0.02", "trans_rot": "0.0"}
+    lines = ["schema = 1", "[noise]", *(f"{name} = {value}" for name, value in noise.items())]
+    (here / "robot.toml").write_text("\n".join(lines))
+    words = ["batch", "in.mcap", "runs", "--runs", "3", "--model", "robot.toml", "--seed", "7"]
+    assert run(words) == 0
+    whole = files_of(here / "runs")
+    for name in LEFT:
+        (here / "runs" / name).with_name(f".{Path(name).name}.{HOST}.{dead}.0123abcd.partial").write_bytes(b"half")
+    (here / "runs" / f".run_000000.db3.{HOST}.{dead}.0123abcd.partial-journal").write_bytes(b"half")
+    (here / "runs" / f".making.{HOST}.{dead}.0123abcd.partial").mkdir()
+    (here / "runs" / f".making.{HOST}.{dead}.0123abcd.partial" / "run_000000.mcap").write_bytes(b"half")
+    others = [here / "runs" / f".run_000001.mcap.{HOST}.{os.getpid()}.0123abcd.partial"]
+    others += [here / "runs" / f".run_000001.mcap.{'0' * 8}.{dead}.0123abcd.partial", here / "runs" / ".mine.partial"]
+    for other in others:
+        other.write_bytes(b"somebody is at it")
+    assert run(words) == 0
+    assert sorted((here / "runs").rglob(".*.partial*")) == sorted(others)
+    assert {name: data for name, data in files_of(here / "runs").items() if "partial" not in name} == whole
+
+
+def test_a_batch_that_was_killed_before_it_began_is_begun(here, dead):
+    (here / "runs" / ".parts").mkdir(parents=True)
+    (here / "runs" / f".batch.json.{HOST}.{dead}.0123abcd.partial").write_bytes(b"{")
+    assert batch(1) == 0
+    assert not list((here / "runs").glob(".*.partial"))
+
+
+def records(directory):
+    return [json.loads(line) for line in (directory / "manifest.jsonl").read_text().splitlines()]
+
+
+def test_what_is_made_is_not_made_again_and_what_is_gone_is(here):
+    assert batch(3) == 0
+    times = {path.name: path.stat().st_mtime_ns for path in here.glob("runs/run_*")}
+    gone = here / "runs" / "run_000001.mcap"
+    data = gone.read_bytes()
+    gone.unlink()
+    assert batch(5) == 0
+    assert gone.read_bytes() == data
+    assert all((here / "runs" / name).stat().st_mtime_ns == then for name, then in times.items() if name != gone.name)
+    assert len(records(here / "runs")) == 5
+
+
+def test_a_batch_without_a_seed_goes_on_with_its_own(here):
+    assert run(["batch", "in.mcap", "runs", "--runs", "1"]) == 0
+    first = records(here / "runs")[0]["seed"]
+    assert run(["batch", "in.mcap", "runs", "--runs", "2"]) == 0
+    assert {record["seed"] for record in records(here / "runs")} == {first}
+
+
+@pytest.mark.parametrize(
+    ("more", "named"),
+    [
+        (["--effect", "wheel_scale:e=0.01"], "another model"),
+        (["--output", "overlay"], "another --output"),
+        (["--twist", "keep"], "other options"),
+        (["--seed", "8"], "another seed"),
+    ],
+)
+def test_what_was_begun_otherwise_is_refused_with_the_way_out(more, named, here, capsys):
+    assert batch(1) == 0
+    capsys.readouterr()
+    assert batch(2, *more) == 1
+    said = capsys.readouterr().err
+    assert named in said
+    assert "name another directory" in said
+    assert len(list(here.glob("runs/run_*"))) == 1
+
+
+def test_a_changed_input_is_noticed_by_one_byte(here, capsys):
+    assert batch(1) == 0
+    data = bytearray((here / "in.mcap").read_bytes())
+    data[len(data) // 2] ^= 1
+    stat = (here / "in.mcap").stat()
+    (here / "in.mcap").write_bytes(data)
+    os.utime("in.mcap", ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert batch(2) == 1
+    assert "another input" in capsys.readouterr().err
+
+
+def test_a_directory_of_other_things_is_refused(here, capsys):
+    (here / "runs").mkdir()
+    (here / "runs" / "precious").touch()
+    assert batch(1) == 1
+    assert "holds files, but no batch" in capsys.readouterr().err
+    assert [path.name for path in (here / "runs").iterdir()] == ["precious"]
+
+
+def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_told(here, monkeypatch, capsys):
+    failed = {2: 1, 3: 99}
+    begin = making._begin
+
+    def failing(job, number, *rest):
+        if failed.get(number, 0) > 0:
+            failed[number] -= 1
+            raise OSError(f"no luck with {number}")
+        return begin(job, number, *rest)
+
+    monkeypatch.setattr(making, "_begin", failing)
+    assert batch(5) == 1
+    said = capsys.readouterr().err
+    assert "4 runs made now" in said
+    assert "1 runs, tried twice; run 3: no luck with 3" in said
+    assert sorted(path.name for path in here.glob("runs/run_*")) == [f"run_{k:06d}.mcap" for k in (0, 1, 2, 4)]
+    monkeypatch.setattr(making, "_begin", begin)
+    assert batch(5) == 0
+    assert len(records(here / "runs")) == 5
+
+
+def test_processes_and_shards_make_the_same_files_as_one(here):
+    assert batch(7, target="one") == 0
+    assert batch(7, "--jobs", "2", target="jobs") == 0
+    for shard in ("3/3", "1/3", "2/3"):
+        assert batch(7, "--shard", shard, target="shards") == 0
+    one = files_of(here / "one")
+    assert {name for name in one if name.startswith("run_")} == {f"run_{k:06d}.mcap" for k in range(7)}
+    assert files_of(here / "jobs") == one
+    assert files_of(here / "shards") == one
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("shard", ["0/3", "4/3", "3", "1/0"])
+def test_shards_are_counted_from_one(shard, capsys):
+    assert batch(1, "--shard", shard) == 2
+    assert "counted from 1" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("here")
+def test_shards_need_a_seed(capsys):
+    assert run(["batch", "in.mcap", "runs", "--runs", "2", "--shard", "1/2"]) == 2
+    assert "same --seed" in capsys.readouterr().err
+
+
+def test_a_dry_run_foretells_the_bytes_and_makes_nothing(here, capsys):
+    assert batch(200, "--dry-run") == 0
+    said = capsys.readouterr().out
+    assert not (here / "runs").exists()
+    assert said.startswith("200 runs to make, about ")
+    assert batch(4) == 0
+    real = sum(path.stat().st_size for path in here.glob("runs/run_*")) / 4 * 200 / 1e9
+    assert float(said.split("about ")[1].split(" GB")[0]) == pytest.approx(real, rel=0.02)
+    assert "less" in said
+
+
+def test_a_full_disk_is_refused_before_anything_is_made(here, monkeypatch, capsys):
+    monkeypatch.setattr("odomcorrupt.batching.estimate.free_bytes", lambda _: 3_000_000)
+    assert batch(10) == 1
+    said = capsys.readouterr().err
+    assert "0.003 GB are free" in said
+    assert "--output overlay would need" in said
+    assert not (here / "runs").exists()
+    assert batch(1) == 0
+
+
+def test_space_is_compared_with_the_need():
+    require_space(Need(1, 10, 0.0, 5, 10), "here")
+    with pytest.raises(BatchError, match="here: 1 runs need"):
+        require_space(Need(1, 11, 0.0, 5, 10), "here")
+
+
+def test_no_odometry_fails_at_once_and_leaves_nothing(here, capsys):
+    assert batch(3, "--odom-topic", "/nowhere") == 1
+    assert "/nowhere" in capsys.readouterr().err
+    assert not (here / "runs").exists()
+
+
+def test_rate_and_time_left_in_words():
+    assert left_words(10, 40, 5.0) == "10 of 40 runs, 2 a second, 15 s left"
+    assert left_words(10, 1000, 100.0) == "10 of 1000 runs, 0.1 a second, 2.8 h left"
+    assert left_words(1, 11, 60.0) == "1 of 11 runs, 0.0167 a second, 10 min left"
+    assert left_words(0, 5, 1.0) == "0 of 5 runs"
+
+
+BROKEN = [
+    "[1]",
+    "5",
+    "null",
+    '"run"',
+    "{}",
+    '{"run": 0}',
+    "[" * 100_000,
+    '{"run": 1, "file": 5}',
+    "\xff\xfe",
+    '{"run": 1e400}',
+]
+
+
+def test_lines_of_the_manifest_that_are_none_are_passed_over(here, capsys):
+    assert batch(2) == 0
+    whole = files_of(here / "runs")
+    for path in (here / "runs" / "manifest.jsonl", here / "runs" / ".parts" / "elsewhere-1.jsonl"):
+        with path.open("a", encoding="latin1") as stream:
+            stream.write("\n".join(BROKEN) + "\n")
+    assert batch(2) == 0
+    assert "0 runs made now" in capsys.readouterr().err
+    assert files_of(here / "runs") == whole
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""])
+@pytest.mark.parametrize("seed", [True, False])
+def test_a_beginning_that_is_none_is_told_in_a_line(text, seed, here, capsys):
+    assert batch(1) == 0
+    (here / "runs" / "batch.json").write_text(text, encoding="latin1")
+    capsys.readouterr()
+    for words in (["batch", "in.mcap", "runs", "--runs", "1", *TYPED[: None if seed else 5]], ["spread", "runs"]):
+        assert run(words) == 1
+        said = capsys.readouterr().err
+        assert "batch.json: is not as batch writes it" in said
+        assert said.count("\n") == 1
+
+
+def test_parts_that_is_no_directory_is_told_in_a_line(here, capsys):
+    assert batch(1) == 0
+    shutil.rmtree(here / "runs" / ".parts")
+    (here / "runs" / ".parts").touch()
+    assert batch(1) == 1
+    assert ".parts: cannot be made a directory" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("harm", ["cut", "emptied", "link"])
+def test_a_run_that_is_not_as_large_as_noted_is_made_again(harm, here):
+    assert batch(2) == 0
+    path = here / "runs" / "run_000001.mcap"
+    data = path.read_bytes()
+    if harm == "link":
+        (here / "elsewhere").write_bytes(data)
+        path.unlink()
+        path.symlink_to(here / "elsewhere")
+    else:
+        os.truncate(path, 1000 if harm == "cut" else 0)
+    assert batch(2) == 0
+    assert path.read_bytes() == data
+    assert not path.is_symlink()
+
+
+@pytest.mark.parametrize("kind", ["in.mcap", "office_ros2"])
+def test_a_changed_byte_is_found_where_sums_are_asked_for(kind, here, capsys):
+    if kind != "in.mcap":
+        shutil.copytree(FIXTURES / kind, here / kind)
+    words = ["batch", kind, "runs", "--runs", "2", *TYPED]
+    assert run(words) == 0
+    run_1 = here / "runs" / ("run_000001.mcap" if kind == "in.mcap" else "run_000001")
+    path = run_1 if run_1.is_file() else next(run_1.glob("*.db3"))
+    data = path.read_bytes()
+    path.write_bytes(data[:5000] + bytes([data[5000] ^ 1]) + data[5001:])
+    capsys.readouterr()
+    assert run(words) == 0
+    assert "0 runs made now" in capsys.readouterr().err
+    assert run([*words, "--verify"]) == 0
+    assert "1 runs made now" in capsys.readouterr().err
+    assert path.read_bytes() == data
+
+
+@pytest.mark.parametrize("name", ["../b0/run_000001.mcap", "/etc/hostname", "run_000002.mcap", "."])
+def test_a_record_of_a_file_elsewhere_counts_for_nothing(name, here, capsys):
+    assert batch(2) == 0
+    path = here / "runs" / "manifest.jsonl"
+    record = json.loads(path.read_text().splitlines()[1]) | {"file": name}
+    shutil.rmtree(here / "runs" / ".parts")
+    path.write_text(path.read_text().splitlines()[0] + "\n" + json.dumps(record) + "\n")
+    capsys.readouterr()
+    assert batch(2) == 0
+    assert "1 runs made now, 2 in" in capsys.readouterr().err
+
+
+def test_a_folder_has_one_batch_at_a_time_but_many_shards(here, capsys):
+    assert batch(1) == 0
+    with (here / "runs" / "batch.json").open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_SH)
+        assert batch(2, "--shard", "1/2") == 0
+        capsys.readouterr()
+        assert batch(2) == 1
+    assert "another batch is at work in it" in capsys.readouterr().err
+    assert batch(2) == 0
+
+
+def test_of_two_that_begin_at_once_one_is_refused(here, monkeypatch, capsys):
+    assert run(["batch", "in.mcap", "other", "--runs", "1", "--seed", "8"]) == 0
+    write = manifest.write_whole
+
+    def late(path, data, *, overwrite=True):
+        if path.name == "batch.json" and not path.exists():
+            shutil.copyfile(here / "other" / "batch.json", path)
+        write(path, data, overwrite=overwrite)
+
+    monkeypatch.setattr(manifest, "write_whole", late)
+    capsys.readouterr()
+    assert batch(1) == 1
+    assert "another seed" in capsys.readouterr().err
+    assert not list(here.glob("runs/run_*"))
+
+
+def test_runs_are_not_made_inside_of_their_input(here, capsys):
+    shutil.copytree(FIXTURES / "office_ros2", here / "bag")
+    assert run(["batch", "bag", "bag/runs", "--runs", "1", *TYPED]) == 1
+    assert "lies in the input" in capsys.readouterr().err
+    assert sorted(path.name for path in (here / "bag").iterdir()) == sorted(
+        path.name for path in (FIXTURES / "office_ros2").iterdir()
+    )

@@ -1,0 +1,216 @@
+"""Whole bags: corrupted with effects, corrected again, compared with what they were; and what the command says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_contents import rows_of
+
+from odomcorrupt.cli import run
+from odomcorrupt.geometry.se2 import wrap
+
+FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
+EDGE = ("odom", "base_link")
+BAGS = ["office.bag", "office.mcap", "office_ros2"]
+EFFECTS = ["unequal_wheels:curvature=0.02", "gyro_bias:bias=0.004", "accel_slip:k=0.03", "slope:creep=0.02"]
+NOISE = """schema = 1
+[noise]
+law = "diffusion"
+rot_rot = 0.05
+rot_trans = 0.03
+trans_trans = 0.05
+trans_rot = 0.02
+"""
+
+
+def flags(effects):
+    return [word for effect in effects for word in ("--effect", effect)]
+
+
+def differ(ours, theirs):
+    off = ours - theirs
+    off[:, 2] = wrap(off[:, 2])
+    return np.abs(off).max()
+
+
+@pytest.fixture(scope="module", params=BAGS)
+def trio(request, tmp_path_factory):
+    """A bag, the same one corrupted by effects, and that one corrected."""
+    folder = tmp_path_factory.mktemp("trio")
+    source, wrong, right = FIXTURES / request.param, folder / f"w_{request.param}", folder / f"r_{request.param}"
+    assert run([str(source), str(wrong), *flags(EFFECTS)]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *flags(EFFECTS)]) == 0
+    return source, wrong, right
+
+
+def test_poses_come_back(trio):
+    was, wrong, right = (rows_of(path, "/odom") for path in trio)
+    assert differ(wrong.xyt, was.xyt) > 0.1
+    assert differ(right.xyt, was.xyt) < 1e-6
+    assert np.array_equal(right.stamps_ns, was.stamps_ns)
+
+
+def test_twists_come_back(trio):
+    was, wrong, right = (rows_of(path, "/odom").twist for path in trio)
+    assert np.abs(wrong - was).max() > 0.003
+    np.testing.assert_allclose(right, was, atol=1e-6)
+
+
+def test_transforms_agree_with_the_odometry(trio):
+    was, wrong, right = (rows_of(path, "/tf", EDGE) for path in trio)
+    assert differ(wrong.xyt, was.xyt) > 0.1
+    assert differ(right.xyt, was.xyt) < 1e-6
+    odometry = rows_of(trio[2], "/odom")
+    shared, ours, theirs = np.intersect1d(odometry.stamps_ns, right.stamps_ns, return_indices=True)
+    assert len(shared) > 10
+    assert differ(odometry.xyt[ours], right.xyt[theirs]) < 1e-9
+
+
+def test_covariances_stay_where_the_model_has_no_noise(trio):
+    was, _, right = (rows_of(path, "/odom") for path in trio)
+    assert np.array_equal(was.pose_covariance, right.pose_covariance)
+
+
+@pytest.mark.parametrize("choice", ["model", "keep"])
+def test_covariances_are_the_noise_that_remains_or_stay(tmp_path, choice, capsys):
+    (tmp_path / "robot.toml").write_text(f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n')
+    args = ["correct", str(FIXTURES / "office.mcap"), str(tmp_path / "out.mcap"), "--covariance", choice]
+    assert run([*args, "-v", "--model", str(tmp_path / "robot.toml")]) == 0
+    was, now = (rows_of(path, "/odom") for path in (FIXTURES / "office.mcap", tmp_path / "out.mcap"))
+    same = np.array_equal(was.pose_covariance, now.pose_covariance)
+    assert same == (choice == "keep")
+    if choice == "model":
+        heading = now.pose_covariance[:, 35]
+        assert heading[0] < 1e-8
+        assert (np.diff(heading) >= 0.0).all()
+        assert "What remains is noise" in capsys.readouterr().err
+
+
+def test_clocks_given_as_effects_are_put_right(tmp_path):
+    effects = ["time_offset:offset=0.25", "clock_skew:rate=0.0001", "wheel_scale:e=0.02"]
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    assert run([str(source), str(wrong), *flags(effects)]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *flags(effects)]) == 0
+    was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
+    assert (off.stamps_ns - was.stamps_ns).min() >= 250_000_000
+    assert np.abs(back.stamps_ns - was.stamps_ns).max() <= 1
+    assert differ(back.xyt, was.xyt) < 1e-6
+    edge = rows_of(right, "/tf", EDGE)
+    assert np.abs(edge.stamps_ns - rows_of(source, "/tf", EDGE).stamps_ns).max() <= 1
+
+
+def test_what_cannot_be_undone_is_said_and_setup_is_left_alone(tmp_path, capsys):
+    (tmp_path / "robot.toml").write_text(
+        f'{NOISE}\n[[effect]]\nname = "wheel_scale"\ne = 0.02\n[[effect]]\nname = "gauss_markov"\nsigma = 0.02\n'
+        '[[effect]]\nname = "quantization"\nstep = 0.001\n[setup]\ntruth_xy = 0.001\n[[setup.effect]]\n'
+        'name = "lever_arm"\nx = 0.5\ny = 0.0\n[robot]\ntrack = 0.4\n'
+    )
+    out = [tmp_path / "with.mcap", tmp_path / "plain.mcap"]
+    source = str(FIXTURES / "office.mcap")
+    assert run(["correct", "-v", source, str(out[0]), "--model", str(tmp_path / "robot.toml")]) == 0
+    said = capsys.readouterr().err
+    assert "Taken out: wheel_scale (e 0.02)." in said
+    assert "gauss_markov cannot be undone: its random course was not recorded" in said
+    assert "quantization cannot be undone: travel below the encoder's resolution" in said
+    assert "[setup]" in said
+    assert "lever_arm" in said
+    assert run(["correct", "-v", source, str(out[1]), "--effect", "wheel_scale:e=0.02"]) == 0
+    assert np.array_equal(rows_of(out[0], "/odom").xyt, rows_of(out[1], "/odom").xyt)
+    assert run(["correct", "-v", source, str(tmp_path / "arm.mcap"), "--effect", "lever_arm:x=0.5,y=0"]) == 0
+    assert differ(rows_of(tmp_path / "arm.mcap", "/odom").xyt, rows_of(Path(source), "/odom").xyt) > 0.1
+
+
+@pytest.mark.parametrize("twist", ["model", "keep"])
+def test_lost_increments_come_back_where_the_odometry_shows_them(tmp_path, twist, capsys):
+    # breaks where what is seen in the log counts as chance, or where a twist that lost nothing gets the motion twice
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    losses = ["--effect", "lost_increments:fraction=0.05"]
+    assert run([str(source), str(wrong), *losses, "--seed", "3", "--twist", twist]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *losses]) == 0
+    assert "Taken out: lost_increments" in capsys.readouterr().err
+    was, off, back = (rows_of(path, "/odom") for path in (source, wrong, right))
+    assert differ(back.xyt, was.xyt) < 0.1 * differ(off.xyt, was.xyt)
+    assert np.mean(np.abs(back.twist - was.twist).max(axis=1) > 0.05) < 0.01
+
+
+def test_a_truth_that_was_kept_in_the_frame_of_the_odometry_stays(tmp_path):
+    source, wrong, right = FIXTURES / "office.mcap", tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    effect = ["--effect", "wheelbase:e=0.05"]
+    assert run([str(source), str(wrong), *effect, "--keep-truth", "/truth"]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *effect, "--odom", "/odom"]) == 0
+    was = rows_of(source, "/odom")
+    assert np.array_equal(rows_of(right, "/truth").xyt, was.xyt)
+    assert differ(rows_of(right, "/odom").xyt, was.xyt) < 1e-6
+
+
+def test_effects_of_single_wheels_take_the_track_from_the_command_line(tmp_path, capsys):
+    wrong, right = tmp_path / "wrong.mcap", tmp_path / "right.mcap"
+    play = ["--effect", "backlash:travel=0.02"]
+    assert run([str(FIXTURES / "office.mcap"), str(wrong), *play, "--track", "0.4"]) == 0
+    assert run(["correct", "-v", str(wrong), str(right), *play]) == 1
+    assert "give it in metres with --track" in capsys.readouterr().err
+    assert run(["correct", "-v", str(wrong), str(right), *play, "--track", "0.4"]) == 0
+    was, off, back = (rows_of(path, "/odom").xyt for path in (FIXTURES / "office.mcap", wrong, right))
+    assert differ(back, was) < 0.2 * differ(off, was)
+
+
+def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
+    source, effect = FIXTURES / "office.mcap", ["--effect", "slope:creep=0.02"]
+    start = rows_of(source, "/odom").xyt[0]
+    assert run(["correct", "-v", str(source), str(tmp_path / "silent.mcap"), *effect]) == 0
+    assert "slope: depends on position or heading" in capsys.readouterr().err
+    same, turned = ("--start", ",".join(map(str, start))), ("--start", "0,0,180deg")
+    for name, option in (("same", same), ("turned", turned)):
+        assert run(["correct", "-v", str(source), str(tmp_path / f"{name}.mcap"), *effect, *option]) == 0
+        assert "--start" not in capsys.readouterr().err
+    silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
+    assert differ(same_path, silent) < 1e-9
+    assert differ(other, silent) > 0.05
+
+
+def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, capsys):
+    patch = ["--effect", "region_slip:slip=0.05,x=1,y=1,radius=2", "--start", "0,0,0"]
+    model = tmp_path / "robot.toml"
+    model.write_text(NOISE)
+    for name, noise, said in (("noisy", ["--model", str(model)], True), ("silent", [], False)):
+        out = tmp_path / f"{name}.mcap"
+        assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(out), *noise, *patch]) == 0
+        assert ("taken out in the wrong place" in capsys.readouterr().err) is said
+
+
+@pytest.mark.parametrize("options", [[], ["--effect", "gauss_markov:sigma=0.02"]])
+def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, options, capsys):
+    target = tmp_path / "out.mcap"
+    assert run(["correct", "-v", str(FIXTURES / "office.mcap"), str(target), *options]) == 0
+    assert target.read_bytes() == (FIXTURES / "office.mcap").read_bytes()
+    said = capsys.readouterr().err
+    assert said.startswith("Nothing to correct: ")
+    assert ("gauss_markov cannot be undone" in said) == bool(options)
+
+
+def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
+    assert run(["correct", "-v", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert "INPUT is a pipe" in said
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_pipe_can_be_written(tmp_path, capfdbinary):
+    effect = ["--effect", "wheel_scale:e=0.01"]
+    source = str(FIXTURES / "office.mcap")
+    assert run(["correct", "-v", source, "-", *effect]) == 0
+    piped = tmp_path / "piped.mcap"
+    piped.write_bytes(capfdbinary.readouterr().out)
+    assert run(["correct", "-v", source, str(tmp_path / "file.mcap"), *effect]) == 0
+    assert np.array_equal(rows_of(piped, "/odom").xyt, rows_of(tmp_path / "file.mcap", "/odom").xyt)
+
+
+def test_the_model_is_kept_in_the_output(trio):
+    right = trio[2]
+    if right.suffix == ".bag":
+        pytest.skip("a ROS 1 bag has no place for it that is not a topic")
+    files = [right] if right.is_file() else list(right.iterdir())
+    assert any(b"odomcorrupt_correct" in file.read_bytes() for file in files)

@@ -1,0 +1,136 @@
+"""Correction is the inverse of corruption: effect by effect, across jumps of the pose, and for clocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from odomcorrupt.correction.run import CorrectedPath, corrected_samples
+from odomcorrupt.correction.undo import ClockInverse, true_stamps, undo_effects
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects import effect_from_values, registry
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.user import user_effect
+from odomcorrupt.errors import BagError
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.model.motion_model import MotionModel, Noise
+from odomcorrupt.model.noise_laws import Coefficients
+
+SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
+SYSTEMATIC = [name for name, kind in registry().items() if kind.kind not in {"noise", "event"} and not kind.clock]
+AMPLE = {"region_slip": {"slip": 0.05, "x": 3.0, "y": 0.0, "radius": 1.5}}
+
+
+def drive(seconds=40.0, rate_hz=50.0, *, sideways=False):
+    """A drive with straights, bends both ways, a stop, a turn on the spot and a reverse: stamps and poses."""
+    t = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    v = np.interp(t % 20.0, [0, 1, 8, 9, 13, 14, 17, 18, 20], [0, 0.6, 0.6, 0, 0, 0.5, 0.5, -0.3, 0])
+    w = np.interp(t % 13.0, [0, 3, 4, 6, 8, 9, 13], [0, 0, 0.5, 0.1, -0.6, 0.2, 0])
+    steps = np.stack((v, 0.2 * np.sin(t) * sideways, w))[:, :-1] / rate_hz
+    return 10**11 + (t * 1e9).astype(np.int64), accumulate(np.array([2.0, -1.0, 0.4]), Increments(*steps))
+
+
+def model(*effects, noise=SILENT):
+    return MotionModel(noise, effects, track_m=0.4)
+
+
+def usual(name):
+    kind = registry()[name]
+    values = AMPLE.get(name) or {p.name: p.typical for p in parameters(kind) if p.amplitude}
+    return effect_from_values(name, values)
+
+
+def there_and_back(chosen, stamps_ns, clean):
+    """Return how far corruption moved the poses, and how far correction leaves them from where they were."""
+    wrong = clean + NoisyPath(chosen, 1).feed(stamps_ns, clean).error_xyt
+    back = wrong + corrected_samples(chosen, stamps_ns, wrong, first_ns=int(stamps_ns[0])).error_xyt
+    return np.abs(wrong - clean).max(), np.abs(back - clean).max()
+
+
+@pytest.mark.parametrize("name", SYSTEMATIC)
+def test_every_systematic_effect_is_taken_out_exactly(name):
+    moved, left = there_and_back(model(usual(name)), *drive(sideways=registry()[name].needs_sideways))
+    assert moved > 1e-3
+    assert left < 1e-9
+
+
+NAMES = ("unequal_wheels", "gyro_bias", "accel_slip", "slope", "region_slip", "backlash", "lever_arm", "mount_yaw")
+MIXTURE = tuple(map(usual, NAMES))
+
+
+def test_a_mixture_is_taken_out_across_a_jump_of_the_pose():
+    stamps_ns, clean = drive()
+    clean[900:] += [5.0, -2.0, 0.0]
+    moved, left = there_and_back(model(*MIXTURE), stamps_ns, clean)
+    assert moved > 0.1
+    assert left < 1e-9
+    undone = undo_effects(MIXTURE, (stamps_ns - stamps_ns[0]) * 1e-9, clean, 0.4)
+    assert undone.jump.nonzero()[0].tolist() == [899]
+
+
+def test_places_are_those_of_the_frame_that_effects_read():
+    stamps_ns, clean = drive()
+    chosen = model(usual("slope"), usual("region_slip"))
+    t_s = (stamps_ns - stamps_ns[0]) * 1e-9
+    wrong = clean + NoisyPath(chosen, 1).feed(stamps_ns, clean).error_xyt
+    frame = np.array([7.0, -3.0, 2.0])  # of odometry that begins elsewhere and looks elsewhere
+    moved = compose(inverse(frame), wrong)
+    back = compose(frame, moved + undo_effects(chosen.effects, t_s, moved, 0.4, frame_xyt=frame).error_xyt)
+    assert np.abs(back - clean).max() < 1e-9
+    unaware = compose(frame, moved + undo_effects(chosen.effects, t_s, moved, 0.4).error_xyt)
+    assert np.abs(unaware - clean).max() > 0.02
+
+
+def test_effects_that_ask_for_places_are_known():
+    asking = {name for name in SYSTEMATIC if usual(name).reads_places}
+    assert asking == {"slope", "region_slip"}
+    assert user_effect("bend", "yaw += k * sin(theta)", {"k": 0.01}).reads_places
+    assert not user_effect("skid", "along += k * a", {"k": 0.01}).reads_places
+
+
+def test_messages_with_the_same_stamp_keep_what_they_moved():
+    stamps_ns, clean = drive(10.0)
+    stamps_ns[200] = stamps_ns[199]
+    moved, left = there_and_back(model(usual("wheel_scale")), stamps_ns, clean)
+    assert moved > 1e-3
+    assert left < 1e-9
+
+
+def test_random_effects_are_passed_by_to_the_bit():
+    stamps_ns, clean = drive(10.0)
+    samples = corrected_samples(model(usual("gauss_markov"), usual("quantization")), stamps_ns, clean, first_ns=0)
+    assert not samples.error_xyt.any()
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-4, -0.1, 0.1])
+def test_clocks_are_put_right_to_the_nanosecond(rate):
+    clocks = (effect_from_values("time_offset", {"offset": -0.3}), effect_from_values("clock_skew", {"rate": rate}))
+    was_ns, _ = drive()
+    t_s = (was_ns - was_ns[0]) * 1e-9
+    wrong_ns = was_ns + np.rint(sum(clock.stamp_shift_s(t_s) for clock in clocks) * 1e9).astype(np.int64)
+    assert np.abs(true_stamps(clocks, wrong_ns, int(wrong_ns[0])) - was_ns).max() <= 1
+    assert not ClockInverse((replace(clocks[0], offset=0.0),)).acts
+
+
+def test_covariances_are_those_of_the_noise_along_the_corrected_path():
+    noise = Noise("diffusion", Coefficients(0.05, 0.03, 0.05, 0.02))
+    stamps_ns, clean = drive()
+    effects = (usual("unequal_wheels"), usual("wheelbase"))
+    wrong = clean + NoisyPath(model(*effects), 1).feed(stamps_ns, clean).error_xyt
+    samples = corrected_samples(model(*effects, noise=noise), stamps_ns, wrong, first_ns=int(stamps_ns[0]))
+    ends = np.array([NoisyPath(model(noise=noise), seed).feed(stamps_ns, clean).error_xyt[-1] for seed in range(600)])
+    corrected = (wrong + samples.error_xyt)[-1:, :2] - samples.origin_xy
+    forecast = pose_covariance(samples.sums[:, -1:], corrected.T)[0]
+    np.testing.assert_allclose(np.diag(forecast), ends.var(axis=0), rtol=0.25)
+
+
+def test_another_odometry_in_the_second_pass_is_refused():
+    stamps_ns, clean = drive(5.0)
+    path = CorrectedPath([corrected_samples(model(usual("wheel_scale")), stamps_ns, clean, first_ns=0)])
+    assert len(path.feed(stamps_ns[:10], clean[:10])) == 10
+    with pytest.raises(BagError, match="changed while"):
+        path.feed(stamps_ns[11:], clean[11:])

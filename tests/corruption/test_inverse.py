@@ -1,0 +1,173 @@
+"""Effects put into a clean drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from drives import office, silent
+
+from odomcorrupt.corruption.inverse import Drive, EffectInverse
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import Effect, TwistError, parameter, stacked
+from odomcorrupt.effects.user import user_effect
+from odomcorrupt.errors import EffectError
+from odomcorrupt.geometry.increments import Increments, accumulate, increments
+from odomcorrupt.geometry.motion import corrected_increments, motion_of
+
+STRONG = (
+    effect_from_values("wheel_scale", {"e": 0.05}),
+    effect_from_values("wheelbase", {"e": 0.6}),
+    effect_from_values("unequal_wheels", {"curvature": 0.1}),
+    effect_from_values("side_slip", {"k": 0.3}),
+    effect_from_values("gyro_bias", {"bias": 0.02}),
+    effect_from_values("lever_arm", {"x": 0.2, "y": -0.1}),
+)
+
+
+def drive_of(t, poses):
+    return Drive(increments(poses), np.diff(t) * 1e-9, (t[1:] - t[0]) * 1e-9, poses[:-1])
+
+
+def test_correcting_what_was_corrupted_gives_the_clean_drive_back():
+    t, poses = office(50.0, 40.0)
+    samples = NoisyPath(silent(STRONG, track_m=0.5), 1).feed(t, poses)
+    odometry = poses + samples.error_xyt
+    assert np.abs(samples.error_xyt[-1]).max() > 0.5
+    back = corrected_increments(STRONG, motion_of((t - t[0]) * 1e-9, odometry, track_m=0.5))
+    clean = increments(poses)
+    for part in ("ds_m", "dl_m", "dtheta_rad"):
+        assert getattr(back, part) == pytest.approx(getattr(clean, part), abs=1e-11)
+
+
+def test_a_scale_of_one_percent_is_inverted_exactly_and_not_to_first_order():
+    t, poses = office(50.0, 8.0)
+    poses[:, 1:] = 0.0
+    poses[:, 0] = np.linspace(0.0, 50.0, len(t))
+    samples = NoisyPath(silent([effect_from_values("wheel_scale", {"e": 0.01})]), 1).feed(t, poses)
+    assert (poses + samples.error_xyt)[-1, 0] == pytest.approx(50.0 / 1.01, abs=1e-8)
+
+
+def test_a_gyro_bias_turns_a_parked_robot_and_nothing_else_moves():
+    t, poses = office(50.0, 20.0)
+    samples = NoisyPath(silent([effect_from_values("gyro_bias", {"bias": 0.01})]), 1).feed(t, poses * 0.0)
+    assert samples.error_xyt[-1] == pytest.approx([0.0, 0.0, 0.01 * 20.0], abs=1e-9)
+
+
+def test_clock_effects_do_not_bend_the_path():
+    samples = NoisyPath(silent([effect_from_values("time_offset", {"offset": 0.1})]), 1).feed(*office())
+    assert not samples.error_xyt.any()
+
+
+@pytest.mark.filterwarnings("error")
+def test_too_strong_effects_are_an_error():
+    strong = EffectInverse(silent([effect_from_values("side_slip", {"k": 0.5}), Runaway(-40.0)]), 1, 0)
+    with pytest.raises(EffectError, match=r"too strong.*weaker"):
+        strong.error(drive_of(*office(10.0, 10.0)))
+
+
+def test_a_robot_that_turns_several_times_as_far_as_its_odometry_says_is_put_in_and_taken_out():
+    """Plain rounds run away where an effect is larger than the motion it acts on; cuts still give the same bits."""
+    t, poses = office(50.0, 20.0)
+    effects = [user_effect("geared", "yaw += k * omega", {"k": 3.4}), effect_from_values("wheel_scale", {"e": 0.05})]
+    whole = NoisyPath(silent(effects), 1).feed(t, poses).error_xyt
+    path = NoisyPath(silent(effects), 1)
+    parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
+    assert np.array_equal(np.concatenate(parts), whole)
+    back = corrected_increments(effects, motion_of((t - t[0]) * 1e-9, poses + whole))
+    assert back.dtheta_rad == pytest.approx(increments(poses).dtheta_rad, abs=1e-11)
+    assert back.ds_m == pytest.approx(increments(poses).ds_m, abs=1e-11)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("k", [0.05, -0.05])
+def test_a_law_that_sets_in_at_a_speed_is_put_in_at_every_speed(k):
+    """Of true speeds just above it no odometry speaks; that of one just below or above is at most the jump away."""
+    law = user_effect("spins", "wheels += v * (k * where(abs(v) > 0.5, 1, 0))", {"k": k})
+    model, rate = silent([law], track_m=0.4), 50.0
+    v = np.linspace(0.4, 0.6, 500)
+    t = 10**11 + (np.arange(501) * 1e9 / rate).astype(np.int64)
+    poses = accumulate(np.zeros(3), Increments(v / rate, 0.0 * v, 0.2 * v / rate))
+    whole = NoisyPath(model, 1).feed(t, poses).error_xyt
+    path = NoisyPath(model, 1)
+    parts = [path.feed(t[i : i + 41], poses[i : i + 41]).error_xyt for i in range(0, len(t), 41)]
+    assert np.array_equal(np.concatenate(parts), whole)
+    back = corrected_increments([law], motion_of((t - t[0]) * 1e-9, poses + whole, track_m=0.4)).ds_m * rate
+    jump = np.abs(back - v) > 1e-9
+    assert np.abs(back - v).max() < 0.051 * 0.52
+    assert np.all((v[jump] > 0.48) & (v[jump] < 0.55))
+
+
+def test_a_law_that_no_odometry_obeys_is_called_too_strong():
+    law = user_effect("stuck", "along += -3 * v * k * max(abs(v) - 0.1, 0)", {"k": 1.0})
+    with pytest.raises(EffectError, match=r"too strong.*weaker"):
+        NoisyPath(silent([law]), 1).feed(*office())
+
+
+@dataclass(frozen=True, slots=True)
+class Runaway(Effect):
+    name: ClassVar[str] = "runaway"
+    kind: ClassVar[str] = "effect"
+    summary: ClassVar[str] = "grows faster than anything can undo"
+    k: float = parameter("s/m", "growth", low=-100.0, high=100.0, typical=1.0)
+
+    def twist_error(self, motion, state):
+        return TwistError(stacked(self.k * motion.v**3 + self.k * motion.v, 0.0, 0.0, motion.v), state)
+
+
+@dataclass(frozen=True, slots=True)
+class RandomEffectCovariance(Effect):
+    """A random walk of the yaw rate that draws from its own stream: it has a state and randomness."""
+
+    name: ClassVar[str] = "wander"
+    kind: ClassVar[str] = "noise"
+    summary: ClassVar[str] = "walks"
+    density: float = parameter("rad/s", "of one step", low=0.0, high=1.0, typical=0.1)
+    pull: float = parameter("", "of the yaw rate itself", low=0.0, high=0.5, typical=0.1)
+
+    def start(self, rng):
+        return rng, 0.0
+
+    def twist_error(self, motion, state):
+        rng, level = state
+        walk = np.cumsum(np.concatenate(([level], self.density * rng.standard_normal(len(motion)))))
+        return TwistError(stacked(0.0, 0.0, walk[1:] + self.pull * motion.omega, motion.v), (rng, walk[-1]))
+
+
+def test_an_effect_that_draws_is_the_same_however_the_path_is_cut():
+    t, poses = office(50.0, 20.0)
+    chosen = silent([RandomEffectCovariance(0.01, 0.2), RandomEffectCovariance(0.02, 0.0)])
+    whole = NoisyPath(chosen, 4).feed(t, poses)
+    path = NoisyPath(chosen, 4)
+    pieces = [path.feed(t[i : i + 37], poses[i : i + 37]) for i in range(0, len(t), 37)]
+    assert np.array_equal(np.concatenate([p.error_xyt for p in pieces]), whole.error_xyt)
+    twin = replace(chosen, effects=(RandomEffectCovariance(0.01, 0.2),))
+    assert not np.array_equal(NoisyPath(twin, 4).feed(t, poses).error_xyt, whole.error_xyt)
+
+
+def test_acceleration_looks_back_and_does_not_depend_on_cuts():
+    seen = []
+
+    @dataclass(frozen=True, slots=True)
+    class Watch(Runaway):
+        name: ClassVar[str] = "watch"
+
+        def twist_error(self, motion, state):
+            seen.append(motion)
+            return TwistError(stacked(0.0, 0.0, 0.0, motion.v), state)
+
+    t = np.arange(101) * 20_000_000
+    poses = np.column_stack((0.5 * 1.2 * (t * 1e-9) ** 2, np.zeros(101), np.zeros(101)))
+    drive = drive_of(t, poses)
+    EffectInverse(silent([Watch(1.0)]), 1, 0).error(drive)
+    whole = seen[-1].a
+    assert whole[20:] == pytest.approx(np.full(80, 1.2), abs=1e-6)
+    pieces, inverse, steps = [], EffectInverse(silent([Watch(1.0)]), 1, 0), drive.steps
+    for rows in (slice(0, 1), slice(1, 8), slice(8, 60), slice(60, 100)):
+        part = Increments(steps.ds_m[rows], steps.dl_m[rows], steps.dtheta_rad[rows])
+        inverse.error(Drive(part, drive.dt_s[rows], drive.t_s[rows], drive.start_xyt[rows]))
+        pieces.append(seen[-1].a)
+    assert np.array_equal(np.concatenate(pieces), whole)

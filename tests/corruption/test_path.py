@@ -1,0 +1,260 @@
+"""The noisy path: its moments, its invariances, and what it must never do."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drives import LAW_COEFFICIENTS, model, office, silent, stamps, textbook_run
+
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
+
+EFFECTS = (
+    effect_from_values("unequal_wheels", {"curvature": 0.02}),
+    effect_from_values("gyro_bias", {"bias": 0.01}),
+    effect_from_values("side_slip", {"k": 0.1}),
+)
+
+
+def last_errors(chosen, drive, runs):
+    return np.array([NoisyPath(chosen, 5, run).feed(*drive).error_xyt[-1] for run in range(runs)])
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_moments_agree_with_the_textbook_loop(law):
+    t, poses = office(5.0, 20.0)
+    rng = np.random.default_rng(1)
+    ours = last_errors(model(law), (t, poses), 2000)
+    theirs = np.array([textbook_run(law, LAW_COEFFICIENTS[law], poses, rng)[-1] - poses[-1] for _ in range(2000)])
+    for axis in range(3):
+        spread = theirs[:, axis].std()
+        assert ours[:, axis].std() == pytest.approx(spread, rel=0.07)
+        assert ours[:, axis].mean() == pytest.approx(theirs[:, axis].mean(), abs=4.5 * spread / math.sqrt(1000))
+    correlation = np.corrcoef(ours.T) - np.corrcoef(theirs.T)
+    assert np.abs(correlation).max() < 0.12
+
+
+@pytest.mark.parametrize(
+    ("law", "step"),
+    [(law, None) for law in LAWS] + [(law, "0.25m,0.2rad") for law, rule in LAWS.items() if rule.per_step],
+)
+def test_any_cut_into_batches_gives_the_same_bits(law, step):
+    t, poses = office(50.0, 30.0)
+    chosen = model(law, step=step, effects=EFFECTS, track_m=0.5)
+    whole = NoisyPath(chosen, 3).feed(t, poses)
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        path, pieces, i = NoisyPath(chosen, 3), [], 0
+        while i < len(t):
+            size = int(rng.integers(0, (2, 9, 80, 700)[seed]))
+            pieces.append(path.feed(t[i : i + size], poses[i : i + size]))
+            i += size
+        assert np.array_equal(np.concatenate([p.error_xyt for p in pieces]), whole.error_xyt)
+        assert np.array_equal(np.concatenate([p.sums for p in pieces], axis=1), whole.sums)
+        assert np.array_equal(np.concatenate([p.correction_xyt for p in pieces]), whole.correction_xyt)
+        assert np.array_equal(np.concatenate([p.travelled_m for p in pieces]), whole.travelled_m)
+
+
+RATE_FREE = pytest.mark.parametrize(
+    ("law", "step"), [("diffusion", None), ("linear", "0.25m,0.2rad"), ("quadratic", "0.3m,10deg")]
+)
+
+
+@RATE_FREE
+def test_the_same_drive_promises_the_same_spread_at_every_message_rate(law, step):
+    chosen = model(law, step=step)
+    samples = {rate: NoisyPath(chosen, 1).feed(*office(rate, 40.0)) for rate in (4.0, 10.0, 50.0, 200.0)}
+    heading = {rate: k.sums[0, -1] for rate, k in samples.items()}
+    travel = {rate: k.sums[6, -1] + k.sums[8, -1] for rate, k in samples.items()}
+    for rate in (4.0, 10.0, 200.0):
+        assert heading[rate] == pytest.approx(heading[50.0], rel=0.005)
+        assert travel[rate] == pytest.approx(travel[50.0], rel=0.005)
+
+
+@pytest.mark.slow
+@RATE_FREE
+def test_the_same_drive_spreads_the_same_at_every_message_rate(law, step):
+    chosen = model(law, step=step)
+    spreads = {rate: last_errors(chosen, office(rate, 20.0), 500).std(axis=0) for rate in (4.0, 10.0, 50.0, 200.0)}
+    for rate in (4.0, 10.0, 200.0):
+        assert spreads[rate] == pytest.approx(spreads[50.0], rel=0.12)
+
+
+def test_a_book_law_applied_per_message_depends_on_the_rate():
+    slow, fast = (last_errors(model("linear"), office(rate, 40.0), 300).std(axis=0) for rate in (10.0, 200.0))
+    assert slow[2] > 3.0 * fast[2]
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0, 50.0, 200.0])
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_three_metres_backwards_arrive_three_metres_behind(law, rate):
+    n = round(10 * rate) + 1
+    poses = np.zeros((n, 3))
+    poses[:, 0] = np.linspace(0.0, -3.0, n)
+    samples = NoisyPath(model(law, Coefficients(1e-6, 1e-6, 1e-6, 1e-6)), 1).feed(stamps(n, rate), poses)
+    noisy = samples.clean_xyt + samples.error_xyt
+    assert noisy[-1] == pytest.approx([-3.0, 0.0, 0.0], abs=0.02)
+    assert np.all(np.diff(noisy[:, 0]) < 0.0)
+
+
+def test_a_parked_robot_with_ten_micrometres_of_jitter_does_not_spin():
+    rng = np.random.default_rng(2)
+    poses = np.column_stack((rng.normal(0, 1e-5, (3000, 2)), np.full(3000, 0.7)))
+    for law in LAWS:
+        samples = NoisyPath(model(law), 1).feed(stamps(3000, 50.0), poses)
+        assert np.abs(samples.error_xyt[:, 2]).max() < 0.03
+        assert np.abs(samples.error_xyt[:, :2]).max() < 0.05
+
+
+def test_standstill_changes_nothing_to_the_bit():
+    poses = np.tile([12.3, -4.5, 2.0], (500, 1))
+    for law in LAWS:
+        samples = NoisyPath(model(law), 1).feed(stamps(500, 50.0), poses)
+        assert not samples.error_xyt.any()
+        assert not samples.correction_xyt.any()
+
+
+def test_silent_models_and_effects_at_identity_change_nothing_to_the_bit():
+    at_identity = (effect_from_values("wheel_scale", {"e": 0.0}), effect_from_values("gyro_bias", {}))
+    samples = NoisyPath(silent(at_identity), 1).feed(*office())
+    assert not samples.error_xyt.any()
+    assert not samples.correction_xyt.any()
+
+
+def test_noise_before_a_stop_is_held_during_it():
+    t, poses = office(50.0, 10.0)
+    samples = NoisyPath(model(), 1).feed(t, poses)
+    stopped = slice(402, 500)
+    assert np.ptp(samples.clean_xyt[stopped], axis=0) == pytest.approx(0.0)
+    assert not np.ptp(samples.error_xyt[stopped], axis=0).any()
+    assert samples.error_xyt[-1].all()
+
+
+def test_the_first_pose_is_unchanged():
+    assert not NoisyPath(model(), 1).feed(*office()).error_xyt[0].any()
+
+
+def test_correction_takes_clean_poses_to_noisy_ones():
+    t, poses = office()
+    poses += [400.0, -700.0, 9.0]
+    samples = NoisyPath(model(), 1).feed(t, poses)
+    assert compose(samples.correction_xyt, poses) == pytest.approx(poses + samples.error_xyt, abs=1e-9)
+
+
+def test_streams_of_runs_and_seeds_differ_and_repeat():
+    drive = office()
+    base = NoisyPath(model(), 1, 0).feed(*drive).error_xyt
+    assert np.array_equal(base, NoisyPath(model(), 1, 0).feed(*drive).error_xyt)
+    assert not np.array_equal(base, NoisyPath(model(), 1, 1).feed(*drive).error_xyt)
+    assert not np.array_equal(base, NoisyPath(model(), 2, 0).feed(*drive).error_xyt)
+
+
+def test_a_jump_of_the_pose_is_counted_and_holds_the_correction():
+    t, poses = office(50.0, 20.0)
+    jumped = poses.copy()
+    jumped[600:] = compose(np.array([30.0, 5.0, 1.0]), jumped[600:])
+    samples = NoisyPath(model(), 1).feed(t, jumped)
+    assert samples.jumps == 1
+    assert samples.correction_xyt[600] == pytest.approx(samples.correction_xyt[599], abs=1e-12)
+    assert np.array_equal(samples.sums[:, 600], samples.sums[:, 599])
+    assert samples.travelled_m[600] == samples.travelled_m[599]
+
+
+def test_two_messages_of_one_stamp_are_no_jump_and_no_division_by_zero():
+    t, poses = office(50.0, 10.0)
+    t[100] = t[101]
+    samples = NoisyPath(model(effects=EFFECTS), 1).feed(t, poses)
+    assert samples.jumps == 0
+    assert np.isfinite(samples.error_xyt).all()
+
+
+def test_headings_may_wrap():
+    t, poses = office(50.0, 40.0)
+    wrapped = poses.copy()
+    wrapped[:, 2] = np.arctan2(np.sin(poses[:, 2]), np.cos(poses[:, 2]))
+    straight = NoisyPath(model(), 1).feed(t, poses).error_xyt
+    assert NoisyPath(model(), 1).feed(t, wrapped).error_xyt == pytest.approx(straight, abs=1e-9)
+
+
+@pytest.mark.parametrize(("law", "step"), [("diffusion", None), ("linear", "0.25m,0.2rad"), ("quadratic", None)])
+def test_covariance_is_calibrated_while_headings_are_well_known(law, step):
+    """NEES of many runs is the number of dimensions, at several places of the path."""
+    coefficients = {"linear": Coefficients(0.02, 0.04, 0.02, 0.01), "quadratic": Coefficients(0.01, 0.01, 0.01, 0.01)}
+    chosen = model(law, coefficients.get(law), step)
+    t, poses = office(10.0, 40.0)
+    places, runs = np.array([40, 130, 200, 400]), 600
+    nees = np.empty((runs, len(places)))
+    for run in range(runs):
+        samples = NoisyPath(chosen, 11, run).feed(t, poses)
+        noisy = samples.clean_xyt[places, :2] + samples.error_xyt[places, :2] - samples.origin_xy
+        P = pose_covariance(samples.sums[:, places], noisy.T)
+        assert np.sqrt(P[:, 2, 2]).max() < 0.2
+        e = samples.error_xyt[places]
+        nees[run] = np.einsum("ni,ni->n", e, np.linalg.solve(P, e[:, :, None])[:, :, 0])
+    assert nees.mean(axis=0) / 3.0 == pytest.approx(np.ones(len(places)), abs=0.12)
+
+
+def test_sideways_noise_is_calibrated_too():
+    chosen = model(coefficients=Coefficients(0.05, 0.02, 0.05, 0.01, across_trans=0.04))
+    t, poses = office(10.0, 20.0)
+    nees = []
+    for run in range(600):
+        samples = NoisyPath(chosen, 12, run).feed(t, poses)
+        e = samples.error_xyt[-1]
+        noisy = samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy
+        nees.append(e @ np.linalg.solve(pose_covariance(samples.sums[:, -1:], noisy.T)[0], e))
+    assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.1)
+
+
+def strafing(rate_hz=2.0, seconds=40.0):
+    """A holonomic robot that drives ahead, to its left, and across, turning a little."""
+    t = np.arange(round(seconds * rate_hz) + 1) / rate_hz
+    phase = t % 15.0
+    v = np.select([phase < 5, phase < 10], [0.5, 0.0], 0.3)
+    vy = np.select([phase < 5, phase < 10], [0.0, 0.5], -0.4)
+    theta = np.cumsum(np.full(len(t), 0.02))
+    dt = 1.0 / rate_hz
+    c, s = np.cos(theta + 0.01), np.sin(theta + 0.01)
+    x = np.concatenate(([0.0], np.cumsum(((c * v - s * vy) * dt)[:-1])))
+    y = np.concatenate(([0.0], np.cumsum(((s * v + c * vy) * dt)[:-1])))
+    return stamps(len(t), rate_hz), np.column_stack((x, y, theta))
+
+
+def test_the_omni_law_strafes_like_amcl_on_a_holonomic_drive():
+    t, poses = strafing()
+    rng = np.random.default_rng(4)
+    ours = last_errors(model("omni"), (t, poses), 2000)
+    theirs = np.array([textbook_run("omni", LAW_COEFFICIENTS["omni"], poses, rng)[-1] - poses[-1] for _ in range(2000)])
+    assert np.cov(ours.T) == pytest.approx(np.cov(theirs.T), rel=0.12, abs=0.05 * np.cov(theirs.T).max())
+
+
+@pytest.mark.parametrize("law", ["velocity", "omni"])
+def test_covariance_of_arcs_and_strafing_is_calibrated(law):
+    k = Coefficients(0.005, 0.005, 0.01, 0.005, *((0.02,) if law == "omni" else (0.0, 0.004, 0.01)))
+    t, poses = strafing() if law == "omni" else office(4.0, 40.0)
+    nees = []
+    for run in range(500):
+        samples = NoisyPath(model(law, k), 13, run).feed(t, poses)
+        e = samples.error_xyt[-1]
+        P = pose_covariance(samples.sums[:, -1:], (samples.clean_xyt[-1:, :2] + e[:2] - samples.origin_xy).T)[0]
+        assert np.sqrt(P[2, 2]) < 0.2
+        nees.append(e @ np.linalg.solve(P, e))
+    assert np.mean(nees) / 3.0 == pytest.approx(1.0, abs=0.12)
+
+
+def test_white_noise_on_twists_is_the_rob521_projects():
+    """A robot that drives straight at 10 Hz for 10 s: noise of 0.2 m/s and 0.04 rad/s on every twist, at rest too."""
+    n = 101
+    poses = np.column_stack((np.linspace(0.0, 5.0, n), np.zeros(n), np.zeros(n)))
+    k = Coefficients(0, 0, 0, 0, white_v=0.2, white_omega=0.04)
+    assert not k.silent
+    for drive in (poses, poses * 0.0):
+        errors = last_errors(model(coefficients=k), (stamps(n, 10.0), drive), 1500)
+        assert errors[:, 2].std() == pytest.approx(0.04 * 0.1 * math.sqrt(100), rel=0.06)
+        assert errors[:, 0].std() == pytest.approx(0.2 * 0.1 * math.sqrt(100), rel=0.06)
+    assert errors[:, 1].std() < 0.01

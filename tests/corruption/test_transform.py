@@ -1,0 +1,455 @@
+"""Blocks in, blocks out: what moves, what stays, and that cuts do not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from bagged import (
+    IMU,
+    ODOM,
+    OTHER,
+    TF,
+    TRUTH,
+    MemoryBag,
+    blocks_of,
+    messages_of,
+    odometry,
+    quaternion,
+    read,
+    robot,
+    transforms,
+    twists,
+)
+from drives import model, office, silent
+
+from odomcorrupt.bags.block import Channel
+from odomcorrupt.corruption.covariance import pose_covariance
+from odomcorrupt.corruption.path import NoisyPath
+from odomcorrupt.corruption.transform import Options, Transform
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.errors import TopicError
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.geometry.se2 import between, compose, inverse, wrap, yaw_from_quaternion
+
+EFFECTS = (effect_from_values("unequal_wheels", {"curvature": 0.02}), effect_from_values("gyro_bias", {"bias": 0.01}))
+CHANNELS = {c.id: c for c in (ODOM, TF, IMU)}
+MORE = CHANNELS | {OTHER.id: OTHER, TRUTH.id: TRUTH}
+DRIVE = office(20.0, 15.0)
+
+
+def run(messages, chosen=None, size=40, *, channels=None, seed=1, complete=True, **options):
+    transform = Transform(model() if chosen is None else chosen, seed, 0, Options(**options))
+    bag = MemoryBag(blocks_of(messages, size), CHANNELS if channels is None else channels, complete)
+    return list(transform.blocks(bag, "test.mcap")), transform
+
+
+def poses_of(blocks, channel=ODOM, edge=None):
+    stamps, position = read(blocks, channel, "position", edge)
+    _, quat = read(blocks, channel, "orientation", edge)
+    return stamps, np.column_stack((position[:, :2], yaw_from_quaternion(quat)))
+
+
+def by_time(messages):
+    return sorted(messages, key=lambda message: message[1])
+
+
+def assert_same_poses(ours, theirs, tolerance=1e-9):
+    off = ours - theirs
+    assert np.abs(off[:, :2]).max() < tolerance
+    assert np.abs(wrap(off[:, 2])).max() < tolerance
+
+
+def test_silent_models_leave_every_byte():
+    messages = robot(*DRIVE)
+    at_identity = [effect_from_values("wheel_scale", {"e": 0.0}), effect_from_values("time_offset", {})]
+    for chosen in (silent(), silent(at_identity)):
+        out, _ = run(messages, chosen)
+        assert messages_of(out) == messages_of(blocks_of(messages))
+
+
+def test_odometry_follows_the_noisy_path_of_its_seed():
+    out, transform = run(robot(*DRIVE))
+    samples = NoisyPath(model(), 1).feed(*DRIVE)
+    stamps, noisy = poses_of(out)
+    assert np.array_equal(stamps, DRIVE[0])
+    assert_same_poses(noisy, samples.clean_xyt + samples.error_xyt)
+    assert transform.changes.odometry == {"/odom": 301}
+    assert transform.changes.edges == {"odom -> base_link": 301}
+
+
+def test_transforms_agree_with_odometry_and_the_others_stay():
+    messages = robot(*DRIVE)
+    out, _ = run(messages)
+    edge = ("odom", "base_link")
+    assert_same_poses(poses_of(out, TF, edge)[1], poses_of(out)[1], 1e-12)
+    before = blocks_of(messages)
+    for stays in (("map", "odom"), ("base_link", "laser")):
+        assert np.array_equal(poses_of(out, TF, stays)[1], poses_of(before, TF, stays)[1])
+
+
+def test_only_targets_change_and_only_in_their_numbers():
+    messages = robot(*DRIVE)
+    out, _ = run(messages)
+    for (channel, log, data), (was_channel, was_log, was_data) in zip(
+        messages_of(out), messages_of(blocks_of(messages)), strict=True
+    ):
+        assert (channel, log, len(data)) == (was_channel, was_log, len(was_data))
+        assert data[:44] == was_data[:44] if channel == ODOM.id else True
+        assert data == was_data if channel == IMU.id else True
+
+
+@pytest.mark.parametrize(
+    "chosen", [model(), model("linear", step="0.25m,0.2rad", effects=EFFECTS), model(effects=EFFECTS)]
+)
+def test_bytes_do_not_depend_on_where_blocks_end(chosen):
+    slow = [(OTHER, int(t) + 40_000_000, odometry(t - 20_000_000, (1.0, 2.0, 0.3), child="b")) for t in DRIVE[0][3::5]]
+    rng = np.random.default_rng(3)
+    messages = robot(*DRIVE)
+    messages = by_time(messages + slow)
+    for i in rng.choice(len(messages) - 12, 30, replace=False):
+        messages[i], messages[i + 9] = messages[i + 9], messages[i]
+    whole = messages_of(run(messages, chosen, len(messages), channels=MORE, odom_topic="/odom")[0])
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        sizes = rng.integers(1, (3, 60, 400)[seed], 2000)
+        sizes = sizes[: np.searchsorted(np.cumsum(sizes), len(messages)) + 1]
+        assert messages_of(run(messages, chosen, sizes, channels=MORE, odom_topic="/odom")[0]) == whole
+
+
+def test_a_pipe_gives_what_a_file_gives():
+    messages = robot(*DRIVE)
+    piped, _ = run(messages, odom_topic="odom", complete=False)
+    assert messages_of(piped) == messages_of(run(messages)[0])
+
+
+def test_odometry_and_transform_may_come_in_either_order():
+    messages = robot(*DRIVE)
+    early = by_time([(c, log - 30_000_000 if c is TF else log, data) for c, log, data in messages])
+    edge = ("odom", "base_link")
+    assert_same_poses(poses_of(run(early)[0], TF, edge)[1], poses_of(run(messages)[0], TF, edge)[1], 1e-12)
+
+
+def test_an_edge_that_is_turned_round_is_corrected_from_the_right():
+    t, poses = DRIVE
+    messages = []
+    for stamp, pose in zip(t, poses, strict=True):
+        edges = ((stamp, "/base_link", "/odom", inverse(pose)), (stamp, "/map", "/odom", (1.0, 0.0, 0.0)))
+        messages += [(ODOM, int(stamp), odometry(stamp, pose)), (TF, int(stamp), transforms(*edges))]
+    out, transform = run(messages)
+    _, back = poses_of(out, TF, ("/base_link", "/odom"))
+    assert_same_poses(inverse(back), poses_of(out)[1])
+    assert np.array_equal(poses_of(out, TF, ("/map", "/odom"))[1], np.tile([1.0, 0.0, 0.0], (len(t), 1)))
+    assert transform.changes.edges == {"base_link -> odom": len(t)}
+
+
+def test_leading_slashes_are_the_same_frame_and_every_child_of_odom_moves():
+    t, poses = DRIVE
+    messages = []
+    for stamp, pose in zip(t, poses, strict=True):
+        edges = (
+            (stamp, "odom", "base", pose),
+            (stamp, "/odom", "camera_start", (1.0, 2.0, 0.0)),
+            (stamp, "odom", "map", pose),
+        )
+        messages += [(ODOM, int(stamp), odometry(stamp, pose, frame="/odom")), (TF, int(stamp), transforms(*edges))]
+    out, _ = run(messages)
+    C = compose(poses_of(out)[1], inverse(poses))
+    assert_same_poses(poses_of(out, TF, ("/odom", "camera_start"))[1], compose(C, np.array([1.0, 2.0, 0.0])))
+    assert np.array_equal(poses_of(out, TF, ("odom", "map"))[1], poses_of(blocks_of(messages), TF, ("odom", "map"))[1])
+
+
+def integrated(stamps, first_xyt, twist):
+    dt = np.diff(stamps)[:, None] * 1e-9
+    return accumulate(first_xyt, Increments(*np.ascontiguousarray((twist[1:, [0, 1, 5]] * dt).T)))
+
+
+@pytest.mark.parametrize("chosen", [model(), model("linear", effects=EFFECTS), silent(EFFECTS)])
+def test_twists_integrate_to_the_noisy_path(chosen):
+    out, _ = run(robot(*DRIVE), chosen)
+    stamps, noisy = poses_of(out)
+    _, twist = read(out, ODOM, "twist")
+    assert not twist[0].any()
+    assert_same_poses(integrated(stamps, noisy[0], twist), noisy, 1e-9)
+
+
+def test_twists_of_another_topic_in_the_same_frame_integrate_too():
+    t, poses = DRIVE
+    rows = np.arange(1, len(t), 7)
+    own = compose(np.array([3.0, -2.0, 0.5]), poses)[rows]
+    slow = [
+        (OTHER, int(s) + 9_000_000, odometry(s, p, w))
+        for s, p, w in zip(t[rows], own, twists(t[rows], own), strict=True)
+    ]
+    out, _ = run(by_time(robot(t, poses) + slow), channels=MORE, odom_topic="/odom")
+    stamps, noisy = poses_of(out, OTHER)
+    _, twist = read(out, OTHER, "twist")
+    assert_same_poses(integrated(stamps, noisy[0], twist), noisy, 1e-9)
+    C = compose(poses_of(out)[1], inverse(poses))[rows]
+    assert_same_poses(noisy, compose(C, own))
+
+
+def test_twists_can_be_kept():
+    messages = robot(*DRIVE)
+    out, _ = run(messages, keep_twist=True)
+    assert np.array_equal(read(out, ODOM, "twist")[1], read(blocks_of(messages), ODOM, "twist")[1])
+    assert not np.array_equal(poses_of(out)[1], poses_of(blocks_of(messages))[1])
+
+
+def test_odometry_in_another_frame_stays():
+    messages = robot(*DRIVE)
+    messages += [(TRUTH, int(s), odometry(s, p, frame="map")) for s, p in zip(*DRIVE, strict=True)]
+    out, _ = run(by_time(messages), channels=MORE, odom_topic="/odom")
+    assert np.array_equal(poses_of(out, TRUTH)[1], poses_of(blocks_of(messages), TRUTH)[1])
+
+
+def test_height_roll_and_pitch_survive():
+    t, poses = DRIVE
+    messages = [(ODOM, int(s), odometry(s, p, z=0.3, tilt=(0.2, -0.15))) for s, p in zip(t, poses, strict=True)]
+    out, _ = run(messages)
+    _, position = read(out, ODOM, "position")
+    _, quat = read(out, ODOM, "orientation")
+    assert np.all(position[:, 2] == 0.3)
+    _, noisy = poses_of(out)
+    assert np.abs(noisy - poses).max() > 0.01
+    expected = np.array([quaternion(yaw, 0.2, -0.15) for yaw in noisy[:, 2]])
+    expected *= np.sign((expected * quat).sum(axis=1))[:, None]
+    assert quat == pytest.approx(expected, abs=1e-12)
+
+
+def test_covariance_replaces_x_y_yaw_and_no_other_entry():
+    out, _ = run(robot(*DRIVE))
+    before = np.arange(36) / 1000.0
+    planar = np.zeros((6, 6), dtype=bool)
+    planar[np.ix_([0, 1, 5], [0, 1, 5])] = True
+    for name, was in (("pose_covariance", before), ("twist_covariance", before + 1)):
+        _, values = read(out, ODOM, name)
+        assert np.all(values[:, ~planar.ravel()] == was[~planar.ravel()])
+        blocks = values[1:].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+        assert np.linalg.eigvalsh(blocks).min() > 0.0
+        assert np.array_equal(blocks, blocks.transpose(0, 2, 1))
+    assert np.array_equal(read(out, ODOM, "twist_covariance")[1][0], before + 1)
+
+
+def test_twist_covariance_says_how_much_noise_the_twists_carry():
+    t, poses = DRIVE
+    clean = read(blocks_of(robot(t, poses)), ODOM, "twist")[1][:, [0, 1, 5]]
+    nees = []
+    for seed in range(40):
+        out, _ = run(robot(t, poses), model("linear"), seed=seed)
+        error = read(out, ODOM, "twist")[1][:, [0, 1, 5]] - clean
+        P = read(out, ODOM, "twist_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+        e, P = error[1:150], P[1:150]
+        nees.append(np.einsum("ni,ni->n", e[:, [0, 2]], np.linalg.solve(P[:, ::2, ::2], e[:, [0, 2], None])[..., 0]))
+    assert np.mean(nees) / 2 == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("chosen", "options"), [(silent(EFFECTS), {}), (model(), {"keep_covariance": True})])
+def test_covariances_stay_where_no_noise_is_drawn_or_on_request(chosen, options):
+    messages = robot(*DRIVE)
+    out, _ = run(messages, chosen, **options)
+    for name in ("pose_covariance", "twist_covariance"):
+        assert np.array_equal(read(out, ODOM, name)[1], read(blocks_of(messages), ODOM, name)[1])
+
+
+def test_a_parked_robot_is_left_alone_but_for_covariances():
+    t = DRIVE[0]
+    messages = robot(t, np.tile([1.0, 2.0, 3.0], (len(t), 1)))
+    out, _ = run(messages, keep_covariance=True)
+    assert messages_of(out) == messages_of(blocks_of(messages))
+
+
+def test_time_that_begins_again_begins_a_new_stretch():
+    t, poses = DRIVE
+    first, again = robot(t, poses), robot(t, poses)
+    later = int(t[-1] - t[0]) + 50_000_000
+    messages = first + [(c, log + later, data) for c, log, data in again]
+    out, transform = run(messages)
+    _, noisy = poses_of(out)
+    n = len(t)
+    assert transform.order.restarts == 1
+    assert np.array_equal(noisy[n], poses_of(blocks_of(messages))[1][n])
+    assert np.abs(noisy[n - 1] - poses[-1]).max() > 0.01
+    assert_same_poses(poses_of(out, TF, ("odom", "base_link"))[1], noisy, 1e-12)
+    _, twist = read(out, ODOM, "twist")
+    assert not twist[n].any()
+    assert_same_poses(integrated(t, noisy[n], twist[n:]), noisy[n:], 1e-9)
+
+
+def test_a_pose_that_is_set_elsewhere_keeps_the_correction():
+    t, poses = DRIVE
+    poses = poses.copy()
+    poses[150:] = compose(np.array([50.0, 20.0, 1.0]), poses[150:])
+    out, transform = run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)])
+    C = compose(poses_of(out)[1], inverse(poses))
+    assert transform.drift.result().jumps == 1
+    assert C[150] == pytest.approx(C[149], abs=1e-9)
+
+
+def test_swapped_messages_get_the_correction_of_their_own_stamp():
+    t, poses = DRIVE
+    messages = [(ODOM, int(s), odometry(s, p, w)) for s, p, w in zip(t, poses, twists(t, poses), strict=True)]
+    swapped = list(messages)
+    for i in (50, 120):
+        swapped[i], swapped[i + 5] = swapped[i + 5], swapped[i]
+    swapped = [(c, log, data) for (c, _, data), (_, log, _) in zip(swapped, messages, strict=True)]
+    tidy, (messy, transform) = run(messages)[0], run(swapped)
+    stamps, noisy = poses_of(messy)
+    assert transform.order.swapped == 10, "each swap puts five messages behind the one that came too soon"
+    assert np.array_equal(noisy[np.argsort(stamps)], poses_of(tidy)[1])
+
+
+def test_the_correction_is_held_where_odometry_ends_and_that_is_counted():
+    t, poses = DRIVE
+    messages = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t[:200], poses[:200], strict=True)]
+    messages += [(TF, int(s) + 1, transforms((s, "odom", "base_link", p))) for s, p in zip(t, poses, strict=True)]
+    out, transform = run(by_time(messages))
+    assert transform.changes.held == len(t) - 200
+    C = compose(poses_of(out, TF, ("odom", "base_link"))[1], inverse(poses))
+    assert np.ptp(C[199:], axis=0) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_blocks_are_not_held_for_longer_than_two_seconds():
+    t, poses = office(20.0, 30.0)
+    messages = [(ODOM, int(t[0]), odometry(t[0], poses[0]))]
+    messages += [(TF, int(s) + 1, transforms((s, "odom", "base_link", p))) for s, p in zip(t, poses, strict=True)]
+    bag = MemoryBag(blocks_of(messages, 5))
+    read_ahead = []
+
+    def watched(_only=None):
+        for block in bag.held:
+            read_ahead.append(int(block.table["log_ns"][-1]))
+            yield block
+
+    bag.blocks = watched
+    for block in Transform(model(), 1).blocks(bag, "test"):
+        assert read_ahead[-1] - int(block.table["log_ns"][-1]) <= 2_300_000_000
+
+
+def test_stamps_of_zero_are_read_as_log_times_and_stay_zero():
+    t, poses = DRIVE
+    stamped = [(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)]
+    bare = [(ODOM, int(s), odometry(0, p)) for s, p in zip(t, poses, strict=True)]
+    shift = (effect_from_values("time_offset", {"offset": 0.1}),)
+    out, transform = run(bare, model(effects=shift))
+    assert transform.odometry.zero_stamps == len(t)
+    assert np.array_equal(poses_of(out)[1], poses_of(run(stamped)[0])[1])
+    assert not poses_of(out)[0].any()
+
+
+def test_clock_effects_shift_stamps_of_odometry_and_its_edges_and_nothing_else():
+    messages = robot(*DRIVE)
+    clocks = (effect_from_values("time_offset", {"offset": 0.03}), effect_from_values("clock_skew", {"rate": 1e-3}))
+    out, _ = run(messages, silent(clocks))
+    t = DRIVE[0]
+    late = t + np.rint(0.03e9 + 1e-3 * (t - t[0])).astype(np.int64)
+    assert np.abs(poses_of(out)[0] - late).max() <= 1
+    assert np.abs(poses_of(out, TF, ("odom", "base_link"))[0] - late).max() <= 1
+    assert np.array_equal(poses_of(out, TF, ("map", "odom"))[0], t)
+    assert np.array_equal(poses_of(out)[1], poses_of(blocks_of(messages))[1])
+
+
+def test_poses_that_are_not_numbers_are_passed_by_and_counted():
+    t, poses = DRIVE
+    broken = poses.copy()
+    broken[70, 0] = np.nan
+    out, transform = run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, broken, strict=True)])
+    _, noisy = poses_of(out)
+    assert transform.unusable == 1
+    assert np.isnan(noisy[70, 0])
+    assert np.isfinite(np.delete(noisy, 70, axis=0)).all()
+
+
+@pytest.mark.parametrize(
+    ("channels", "options", "sentence"),
+    [
+        ({IMU.id: IMU}, {}, r"test.mcap: no nav_msgs/Odometry topic \(found /imu\)"),
+        ({}, {}, "found no topic at all"),
+        (MORE, {}, r"3 nav_msgs/Odometry topics \(/filtered, /odom, /truth\).*--odom-topic"),
+        (MORE, {"odom_topic": "/odometry"}, "no topic /odometry .nav_msgs/Odometry is on /filtered, /odom, /truth"),
+        (MORE, {"odom_topic": "imu"}, "imu is sensor_msgs/msg/Imu in cdr"),
+        (CHANNELS | {9: Channel(9, "/odom2", "nav_msgs/msg/Odometry", "json")}, {"odom_topic": "odom2"}, "in json"),
+        (CHANNELS, {}, "/odom has no message"),
+    ],
+)
+def test_what_cannot_drive_the_model_is_said_with_the_way_out(channels, options, sentence):
+    with pytest.raises(TopicError, match=sentence):
+        run([], channels=channels, **options)
+
+
+def test_a_pipe_needs_to_be_told_the_topic_and_says_so():
+    with pytest.raises(TopicError, match=r"on a pipe.*--odom-topic"):
+        run(robot(*DRIVE), complete=False)
+    with pytest.raises(TopicError, match="no topic /elsewhere"):
+        run(robot(*DRIVE), complete=False, odom_topic="/elsewhere")
+
+
+@pytest.mark.parametrize("frame", ["map", "", "/world", "robot1/map"])
+def test_odometry_outside_an_odom_frame_needs_the_frame_named(frame):
+    t, poses = DRIVE
+    messages = [(ODOM, int(s), odometry(s, p, frame=frame)) for s, p in zip(t, poses, strict=True)]
+    messages += [(TF, int(s), transforms((s, "odom", "base_link", p))) for s, p in zip(t, poses, strict=True)]
+    with pytest.raises(TopicError, match="--odom-frame"):
+        run(by_time(messages))
+    out, _ = run(by_time(messages), odom_frame="odom")
+    assert_same_poses(poses_of(out, TF, ("odom", "base_link"))[1], poses_of(out)[1], 1e-12)
+
+
+def test_the_base_frame_can_be_named_for_edges_turned_round():
+    t, poses = DRIVE
+    messages = []
+    for stamp, pose in zip(t, poses, strict=True):
+        edge = (stamp, "base_footprint", "odom", inverse(pose))
+        messages += [(ODOM, int(stamp), odometry(stamp, pose)), (TF, int(stamp), transforms(edge))]
+    out, _ = run(messages, base_frame="base_footprint")
+    assert_same_poses(inverse(poses_of(out, TF, ("base_footprint", "odom"))[1]), poses_of(out)[1])
+    assert run(messages)[1].changes.edges == {}
+
+
+def test_drift_expected_and_drawn_agree_over_many_runs():
+    drive = office(10.0, 60.0)
+    messages = [(ODOM, int(s), odometry(s, p)) for s, p in zip(*drive, strict=True)]
+    drifts = [run(messages, size=1000, seed=seed)[1].drift.result() for seed in range(60)]
+    assert drifts[0].rate_hz == pytest.approx(10.0)
+    assert drifts[0].distance_m == pytest.approx(NoisyPath(silent(), 1).feed(*drive).travelled_m[-1])
+    for drawn, expected in (("leg_drawn_m", "leg_expected_m"), ("leg_drawn_rad", "leg_expected_rad")):
+        ours = np.sqrt(np.mean([getattr(d, drawn) ** 2 for d in drifts]))
+        assert ours == pytest.approx(np.mean([getattr(d, expected) for d in drifts]), rel=0.15)
+    end = np.sqrt(np.mean([d.end_drawn_rad**2 for d in drifts]))
+    assert end == pytest.approx(drifts[0].end_expected_rad, rel=0.25)
+
+
+def test_relative_poses_on_the_way_do_not_depend_on_where_odom_began():
+    """The noisy path of a drive seen from its own start is the same wherever the odom frame lies."""
+    t, poses = DRIVE
+    moved = replace_start(poses, np.array([120.0, -40.0, 1.0]))
+    ours = poses_of(run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, poses, strict=True)])[0])[1]
+    theirs = poses_of(run([(ODOM, int(s), odometry(s, p)) for s, p in zip(t, moved, strict=True)])[0])[1]
+    assert_same_poses(between(ours[:1], ours), between(theirs[:1], theirs), 1e-8)
+
+
+def replace_start(poses, start):
+    return compose(start, between(poses[:1], poses))
+
+
+def test_a_log_clock_that_stands_still_does_not_hold_the_whole_bag():
+    messages = [(channel, 10**18, data) for channel, _, data in robot(*office(20.0, 40.0))]
+    bag, read_blocks, held = MemoryBag(blocks_of(messages, 30), CHANNELS), [], 0
+
+    def watched(_only=None):
+        for block in bag.held:
+            read_blocks.append(block)
+            yield block
+
+    bag.blocks = watched
+    for given, _ in enumerate(Transform(model(), 1).blocks(bag, "test")):
+        held = max(held, len(read_blocks) - given)
+    assert held < 20
+
+
+def test_covariances_in_messages_are_those_of_the_path():
+    out, _ = run(robot(*DRIVE))
+    samples = NoisyPath(model(), 1).feed(*DRIVE)
+    noisy = (samples.clean_xyt + samples.error_xyt)[:, :2] - samples.origin_xy
+    expected = pose_covariance(samples.sums, noisy.T)
+    values = read(out, ODOM, "pose_covariance")[1].reshape(-1, 6, 6)[:, [0, 1, 5]][:, :, [0, 1, 5]]
+    assert values == pytest.approx(expected, rel=1e-9, abs=1e-15)

@@ -1,0 +1,28 @@
+"""Every Python example of docs/api.md runs as it stands, in its order, beside the fixtures."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "api.md").read_text()
+BLOCKS = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+def test_every_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    (tmp_path / "fixtures").symlink_to(ROOT / "fixtures")
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in BLOCKS:
+        exec(compile(block, "docs/api.md", "exec"), names)  # noqa: S102 - the page is ours
+    said = capsys.readouterr().out
+    (printed,) = re.findall(r"^```text\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+    assert printed.splitlines()[0] in said
+    for name in ("noisy.mcap", "slipping.mcap", "robot.toml", "errors.png", "corrected.mcap", "secret.mcap"):
+        assert (tmp_path / name).stat().st_size > 0
+    assert len(repr(names["result"])) < 200
+    assert len(repr(names["base"])) < 200

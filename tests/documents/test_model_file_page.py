@@ -1,0 +1,28 @@
+"""The example of docs/model-file.md is a model file, and its values are what the comments and the table say."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.model.model_file import parse_model
+
+PAGE = (Path(__file__).parents[2] / "docs" / "model-file.md").read_text(encoding="utf8")
+(EXAMPLE,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+
+
+def test_the_example_is_read():
+    model = parse_model(EXAMPLE)
+    noise = model.noise.coefficients
+    assert noise.rot_trans == pytest.approx(math.radians(0.2))
+    assert noise.trans_rot == pytest.approx(0.0009)
+    assert [effect.name for effect in model.effects] == ["wheelbase", "bumps", "flat_tyre"]
+    assert model.track_m == pytest.approx(0.423)
+
+
+def test_every_coefficient_of_the_example_is_in_the_table():
+    table = set(re.findall(r"^\| `(\w+)` \|", PAGE, re.MULTILINE))
+    assert table == set(re.findall(r"^(\w+_(?:rot|trans)) = ", EXAMPLE, re.MULTILINE))

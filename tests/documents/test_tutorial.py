@@ -1,0 +1,57 @@
+"""The tutorial does what it says: its commands run in order, and say the lines that the page shows."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+ROOT = Path(__file__).parents[2]
+sys.path.append(str(ROOT / "docs"))
+
+from make_tutorial import IMAGES, PAGE, play, sessions  # noqa: E402 - its folder had to be found first
+
+
+def plain(line: str) -> str:
+    """Return a line without its numbers, bars and gaps: the last digits differ from machine to machine."""
+    return re.sub(r"[-+]?\d[\d.e+-]*|#+|\s+", " ", line).strip()
+
+
+def words(line: str) -> str:
+    return re.sub(r"\s+", " ", plain(line))
+
+
+def test_every_picture_of_the_page_is_there():
+    pictures = re.findall(r"\]\((images/[^)]+)\)", PAGE.read_text(encoding="utf8"))
+    assert len(pictures) == 4
+    assert all((PAGE.parent / picture).stat().st_size > 10_000 for picture in pictures)
+
+
+def test_a_command_without_its_line_is_noticed():
+    assert words("  + unequal_wheels   +49.9 nats  116.0 -> 43.6 mm") == words("  + unequal_wheels +50 nats 9 -> 4 mm")
+    assert words("  + unequal_wheels   +49.9 nats") != words("  + gyro_bias   +49.9 nats")
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Return a picture's grey values, shape (height, width), within 0 and 1."""
+    return imread(path)[..., :3].mean(axis=2)
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_and_says_what_it_shows(tmp_path):
+    for command, shown in sessions():
+        answer = play(command, tmp_path)
+        said = [words(line) for line in answer.splitlines()]
+        for line in shown:
+            assert any(words(line) in one for one in said), f"$ {command}\nshould say: {line}"
+    # the last word of the page: one name is left
+    assert ", or " not in answer
+    for name in ("rejected", "falls", "fan"):
+        stored, drawn = (pixels(path) for path in (IMAGES / f"tutorial_{name}.png", tmp_path / f"{name}.png"))
+        assert stored.shape == drawn.shape, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
+        # last digits move lines by a pixel; another legend or another curve changes more
+        assert np.mean(np.abs(stored - drawn) > 0.15) < 0.01, f"tutorial_{name}.png is stale: run docs/make_tutorial.py"
