@@ -197,7 +197,8 @@ def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterato
 
 def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
     """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
-    if zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES:
+    sized = zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES
+    if sized and _end_of_frame(data) == len(data):
         with _zstd.decompressor.stream_reader(data) as reader:
             if (came := reader.readinto(placed.data)) < placed.size:
                 raise EOFError(f"the frame is cut short after {came} bytes")
@@ -214,25 +215,33 @@ def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
         raise EOFError("a frame is cut short")
 
 
+def _end_of_frame(data: memoryview) -> int:
+    """Return where the Zstandard frame ends that bytes begin with, by the lengths in it (RFC 8878, section 3.1).
+
+    Of a truncated frame the end is unknown, and behind that of the bytes.
+    """
+    if int.from_bytes(data[:4], "little") & ~0xF == _SKIPPABLE_MAGIC:
+        return 8 + int.from_bytes(data[4:8], "little")
+    parameters = zstandard.get_frame_parameters(data)
+    at = zstandard.frame_header_size(data)
+    last = 0
+    while not last:
+        if at + 3 > len(data):
+            return len(data) + 1
+        head = int.from_bytes(data[at : at + 3], "little")
+        last, kind, size = head & 1, head >> 1 & 3, head >> 3
+        at += 3 + (1 if kind == _RUN_LENGTH_BLOCK else size)
+    return at + (4 if parameters.has_checksum else 0)
+
+
 def _are_whole_frames(data: memoryview) -> bool:
-    """Return whether bytes are whole Zstandard frames, by the lengths in them (RFC 8878, section 3.1)."""
-    at = 0
-    while at < len(data):
-        magic = int.from_bytes(data[at : at + 4], "little")
-        if magic & ~0xF == _SKIPPABLE_MAGIC:
-            at += 8 + int.from_bytes(data[at + 4 : at + 8], "little")
-            continue
-        parameters = zstandard.get_frame_parameters(data[at:])
-        at += zstandard.frame_header_size(data[at:])
-        last = 0
-        while not last:
-            if at + 3 > len(data):
-                return False
-            head = int.from_bytes(data[at : at + 3], "little")
-            last, kind, size = head & 1, head >> 1 & 3, head >> 3
-            at += 3 + (1 if kind == _RUN_LENGTH_BLOCK else size)
-        at += 4 if parameters.has_checksum else 0
-    return at == len(data)
+    """Return whether bytes are whole Zstandard frames."""
+    while data:
+        end = _end_of_frame(data)
+        if end > len(data):
+            return False
+        data = data[end:]
+    return True
 
 
 def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:

@@ -123,3 +123,10 @@ def test_a_chunk_may_be_several_zstd_frames_and_others_that_are_skipped(sized):
     assert decompress("zstd", memoryview(whole), len(data), "chunk", BufferPool()).tobytes() == data
     with pytest.raises(BagError):
         decompress("zstd", memoryview(whole)[:-1], len(data), "chunk", BufferPool())
+
+
+def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
+    frame = zstandard.compress(DATA.tobytes())
+    with pytest.raises(BagError, match="come out"):
+        decompress("zstd", memoryview(frame + frame), DATA.size, "chunk", BufferPool())
+    assert decompress("zstd", memoryview(frame + frame), 2 * DATA.size, "chunk", BufferPool()).size == 2 * DATA.size
