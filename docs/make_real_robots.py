@@ -244,8 +244,8 @@ def truth_text(fit: RobotFit) -> str:
     """Return how noisy the truth is; without headings, what stands for their noise means nothing."""
     truth = fit.model.setup.truth or TruthNoise()
     if not fit.fit.problem.headings:
-        return f"{truth.xy_m * 1e3:.2g} mm, no headings, {truth.wander * 1e3:.2g} mm/√s"
-    return f"{truth.xy_m * 1e3:.2g} mm, {np.degrees(truth.yaw_rad):.2g} deg, {truth.wander * 1e3:.2g} mm/√s"
+        return f"{truth.xy_m * 1e3:.2g} mm, no headings, {truth.random_walk * 1e3:.2g} mm/√s"
+    return f"{truth.xy_m * 1e3:.2g} mm, {np.degrees(truth.yaw_rad):.2g} deg, {truth.random_walk * 1e3:.2g} mm/√s"
 
 
 def effects_text(fit: RobotFit) -> str:

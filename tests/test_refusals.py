@@ -135,7 +135,7 @@ def test_the_spread_of_a_batch_comes_as_text_as_values_and_as_a_picture(here, ca
         == 0
     )
     capsys.readouterr()
-    assert run(["spread", "runs", "-o", "out.svg"]) == 0
+    assert run(["spread", "runs", "-v", "-o", "out.svg"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("runs: 3 runs; standard deviations about their mean")
     assert "The prediction knows nothing of the draws of slip_burst." in text

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 if TYPE_CHECKING:
+    from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.corruption.run import Container
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
@@ -26,7 +27,11 @@ class BagOptions(TypedDict, total=False):
     new_odom_frame : leave everything alone and publish the drift as the transform from this frame to odom
     subtracted : publish noisy minus clean there, component by component, as the article's listing does
     overwrite : replace an existing output
-    compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1); by default those of the input
+    compression, level : of the output: none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (directories of ROS 2);
+        by default those of the input
+    ros : 1 or 2, the generation of ROS of the output's messages, where its name leaves a choice
+    storage : mcap or sqlite3, of an output that is a directory
+    exclude : topics left out of the output
     recover : read what is whole of a damaged input
     threads : that read, compute and compress side by side; by default one a core, at most four
     """
@@ -43,6 +48,9 @@ class BagOptions(TypedDict, total=False):
     overwrite: bool
     compression: str | None
     level: int | None
+    ros: Generation | None
+    storage: str | None
+    exclude: tuple[str, ...]
     recover: bool
     threads: int | None
 

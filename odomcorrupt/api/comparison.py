@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.api.model import ModelLike
     from odomcorrupt.api.recordings import PathLikes, Recordings
+    from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.validate.compare import Comparison as ModelComparison
 
@@ -144,10 +145,20 @@ def compare(
     """
     named = _named_models(models)
     track = next((m.motion_model.track_m for m in named.values() if m.motion_model.track_m is not None), None)
-    runs = as_recordings(recordings).on_track(track)
+    drive_type = next((m.motion_model.setup.drive_type for m in named.values() if m.motion_model.setup.drive_type), "")
+    runs = as_recordings(recordings).on_track(track).of_drive_type(drive_type).in_frame(_shared_origin(named))
     from odomcorrupt.study.validate.compare import compare as compare_models
 
     return Comparison(compare_models(runs, {name: model.motion_model for name, model in named.items()}))
+
+
+def _shared_origin(models: Mapping[str, Model]) -> Origin | None:
+    """Return the origin that the places of all models are counted from; None where none says."""
+    origins = {name: m.motion_model.setup.origin for name, m in models.items() if m.motion_model.setup.origin}
+    placed = {origins[n] for n in origins if any(e.reads_places for e in models[n].motion_model.effects)}
+    if len(placed) > 1:
+        raise ModelError(f"{', '.join(origins)}: effects of places, counted from different origins; compare one by one")
+    return next(iter([*placed, *origins.values()]), None)
 
 
 def _named_models(models: ModelLike | Sequence[ModelLike] | Mapping[str, ModelLike]) -> dict[str, Model]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -202,33 +203,50 @@ def corrupt(
     chosen = as_model(model)
     drawn = draw_seed() if seed is None else seed
     condition = as_condition(within)
-    path = None
-    if condition is not None:
-        drive = _clean_drive(bag_path(source), chosen.motion_model, moved, recover=container.recover)
-        path = condition.path(chosen.motion_model, drawn, run, drive)
     watcher = ProvenanceWatcher(watch)
-    outcome = corrupt_bag(
-        bag_path(source),
-        bag_path(target),
-        chosen.motion_model,
-        seed=drawn,
-        run=run,
-        options=moved,
-        container=container,
-        watch=watcher,
-        path=path,
-        metadata={} if condition is None else condition.provenance(),
-    )
+    with ExitStack() as kept:
+        path, bag = None, bag_path(source)
+        if condition is not None:
+            bag = _kept_pipe(kept) if bag is None else bag
+            drive = _clean_drive(bag, chosen.motion_model, moved, recover=container.recover)
+            path = condition.path(chosen.motion_model, drawn, run, drive)
+        outcome = corrupt_bag(
+            bag,
+            bag_path(target),
+            chosen.motion_model,
+            seed=drawn,
+            run=run,
+            options=moved,
+            container=container,
+            watch=watcher,
+            path=path,
+            metadata={} if condition is None else condition.provenance(),
+        )
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))
 
 
-def _clean_drive(source: Path | None, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive | None:
-    """Return the odometry of a bag, read before the bag is corrupted; None of a pipe, which is read only once."""
+def _kept_pipe(kept: ExitStack) -> Path:
+    """Return a temporary file with what is on stdin: a path within a map is drawn for the whole drive."""
+    import shutil
+    import sys
+    import tempfile
+
+    from odomcorrupt.errors import BagError
+
+    try:
+        file = kept.enter_context(tempfile.NamedTemporaryFile(prefix="odomcorrupt"))  # noqa: SIM115 - it is one
+        shutil.copyfileobj(sys.stdin.buffer, file)
+        file.flush()
+    except OSError as error:
+        raise BagError(f"stdin: cannot be kept while it is read: {error.strerror}; name a file") from error
+    return Path(file.name)
+
+
+def _clean_drive(source: Path, model: MotionModel, options: Options, *, recover: bool) -> CleanDrive:
+    """Return the odometry of a bag, read before the bag is corrupted."""
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.preview.forecast import read_clean_drive
 
-    if source is None:
-        return None
     with open_reader(source, recover=recover) as reader:
         return read_clean_drive(reader, model, options)

@@ -183,7 +183,9 @@ def diagnose(
 
     """
     known = None if model is None else as_model(model).motion_model
-    runs = as_recordings(recordings).on_track(None if known is None else known.track_m)
+    runs = as_recordings(recordings)
+    if known is not None:
+        runs = runs.on_track(known.track_m).of_drive_type(known.setup.drive_type).in_frame(known.setup.origin)
     from odomcorrupt.study.pipeline import diagnose_model
 
     name = Path(fspath(model)).name if isinstance(model, str | PathLike) else "the model" if known else ""

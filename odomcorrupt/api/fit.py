@@ -115,18 +115,20 @@ def fit(
     """
     from odomcorrupt.study.estimate.calibrate import effects_to_fit, fit_every_law, fit_robot
     from odomcorrupt.study.pipeline import LAW
-    from odomcorrupt.study.validate.round_trip import proved
+    from odomcorrupt.study.validate.round_trip import verified_model
 
     begin = None if start is None else as_model(start).motion_model
     wanted = effects_to_fit(begin, effects)
     law_name = law or (LAW if begin is None else begin.noise.law_name)
-    runs = as_recordings(recordings).on_track(None if begin is None else begin.track_m)
+    runs = as_recordings(recordings)
+    if begin is not None:
+        runs = runs.on_track(begin.track_m).of_drive_type(begin.setup.drive_type).in_frame(begin.setup.origin)
     if law_name == "all":
         laws = fit_every_law(runs, wanted, start=begin)
         best = next(iter(laws.values()))
-        return Fit(runs, best, proved(best.model, runs), laws)
+        return Fit(runs, best, verified_model(best.model, runs), laws)
     best = fit_robot(runs, wanted, law_name=law_name, start=begin)
-    return Fit(runs, best, proved(best.model, runs))
+    return Fit(runs, best, verified_model(best.model, runs))
 
 
 def require_effects(start: Model | None, effects: Sequence[str]) -> None:

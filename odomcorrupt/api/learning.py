@@ -119,7 +119,7 @@ def learn(
     """
     runs = as_recordings(recordings)
     held_out = validate if isinstance(validate, Recordings) or validate else ()
-    others = as_recordings(held_out, like=runs) if held_out else ()
+    others = as_recordings(held_out, like=runs).in_frame(runs.geodetic_origin) if held_out else ()
     from odomcorrupt.study.pipeline import learn_robot
 
     return Learned(runs, learn_robot(runs, others, watch=watch))

@@ -8,10 +8,12 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
+from odomcorrupt.drive_types import AUTO, DRIVE_TYPES, STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
+    from odomcorrupt.model.motion_model import Origin
     from odomcorrupt.study.io.reader import Source
     from odomcorrupt.study.io.recording import Recording
 
@@ -65,6 +67,28 @@ class Recordings(Sequence["Recording"]):
             tuple(replace(source, track_m=track_m) for source in self.sources),
         )
 
+    def of_drive_type(self, drive_type: str) -> Recordings:
+        """Return the same recordings of a robot whose drive type is known, where they did not say it themselves."""
+        said = all(source.drive_type == AUTO for source in self.sources)
+        if drive_type in ("", AUTO) or not said:
+            return self
+        track_m = None if drive_type in STEERED else self.track_m
+        return Recordings(
+            tuple(replace(run, drive_type=drive_type, track_m=track_m) for run in self.runs),
+            tuple(replace(source, drive_type=drive_type, track_m=track_m) for source in self.sources),
+        )
+
+    @property
+    def geodetic_origin(self) -> Origin | None:
+        """Origin of the frame of satellite fixes; None where no truth is of these."""
+        return next((run.geodetic_origin for run in self.runs if run.geodetic_origin is not None), None)
+
+    def in_frame(self, origin: Origin | None) -> Recordings:
+        """Return the same recordings with satellite fixes in the frame of another origin; None leaves them."""
+        from odomcorrupt.study.io.geodesy import in_frame
+
+        return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
+
     def read_alike(self, paths: PathLikes) -> Recordings:
         """Return other files, read with the topics, clock shift and track of the first of these."""
         first = self.sources[0]
@@ -86,6 +110,7 @@ def read_recordings(
     names: Sequence[str] = (),
     scan: str | None = None,
     laser_scale_accuracy: float = 0.003,
+    drive_type: str = AUTO,
     progress: Callable[[str, float], None] | None = None,
 ) -> Recordings:
     """Return recordings of odometry and truth, cleaned and checked for plausibility.
@@ -108,6 +133,8 @@ def read_recordings(
         Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth.
     laser_scale_accuracy : float
         Standard deviation of the laser's own scale error: no scale is known better.
+    drive_type : str
+        How the robot's wheels steer it: differential, skid, car, tricycle or omni; by default guessed from its motion.
     progress : callable, optional
         Called with what takes long, and which part of it is done.
 
@@ -134,6 +161,8 @@ def read_recordings(
     require("scipy", "the study needs it", "study")
     from odomcorrupt.study.io.reader import Source
 
+    if drive_type not in (AUTO, *DRIVE_TYPES):
+        raise RecordingError(f"drive_type: {drive_type!r}; it is one of {', '.join((AUTO, *DRIVE_TYPES))}")
     files, truths = as_paths(paths), as_paths(truth_bag)
     if not files:
         raise RecordingError("no recording given; name a bag with odometry and truth")
@@ -153,6 +182,7 @@ def read_recordings(
                 name=name,
                 scan=scan,
                 truth_scale_error=laser_scale_accuracy,
+                drive_type=drive_type,
             )
             for path, truth_path, name in zip(files, each, called, strict=True)
         ],
@@ -163,7 +193,8 @@ def read_recordings(
 def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
     from odomcorrupt.study.io.reader import read_runs
 
-    return Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+    runs = Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+    return runs.in_frame(runs.geodetic_origin)
 
 
 def as_paths(paths: PathLikes) -> list[Path]:

@@ -34,6 +34,7 @@ __all__ = [
     "Message",
     "PartContents",
     "PartFraming",
+    "Unframed",
     "require_all",
 ]
 
@@ -122,6 +123,16 @@ class PartFraming:
 
     part: int
     own: Block
+
+
+@dataclass(frozen=True, slots=True)
+class Unframed(Framing):
+    """Framing of a block of bare messages, which were rewritten while they were read.
+
+    codec : compression of the chunk that they came from
+    """
+
+    codec: str = "zstd"
 
 
 @dataclass(frozen=True, slots=True)

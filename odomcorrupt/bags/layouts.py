@@ -36,12 +36,14 @@ class Item:
     fields : name to (offset from the message's start in bytes, count of float64): "position" 3, "orientation" 4
         (xyzw), "pose_covariance" 36, "twist" 6, "twist_covariance" 36, "lla" 3 (degrees, degrees, metres),
         "covariance" 9 (of a NavSatFix); in Odometry and TF, orientation follows position directly
+    status : offset of the signed byte NavSatStatus.status of a NavSatFix, None elsewhere
     """
 
     frame_id: str
     child_frame_id: str
     stamp: int
     fields: Mapping[str, tuple[int, int]]
+    status: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +125,10 @@ class _Cursor:
         self.align(8)
         return self.take(8 * count, structural=False), count
 
-    def skip(self, size: int) -> None:
-        """Skip a plain number that is not structural."""
+    def skip(self, size: int) -> int:
+        """Skip a plain number that is not structural; return its offset."""
         self.align(size)
-        self.take(size, structural=False)
+        return self.take(size, structural=False)
 
     def header(self) -> tuple[int, str]:
         """Read a std_msgs/Header; return the offset of the stamp, and the frame."""
@@ -195,9 +197,9 @@ def _pose_with_covariance(cursor: _Cursor) -> tuple[Item, ...]:
 
 def _nav_sat_fix(cursor: _Cursor) -> tuple[Item, ...]:
     stamp, frame = cursor.header()
-    cursor.skip(1)  # status
+    status = cursor.skip(1)
     cursor.skip(2)  # service
-    return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}),)
+    return (Item(frame, "", stamp, {"lla": cursor.doubles(3), "covariance": cursor.doubles(9)}, status),)
 
 
 PROGRAMS: Mapping[str, Callable[[_Cursor], tuple[Item, ...]]] = {

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["MCAP", "ROS1", "SQLITE"]
+__all__ = ["MCAP", "ROS1", "SQLITE", "ZSTD"]
 
 MCAP: Final = b"\x89MCAP0\r\n"
 ROS1: Final = b"#ROSBAG V2.0\n"
 SQLITE: Final = b"SQLite format 3\0"
+ZSTD: Final = b"\x28\xb5\x2f\xfd"

@@ -28,6 +28,7 @@ __all__ = [
     "Layout",
     "gather",
     "gather_stamps_ns",
+    "gather_status",
     "locate",
     "scatter",
     "scatter_columns",
@@ -126,6 +127,14 @@ def gather_stamps_ns(block: Block, layout: Layout, item: Item) -> NDArray[np.int
     raw = windows(block.data, 8)[layout.starts + item.stamp].view(_stamp_type(layout))
     stamps_ns: NDArray[np.int64] = raw["s"].astype(np.int64) * _SECOND_NS + raw["ns"]
     return stamps_ns
+
+
+def gather_status(block: Block, layout: Layout, item: Item) -> NDArray[np.int8]:
+    """Return NavSatStatus.status (n,) of messages of a NavSatFix: -1 no fix, 0 fix, 1 SBAS, 2 GBAS."""
+    assert item.status is not None  # noqa: S101 - asked of a NavSatFix alone
+    raw = windows(block.data, 1)[layout.starts + item.status]
+    status: NDArray[np.int8] = raw.view(np.int8).reshape(-1)
+    return status
 
 
 def scatter_stamps_ns(block: Block, layout: Layout, item: Item, stamps_ns: NDArray[np.int64]) -> None:

@@ -7,30 +7,35 @@ from __future__ import annotations
 
 import difflib
 import sys
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
 from odomcorrupt.bags import magic
 from odomcorrupt.bags.codecs import require_level
 from odomcorrupt.bags.output import Output
-from odomcorrupt.bags.placement import refuse_target
+from odomcorrupt.bags.placement import is_stream, refuse_target
 from odomcorrupt.bags.recovery_report import loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Kind
+    from odomcorrupt.bags.convert.message_types import Generation
     from odomcorrupt.bags.pipeline import Workers
+    from odomcorrupt.bags.rosbag2.compression import Mode
     from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
 
-__all__ = ["kind_of", "open_reader", "open_writer"]
+__all__ = ["Form", "Target", "form_of", "open_reader", "open_writer", "target_of"]
 
 _CODECS: dict[Kind, tuple[str, ...]] = {
     "mcap": ("none", "lz4", "zstd"),
     "ros1": ("none", "lz4", "bz2"),
     "sqlite3": ("none",),
 }
+_MODES = ("file", "message")
+"""What else of a ROS 2 bag's directory may be compressed, with zstd."""
 _NAMES: dict[Kind, str] = {"mcap": "an MCAP", "ros1": "a ROS 1 bag", "sqlite3": "a sqlite3 bag"}
 _PACKED = {
     b"\x28\xb5\x2f\xfd": ("zstd", "zstd -d"),
@@ -40,6 +45,8 @@ _PACKED = {
     b"\x04\x22\x4d\x18": ("lz4", "lz4 -d"),
 }
 """Files that are compressed as a whole, by their first bytes: by what, and what undoes it."""
+_GENERATIONS: dict[str, Generation] = {"ros1": 1, "cdr": 2}
+"""Generation of ROS by the serialisation of its messages."""
 _SUFFIXES: dict[str, Kind] = {".mcap": "mcap", ".bag": "ros1", ".db3": "sqlite3"}
 
 
@@ -87,7 +94,7 @@ def _reader(path: Path | None, source: Source, *, recover: bool, threads: int = 
         source.close()
         raise
     source.close()
-    if path is not None and begin == magic.SQLITE:
+    if path is not None and (begin == magic.SQLITE or begin.startswith(magic.ZSTD)):
         return _rosbag2(path, recover=recover, threads=threads)
     raise _unknown(source.name, begin)
 
@@ -122,6 +129,120 @@ def _unknown(name: str, begin: bytes) -> BagError:
     return BagError(f"{name}: begins with {begin[:8]!r}, which is no MCAP, ROS 1 bag or ROS 2 bag")
 
 
+class Form(NamedTuple):
+    """What an output is.
+
+    kind : storage of its messages
+    directory : whether it is a ROS 2 bag's directory
+    ros : generation of ROS of its messages; None for that of the input
+    """
+
+    kind: Kind
+    directory: bool
+    ros: Generation | None
+
+
+def form_of(path: Path | None, reader: BagReader, *, ros: Generation | None = None, storage: str | None = None) -> Form:
+    """Return what an output becomes: as its name says, else as the input is.
+
+    path : None or "-" for MCAP on a pipe; a suffix .bag, .mcap or .db3 selects the format, none is a directory
+    reader : the input; what is a ROS 1 bag becomes a ROS 2 bag in an .mcap
+    ros : generation of the messages, where the format leaves a choice
+    storage : "mcap" or "sqlite3", of a directory
+
+    Raises
+    ------
+    BagError
+        If the name is that of no format, or the format cannot have these messages or this storage.
+
+    """
+    if path is None or str(path) == "-":
+        return _with_storage(Form("mcap", directory=False, ros=ros), storage, "stdout")
+    rosbag2 = _as_rosbag2(reader)
+    _refuse_suffix(path, directory=rosbag2 is not None)
+    kind = _SUFFIXES.get(path.suffix.lower())
+    if kind is None and is_stream(path):
+        return _with_storage(Form(reader.kind, directory=False, ros=ros), storage, str(path))
+    if kind is None:
+        kind = reader.kind if reader.kind in ("mcap", "sqlite3") else "mcap"
+        only, directory = 2, True
+    else:
+        only, directory = {"ros1": 1, "sqlite3": 2, "mcap": 0}[kind], False
+    if only and ros not in (None, only):
+        raise BagError(
+            f"{path}: {'a directory' if directory else _NAMES[kind]} holds messages of ROS {only}, not of ROS {ros}; "
+            "leave --ros out, or end the name in .mcap, which can hold both"
+        )
+    if kind == "mcap" and ros is None and reader.kind == "ros1":
+        ros = 2
+    chosen = cast("Generation | None", only or ros)
+    return _with_storage(Form(kind, directory, chosen), storage, str(path))
+
+
+class Target(NamedTuple):
+    """An output, and the input as it is written to it.
+
+    reader : the input, converted where the output needs that
+    form : what the output is
+    """
+
+    reader: BagReader
+    form: Form
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the output's message types cannot hold, in sentences."""
+        return tuple(getattr(self.reader, "remarks", ()))
+
+
+def target_of(
+    path: Path | None,
+    reader: BagReader,
+    *,
+    ros: Generation | None = None,
+    storage: str | None = None,
+    exclude: Sequence[str] = (),
+    recover: bool = False,
+) -> Target:
+    """Return an output, with a reader of the input that yields the messages as the output has them.
+
+    path, ros, storage : as of `form_of`
+    exclude : topics that are left out
+    recover : leave out messages that cannot be converted, and list them in the reader's `losses`
+
+    Raises
+    ------
+    BagError
+        If a topic's messages cannot be converted.
+    TopicError
+        If there is no such topic to be left out.
+
+    """
+    form = form_of(path, reader, ros=ros, storage=storage)
+    strict = form.directory or form.kind != "mcap"
+    if reader.complete:
+        generations = {_GENERATIONS.get(channel.encoding) for channel in reader.channels.values()}
+        fits = generations <= {form.ros} if strict else form.ros is None or generations <= {None, form.ros}
+    else:
+        fits = form.ros is None or (reader.kind == "ros1" and form.ros == 1)
+    if fits and not exclude:
+        return Target(reader, form)
+    # the library takes a fifth of a second to import
+    from odomcorrupt.bags.convert.reader import ConvertedReader  # noqa: PLC0415
+
+    return Target(ConvertedReader(reader, form.ros, strict=strict, exclude=exclude, recover=recover), form)
+
+
+def _with_storage(form: Form, storage: str | None, name: str) -> Form:
+    if storage is None:
+        return form
+    if storage not in ("mcap", "sqlite3"):
+        raise BagError(f"--storage {storage}: is none that a ROS 2 bag can have; choose mcap or sqlite3")
+    if not form.directory and storage != form.kind:
+        raise BagError(f"{name}: --storage {storage} is for directories; name the output without a suffix")
+    return form._replace(kind=cast("Kind", storage))
+
+
 def open_writer(
     path: Path | None,
     reader: BagReader,
@@ -131,14 +252,17 @@ def open_writer(
     level: int | None = None,
     stream: BinaryIO | None = None,
     workers: Workers | None = None,
+    form: Form | None = None,
 ) -> BagWriter:
     """Return a writer for a bag, which appears under its name when the writer's context ends without an error.
 
-    path : None or "-" for MCAP on a pipe; a suffix .mcap or .bag selects that format, others keep the input's
-    compression : "none", "lz4", "zstd" (MCAP) or "bz2" (ROS 1); None keeps that of the input
+    path : None or "-" for a pipe
+    compression : "none", "lz4", "zstd" (MCAP), "bz2" (ROS 1), "file" and "message" (directories of ROS 2); None keeps
+        that of the input
     level : compression level; None is the default of the codec
     stream : the pipe; default stdout
     workers : threads for compression; blocks must then not change after they are passed to `write`
+    form : what the output is; by default as of `form_of`
 
     Raises
     ------
@@ -146,24 +270,27 @@ def open_writer(
         If the output exists and overwrite is false, is the input, or its format cannot store the input's messages.
 
     """
-    kind = kind_of(path, reader)
+    if form is None:
+        form = form_of(path, reader)
+    kind = form.kind
     rosbag2 = _as_rosbag2(reader)
-    _refuse_suffix(path, directory=rosbag2 is not None)
-    if compression is not None and compression not in _CODECS[kind]:
-        raise BagError(
-            f"compression {compression}: is not one that {_NAMES[kind]} can have; choose {', '.join(_CODECS[kind])}"
-        )
-    if compression is not None or kind == "sqlite3":
-        require_level(compression or "none", level)
-    if path is not None and str(path) != "-":
-        named = path.suffix.lower() in _SUFFIXES
-        refuse_target(path, reader.paths, overwrite=overwrite, directory=rosbag2 is not None and not named)
-        if rosbag2 is not None and not named:
-            from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415 - see above
+    if form.directory or kind == "sqlite3":
+        _require_generation(path, reader)
+    _require_compression(form, rosbag2, compression, level)
+    if path is None or str(path) == "-":
+        output = Output(None, stream or sys.stdout.buffer)
+    else:
+        refuse_target(path, reader.paths, overwrite=overwrite, directory=form.directory)
+        output = Output(path, overwrite=overwrite)
+    if form.directory and path is not None:
+        from odomcorrupt.bags.rosbag2.writer import Rosbag2Writer  # noqa: PLC0415 - see above
 
-            return Rosbag2Writer(path, rosbag2, compression, level, overwrite=overwrite, workers=workers)
-    piped = path is None or str(path) == "-"
-    output = Output(None, stream or sys.stdout.buffer) if piped else Output(path, overwrite=overwrite)
+        chunks = compression if compression not in _MODES else None
+        mode = cast("Mode", compression) if compression in _MODES else None
+        mode = "none" if chunks is not None else mode
+        return Rosbag2Writer(
+            path, reader, chunks, level, kind=kind, mode=mode, overwrite=overwrite, workers=workers
+        )  # fmt: skip
     # the reader of a bag's only file of the same kind: this file is rewritten
     part = rosbag2.parts[0] if rosbag2 and len(rosbag2.parts) == 1 and rosbag2.kind == kind else None
     if kind == "mcap":
@@ -174,12 +301,38 @@ def open_writer(
         from odomcorrupt.bags.ros1.writer import Ros1Writer  # noqa: PLC0415 - see above
 
         return Ros1Writer(output, reader, compression, level, workers)
+    from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader  # noqa: PLC0415 - see above
     from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter  # noqa: PLC0415 - see above
 
-    if path is None or not isinstance(part, SqliteReader):
-        raise BagError(f"{path}: {reader.name} cannot become a single sqlite3 file; name the output .mcap")
-    return SqliteWriter(path, part, overwrite=overwrite, copying_thread=workers is not None and workers.threads > 1)
+    if path is None or is_stream(path):
+        raise BagError(f"{path}: a sqlite3 file cannot go through a pipe; name the output .mcap, or a file")
+    if isinstance(part, SqliteReader):
+        beside = workers is not None and workers.threads > 1
+        return SqliteWriter(path, part, overwrite=overwrite, copying_thread=beside)
+    return NewSqliteWriter(path, reader, overwrite=overwrite)
+
+
+def _require_generation(path: Path | None, reader: BagReader) -> None:
+    """Raise BagError for messages that are not of ROS 2."""
+    for channel in reader.channels.values():
+        if channel.encoding != "cdr":
+            raise BagError(
+                f"{path}: {channel.topic} has {channel.encoding} messages, a ROS 2 bag holds cdr ones; convert them"
+            )
+
+
+def _require_compression(form: Form, rosbag2: Rosbag2Reader | None, compression: str | None, level: int | None) -> None:
+    """Raise BagError for a compression or a level that an output cannot have."""
+    known = _CODECS[form.kind] + (_MODES if form.directory else ())
+    if compression is not None and compression not in known:
+        name = "a directory of MCAP files" if form.directory and form.kind == "mcap" else _NAMES[form.kind]
+        name = "a directory of sqlite3 files" if form.directory and form.kind == "sqlite3" else name
+        raise BagError(f"compression {compression}: is not one that {name} can have; choose {', '.join(known)}")
+    if form.directory and compression is None and rosbag2 is not None and rosbag2.mode != "none":
+        compression = rosbag2.mode
+    if compression is not None or form.kind == "sqlite3":
+        require_level("zstd" if compression in _MODES else compression or "none", level)
 
 
 def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
@@ -191,10 +344,3 @@ def _refuse_suffix(path: Path | None, *, directory: bool) -> None:
     if near or not directory:
         meant = f" (did you mean {near[0]}?)" if near else ""
         raise BagError(f"{path}: {suffix} is no format of bags{meant}; end the name in {', '.join(_SUFFIXES)}")
-
-
-def kind_of(path: Path | None, reader: BagReader) -> Kind:
-    """Return the format of an output's suffix, or that of the input."""
-    if path is None or str(path) == "-":
-        return "mcap"
-    return _SUFFIXES.get(path.suffix.lower(), reader.kind)

@@ -87,7 +87,18 @@ class Audience(Protocol):
 
 
 def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
-    """Run tasks in this process, or in `jobs` worker processes."""
+    """Run tasks in this process, or in `jobs` worker processes.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        Passes over bags.
+    jobs : int
+        Number of processes; 1 for this process alone.
+    audience : Audience
+        Receives runs that are made or failed, and progress.
+
+    """
     if jobs == 1:
         for task in tasks:
             audience.done(task, attempt(task, partial(audience.under_way, task) if audience.shown else None))
@@ -152,6 +163,15 @@ def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:
 
 def run_on_dask(job_runs: Sequence[tuple[Job, Sequence[int]]], address: str, audience: Audience) -> None:
     """Run tasks on a Dask cluster with access to the same files; a task whose worker died is repeated on another.
+
+    Parameters
+    ----------
+    job_runs : sequence of (Job, sequence of int)
+        Jobs with the runs to make.
+    address : str
+        Of the scheduler, such as "tcp://host:8786".
+    audience : Audience
+        Receives runs that are made or failed.
 
     Raises
     ------

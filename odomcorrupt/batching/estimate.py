@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Self
 from odomcorrupt.batching.job import Task
 from odomcorrupt.batching.manifest import PARTS, BatchError
 from odomcorrupt.batching.runner import make
-from odomcorrupt.corruption.run import Container
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -88,7 +87,7 @@ def estimate(job: Job) -> Estimate:
     size = bytes_of(job.source)
     with tempfile.TemporaryDirectory() as scratch:
         whole = _try(
-            replace(job, container=Container(recover=job.container.recover), split=False),
+            replace(job, container=replace(job.container, compression=None, level=None), split=False),
             "full",
             1,
             Path(scratch) / "full",

@@ -32,6 +32,7 @@ class Job:
     model_words, option_words : command-line arguments of a single run: model (if not drawn), and all others
     shown_source, shown_directory : paths as typed
     condition : map to which every run is constrained; None without one
+    suffix : of the names of whole bags, "" for directories; None: that of the input
     """
 
     source: Path
@@ -49,6 +50,7 @@ class Job:
     shown_source: str
     shown_directory: str
     condition: MapCondition | None = None
+    suffix: str | None = None
 
     def model_of(self, run: int) -> MotionModel:
         """Return the model of a run: the common one, or one with the run's drawn parameters."""
@@ -57,8 +59,15 @@ class Job:
     def name_of(self, run: int) -> str:
         """Return the name of a run's file."""
         suffixes = {"overlay": ".mcap", "trajectories": ".tum"}
-        suffix = suffixes.get(self.output, "" if self.source.is_dir() else self.source.suffix)
-        return f"run_{run:06d}{suffix}"
+        return f"run_{run:06d}{suffixes.get(self.output, self._bag_suffix)}"
+
+    @property
+    def _bag_suffix(self) -> str:
+        """Suffix of a whole bag; a single compressed file is written as what is in it."""
+        if self.suffix is not None:
+            return self.suffix
+        name = self.source.with_suffix("") if self.source.suffix in (".zstd", ".zst") else self.source
+        return "" if self.source.is_dir() else name.suffix
 
     def path_of(self, run: int) -> Path:
         """Return the path of a run's file."""
@@ -72,7 +81,7 @@ class Job:
         """Return the shell command that makes this run alone, as a whole bag, from the batch's working directory."""
         name = self.name_of(run)
         if self.output != "full":
-            name = f"run_{run:06d}" + ("" if self.source.is_dir() else self.source.suffix)
+            name = f"run_{run:06d}{self._bag_suffix}"
         words = ("--model", f"{self.shown_directory}/{self.robot_of(run)}") if self.spreads else self.model_words
         seed = ("--seed", str(self.seed), "--run", str(run))
         return shlex.join(["odomcorrupt", self.shown_source, name, *words, *self.option_words, *seed])

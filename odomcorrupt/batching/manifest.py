@@ -62,7 +62,7 @@ _WORDS = {
     "model": "another model",
     "robots": "other distributions",
     "seed": "another seed",
-    "output": "another --output or --layout",
+    "output": "another --output, --layout or --to",
     "options": "other options",
     "version": "another version of odomcorrupt",
 }
@@ -95,7 +95,7 @@ def _beginning(job: Job, fingerprint: str) -> dict[str, Any]:
         "model": {"text": format_model(job.model), "hash": hashlib.sha256(repr(job.model).encode()).hexdigest()[:32]},
         "robots": [[spread.effect, spread.parameter, spread.deviation] for spread in job.spreads],
         "seed": job.seed,
-        "output": [job.output, "split" if job.split else "as it was"],
+        "output": [job.output, "split" if job.split else "as it was", *([] if job.suffix is None else [job.suffix])],
         "options": [repr(job.options), repr(job.container), *map_words],
     }
 

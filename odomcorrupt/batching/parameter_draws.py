@@ -77,6 +77,21 @@ def draw_robot(model: MotionModel, spreads: tuple[Spread, ...], seed: int, run: 
 
     Every parameter has a random stream of its own, so a further distribution changes no parameter that it is not
     correlated with. Correlated parameters are drawn jointly; where one is out of bounds, all of them are drawn again.
+
+    Parameters
+    ----------
+    model : MotionModel
+        Means, and correlations of their errors.
+    spreads : tuple of Spread
+        Standard deviations of the parameters to draw.
+    seed, run : int
+        Seed of all draws, and number of the run.
+
+    Returns
+    -------
+    MotionModel
+        The robot of this run.
+
     """
     named = {_name(model, spread): spread for spread in spreads}
     known = model.correlation.among(named)

@@ -53,6 +53,7 @@ class BatchSpec:
     output : whole bags, changed topics only, or paths
     split : whether changed messages are written in chunks of their own
     condition : map to which every run is constrained
+    suffix : of the names of whole bags, which says what they become; None: that of the input
     model_words : command-line arguments for the model of a single run; None: the directory's model.toml
     map_words : command-line arguments for the map
     """
@@ -68,12 +69,27 @@ class BatchSpec:
     output: Output = "full"
     split: bool = False
     condition: MapCondition | None = None
+    suffix: str | None = None
     model_words: tuple[str, ...] | None = None
     map_words: tuple[str, ...] = ()
 
 
 def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     """Return the jobs of a batch in the directory `target`.
+
+    Parameters
+    ----------
+    inputs : sequence of Path
+        Bags.
+    target : Path
+        Directory of the batch.
+    spec : BatchSpec
+        Model, seed, sweeps, options and kind of output.
+
+    Returns
+    -------
+    list of Job
+        One for each input and each point of a sweep.
 
     Raises
     ------
@@ -92,11 +108,8 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
     for source in inputs:
         if source.is_dir() and target.resolve().is_relative_to(source.resolve()):
             raise BatchError(f"{target}: lies in the input {source}, which stays as it is; name a directory elsewhere")
-        if spec.split and _is_sqlite(source, spec.container):
-            raise BatchError(
-                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
-                "again; leave --layout out"
-            )
+        if spec.split:
+            _require_chunks(source, spec)
         for variant in variants(spec.model, spec.sweeps, spec.points):
             parts = ([source.stem] if len(inputs) > 1 else []) + ([variant.name] if variant.name else [])
             directory = target.joinpath(*parts)
@@ -128,14 +141,27 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
                     shown_source=str(source),
                     shown_directory=str(directory),
                     condition=spec.condition,
+                    suffix=spec.suffix,
                 )
             )
     return jobs
 
 
-def _is_sqlite(source: Path, container: Container) -> bool:
-    with open_reader(source, recover=container.recover) as reader:
-        return reader.kind == "sqlite3"
+def _require_chunks(source: Path, spec: BatchSpec) -> None:
+    """Raise BatchError for runs that do not have the chunks of the input, which alone can be split."""
+    with open_reader(source, recover=spec.container.recover) as reader:
+        if reader.kind == "sqlite3":
+            raise BatchError(
+                f"{source}: sqlite3 has no chunks that --layout split could part, and nothing in it is compressed "
+                "again; leave --layout out"
+            )
+        modes = {getattr(reader, "mode", "none"), spec.container.compression}
+    c = spec.container
+    if spec.suffix is not None or c.exclude or c.ros or c.storage or not modes.isdisjoint(("file", "message")):
+        raise BatchError(
+            f"{source}: --layout split needs the chunks of the input, and these runs are written in another way; leave "
+            "--layout out"
+        )
 
 
 def _drift_words(options: Options) -> str | None:
@@ -157,6 +183,9 @@ def _option_words(options: Options, container: Container) -> list[str]:
         ("--new-odom-frame", options.new_odom_frame),
         ("--compression", container.compression),
         ("--level", container.level),
+        ("--ros", container.ros),
+        ("--storage", container.storage),
+        *(("--exclude-topic", topic) for topic in container.exclude),
     )
     words = [word for flag, value in values if value is not None for word in (flag, str(value))]
     return words + ["--keep-localisation"] * options.keep_localisation + ["--recover"] * container.recover

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from odomcorrupt.bags.open import open_reader
+from odomcorrupt.bags.open import Form, Target, open_reader
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.bags.placement import beside, place, remove
 from odomcorrupt.batching.job import Task
@@ -25,6 +25,7 @@ from odomcorrupt.corruption.run import corrupt_bag
 from odomcorrupt.model.model_file import format_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.preview.forecast import read_clean_drive
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Container, Iterator, Sequence
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
     from odomcorrupt.batching.sinks import Sink
+    from odomcorrupt.preview.forecast import CleanDrive
 
 __all__ = ["PAUSE_S", "Failure", "ProgressCallback", "Watched", "attempt", "make"]
 
@@ -74,6 +76,9 @@ class Watched:
 
 CLEAN = "clean.tum"
 """The path without any noise, beside the runs."""
+
+_OVERLAY = Form("mcap", directory=False, ros=None)
+"""An overlay holds the messages as the input has them."""
 
 _STILL = MotionModel(Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0)))
 
@@ -129,8 +134,9 @@ def _make_staged(task: Task, whole: set[int], part: Callable[[BagReader], Any]) 
         with ExitStack() as stack:
             threads = default_threads() if job.container.threads is None else job.container.threads
             workers = stack.enter_context(Workers(threads))
-            reader = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
-            records = _make(task, room, whole, stack, reader, part(reader), workers)
+            raw = stack.enter_context(open_reader(job.source, recover=job.container.recover, threads=threads))
+            output = job.container.target(job.path_of(0), raw) if job.output == "full" else Target(raw, _OVERLAY)
+            records = _make(task, room, whole, stack, output, part(output.reader), workers)
         contents = [content_of(room / record["file"]) for record in records]
         note(job, [{**one, "size": it.size, "crc32": it.crc} for one, it in zip(records, contents, strict=True)])
         for record in records:
@@ -144,7 +150,7 @@ def _make(
     room: Path,
     whole: set[int],
     stack: ExitStack,
-    reader: BagReader,
+    output: Target,
     part: BagReader,
     workers: Workers,
 ) -> list[dict[str, Any]]:
@@ -152,9 +158,9 @@ def _make(
     job = replace(task.job, directory=room)
     home = task.job.directory
     shared = SharedTransform(job.options)
-    shared.odometry.prepare(reader, reader.name)
-    rests = Rests()
-    runs = [_begin(job, run, reader, rests, workers) for run in task.runs]
+    shared.odometry.prepare(output.reader, output.reader.name)
+    rests, drive = Rests(), _drive(job)
+    runs = [_begin(job, run, output, (rests, workers), drive) for run in task.runs]
     every = list(runs)
     if not (home / CLEAN).exists():
         clean = TumSink(home / CLEAN, None)
@@ -194,20 +200,28 @@ class _Run:
     edge: CorrectionEdge | None = None
 
 
-def _begin(job: Job, run: int, reader: BagReader, rests: Rests, workers: Workers) -> _Run:
-    model = job.model_of(run)
-    within = None if job.condition is None else job.condition.path(model, job.seed, run)
+def _drive(job: Job) -> CleanDrive | None:
+    """Return the odometry of the bag, of which runs in a map draw whole paths; None without a map."""
+    if job.condition is None:
+        return None
+    with open_reader(job.source, recover=job.container.recover) as reader:
+        return read_clean_drive(reader, job.model, job.options)
+
+
+def _begin(job: Job, run: int, output: Target, shared: tuple[Rests, Workers], drive: CleanDrive | None) -> _Run:
+    model, (rests, workers) = job.model_of(run), shared
+    within = None if job.condition is None else job.condition.path(model, job.seed, run, drive)
     if job.output == "trajectories":
         path = TumSink(job.path_of(run), model)
         return _Run(RunState(model, job.seed, run, job.options, [path], path=within), path, patches=False)
     strand = RunState(model, job.seed, run, job.options, path=within)
     if job.output == "overlay":
-        return _Run(strand, OverlaySink(job, run, reader), patches=True)
+        return _Run(strand, OverlaySink(job, run, output.reader), patches=True)
     if _is_copy(job, model):
         return _Run(strand, None, patches=False)
-    sink = SplitSink(job, run, reader, rests) if job.split else FullSink(job, run, reader, workers)
+    sink = SplitSink(job, run, output, rests) if job.split else FullSink(job, run, output, workers)
     frame = job.options.new_odom_frame
-    edge = None if frame is None else CorrectionEdge(frame, reader, sink.writer)
+    edge = None if frame is None else CorrectionEdge(frame, output.reader, sink.writer)
     return _Run(strand, sink, patches=True, edge=edge)
 
 

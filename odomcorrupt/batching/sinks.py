@@ -15,6 +15,7 @@ from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, BagWriter, Channel
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.bags.pipeline import Workers
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Portion
@@ -129,6 +131,18 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
     """Write all paths of a batch to an npz file, with one run in memory at a time.
 
     Arrays: runs (k,), stamps_ns (n,), clean_xyt (n, 3), xyt (k, n, 3), metres and radians.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    clean : TumPath
+        Path without noise.
+    runs : sequence of int
+        Numbers of the runs.
+    files : sequence of Path
+        Their TUM files, in the same order.
+
     """
     output = Output(path, overwrite=True)
     try:
@@ -237,10 +251,16 @@ class MultiSink:
 class FullSink(BagSink):
     """A whole bag, byte-identical to that of a single run."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader, workers: Workers) -> None:
+    def __init__(self, job: Job, run: int, output: Target, workers: Workers) -> None:
         c = job.container
         writer = open_writer(
-            job.path_of(run), reader, overwrite=True, compression=c.compression, level=c.level, workers=workers
+            job.path_of(run),
+            output.reader,
+            overwrite=True,
+            compression=c.compression,
+            level=c.level,
+            workers=workers,
+            form=output.form,
         )
         super().__init__(job, run, writer)
 
@@ -254,25 +274,13 @@ class FullSink(BagSink):
         self._writer.settle()
 
 
-class _Foreign:
-    """A reader presented as one of another format, so that a writer assigns new ids and definitions."""
-
-    complete = True
-
-    def __init__(self, reader: BagReader) -> None:
-        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
-        self.kind = "ros1" if ros1 else reader.kind
-        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
-        self.definition = reader.definition
-
-
 class OverlaySink(BagSink):
     """An MCAP with all messages of the changed topics."""
 
     def __init__(self, job: Job, run: int, reader: BagReader) -> None:
         c = job.container
-        foreign: Any = _Foreign(reader)
-        codec = None if c.compression == "bz2" else c.compression
+        foreign: Any = Foreign(reader)
+        codec = None if c.compression in ("bz2", "file", "message") else c.compression
         output = Output(job.path_of(run), overwrite=True)
         super().__init__(job, run, McapWriter(output, foreign, codec, c.level, whole=False))
         self._native = _is_mcap(reader)
@@ -286,4 +294,5 @@ class OverlaySink(BagSink):
 
 
 def _is_mcap(reader: BagReader) -> bool:
-    return reader.kind == "mcap"
+    """Whether blocks hold the records of an MCAP, which bare messages decompressed one by one are not."""
+    return reader.kind == "mcap" and getattr(reader, "mode", "none") != "message"

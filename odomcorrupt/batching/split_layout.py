@@ -24,17 +24,18 @@ from odomcorrupt.batching.manifest import BatchError
 from odomcorrupt.batching.sinks import BagSink
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Container, Iterator
     from pathlib import Path
     from typing import Self
 
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import BagReader, Message
+    from odomcorrupt.bags.open import Target
     from odomcorrupt.batching.job import Job
     from odomcorrupt.batching.patch_batch import Place, Portion
     from odomcorrupt.batching.sinks import Added
-    from odomcorrupt.corruption.run import Container
+    from odomcorrupt.corruption.run import Container as BagContainer
 
 __all__ = ["Rests", "SplitSink", "assemble"]
 
@@ -124,10 +125,17 @@ def _without(block: Block, place: Place) -> Block:
 class SplitSink(BagSink):
     """A whole bag with the changed messages in chunks of their own."""
 
-    def __init__(self, job: Job, run: int, reader: BagReader, rests: Rests) -> None:
+    def __init__(self, job: Job, run: int, output: Target, rests: Rests) -> None:
         c = job.container
-        path = job.path_of(run)
-        super().__init__(job, run, open_writer(path, reader, overwrite=True, compression=c.compression, level=c.level))
+        writer = open_writer(
+            job.path_of(run),
+            output.reader,
+            overwrite=True,
+            compression=c.compression,
+            level=c.level,
+            form=output.form,
+        )
+        super().__init__(job, run, writer)
         self._rests = rests
 
     def __enter__(self) -> Self:
@@ -193,8 +201,24 @@ def _part(block: Block) -> int:
     return block.raw.part if isinstance(block.raw, PartFraming) else 0
 
 
-def assemble(overlay: Path, source: Path, target: Path, container: Container) -> int:
+def assemble(overlay: Path, source: Path, target: Path, container: BagContainer) -> int:
     """Write the original with the overlay's messages in place of its own; return the number of replaced messages.
+
+    Parameters
+    ----------
+    overlay : Path
+        MCAP with the modified topics of a run.
+    source : Path
+        The bag that it was made from.
+    target : Path
+        Whole bag to write.
+    container : Container
+        How bags are read and written.
+
+    Returns
+    -------
+    int
+        Number of replaced messages.
 
     Raises
     ------
@@ -203,23 +227,51 @@ def assemble(overlay: Path, source: Path, target: Path, container: Container) ->
 
     """
     with open_reader(source, recover=container.recover) as reader, open_reader(overlay) as changed:
-        writer = open_writer(
-            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
-        )
+        output = container.target(target, reader)
         topics = {(one.topic, one.msgtype) for one in changed.channels.values()}
         wanted = {one.id for one in reader.channels.values() if (one.topic, one.msgtype) in topics}
         if len({(reader.channels[one].topic, reader.channels[one].msgtype) for one in wanted}) < len(topics):
             raise BatchError(f"{overlay}: has topics that {source} has not; name the input it was made from")
         stream = _Messages(changed, overlay)
-        count = 0
+        merged = _Merged(reader, wanted, stream, source)
+        if output.reader is not reader:
+            # what is converted is the merged bag
+            output = container.target(target, merged)
+        writer = open_writer(
+            target,
+            output.reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            form=output.form,
+        )
         with writer:
-            for block in reader.blocks():
-                count += _replace(block, reader, wanted, stream, source)
+            for block in (merged if output.reader is reader else output.reader).blocks():
                 writer.write(block)
             stream.require_end(source)
             if stream.provenance is not None:
                 writer.provenance("odomcorrupt", stream.provenance)
-    return count
+    return merged.replaced
+
+
+class _Merged:
+    """The original with the overlay's messages in place of its own; otherwise equal to its reader.
+
+    replaced : number of replaced messages
+    """
+
+    def __init__(self, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> None:
+        self._reader, self._wanted, self._stream, self._source = reader, wanted, stream, source
+        self.replaced = 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._reader, name)
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks with the overlay's messages."""
+        for block in self._reader.blocks(only):
+            self.replaced += _replace(block, self._reader, self._wanted, self._stream, self._source)
+            yield block
 
 
 def _replace(block: Block, reader: BagReader, wanted: set[int], stream: _Messages, source: Path) -> int:

@@ -40,6 +40,8 @@ BAG_OPTIONS = (
     "overwrite",
     "compression",
     "level",
+    "storage",
+    "exclude",
     "recover",
     "threads",
 )
@@ -153,9 +155,28 @@ def container_options(command: Callable[..., Any]) -> Callable[..., Any]:
         (
             overwrite_option(),
             click.option(
-                "--compression", metavar="NAME", help="none, lz4, zstd (MCAP), bz2 (ROS 1). [default: as it was]"
+                "--compression",
+                metavar="NAME",
+                help="none, lz4, zstd (MCAP), bz2 (ROS 1), file, message (ROS 2 directories). [default: as it was]",
             ),
             click.option("--level", type=int, metavar="N", help="Of compression. [default: a fast one]"),
+            click.option(
+                "--ros",
+                type=click.Choice(["1", "2"]),
+                help="ROS of the messages in an .mcap or a pipe. [default: 2 for an .mcap, else as it was]",
+            ),
+            click.option(
+                "--storage",
+                type=click.Choice(["mcap", "sqlite3"]),
+                help="Of an output without a suffix, a ROS 2 directory. [default: as it was, else mcap]",
+            ),
+            click.option(
+                "--exclude-topic",
+                "exclude",
+                multiple=True,
+                metavar="TOPIC",
+                help="Leave a topic out of the output (repeatable).",
+            ),
             _RECOVER,
         ),
     )
@@ -191,6 +212,8 @@ def bag_words(given: Mapping[str, Any], names: Sequence[str]) -> BagOptions:
             options[f"keep_{name}"] = given[name] == "keep"
     if given.get("tf") == "subtraction":
         options["subtracted"] = True
+    if given.get("ros") is not None:
+        options["ros"] = int(given["ros"])
     chosen: BagOptions = options
     return chosen
 

@@ -15,6 +15,7 @@ import click
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import TRACK, Number, Share
 from odomcorrupt.commands._progress import Stages, part_done
+from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ class Reading:
     track: float | None = None
     scan: str | None = None
     laser_scale_accuracy: float = 0.003
+    drive_type: str = AUTO
 
     def stages(self, voice: Voice) -> Stages:
         """Return what says which stage is under way."""
@@ -75,6 +77,7 @@ class Reading:
             names=["stdin" if str(path) == "-" else "" for path in paths],
             scan=self.scan,
             laser_scale_accuracy=self.laser_scale_accuracy,
+            drive_type=self.drive_type,
             progress=part_done,
         )
         for recording in runs:
@@ -90,6 +93,7 @@ class Reading:
         words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
         if self.truth_shift_s:
             words += ["--truth-shift", repr(self.truth_shift_s)]
+        words += ["--drive-type", self.drive_type] if self.drive_type != AUTO else []
         return words + (["--track", f"{self.track:g}"] if self.track is not None else [])
 
 
@@ -104,6 +108,12 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
     options = (
         click.option(
             "--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."
+        ),
+        click.option(
+            "--drive-type",
+            type=click.Choice((*DRIVE_TYPES, AUTO)),
+            default=AUTO,
+            help="How the wheels steer the robot: it chooses among names of effects. [default: auto, by its motion]",
         ),
         click.option(
             "--truth-shift",

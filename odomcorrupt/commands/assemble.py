@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import container_options
+from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ def command(
     run: Path, output: str | None, output_option: str | None, original: Path | None, *, voice: Voice, **given: Any
 ) -> None:
     """Write the whole bag that RUN, made by `batch --output overlay`, is the changed part of."""
+    from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble
-    from odomcorrupt.corruption.run import Container
 
     target = Path(chosen_output(output, output_option))
     if original is None:
@@ -43,7 +43,7 @@ def command(
             raise BatchError(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
-    container = Container(given["overwrite"], given["compression"], given["level"], given["recover"])
+    container = split_options(bag_words(given, BAG_OPTIONS))[1]
     count = assemble(run, original, target, container)
     sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}

@@ -34,6 +34,10 @@ _MAP_WORDS = {
 }  # fmt: skip
 
 
+_SUFFIXES = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
+"""Of the names of runs, by what they become."""
+
+
 class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.5 only
     name = "I/N"
 
@@ -62,6 +66,11 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
     type=click.Choice(["same", "split"]),
     default="same",
     help="Chunks as in the input, or changed messages in chunks of their own: faster. [default: same]",
+)
+@click.option(
+    "--to",
+    type=click.Choice(["bag", "mcap", "db3", "directory"]),
+    help="Kind of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
 )
 @click.option(
     "--robots",
@@ -151,6 +160,9 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
             raise click.UsageError(
                 f"{flag}: adds messages, and --output {given['output']} has only what changes; leave one of them out"
             )
+    for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
+        if given[name] and given["output"] != "full":
+            raise click.UsageError(f"{flag}: is for whole bags; --output {given['output']} has no use for it")
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     if given["shard"] and given["seed"] is None:
@@ -169,6 +181,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         output=given["output"],
         split=given["layout"] == "split",
         condition=choose_condition_of_run(given, inputs[0], options),
+        suffix=_SUFFIXES.get(given["to"]),
         model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
         map_words=tuple(_map_words(given)),
     )

@@ -9,8 +9,11 @@ import click
 from odomcorrupt.commands._standard import standard_options
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
 
@@ -38,7 +41,7 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     if name is not None:
         kind = effect_named(name)
-        voice.say(_page(kind), _page(kind), _facts(kind))
+        voice.say(_brief_page(kind), _page(kind), _facts(kind))
         return
     kinds = registry()
     effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
@@ -50,7 +53,40 @@ def command(name: str | None, *, voice: Voice) -> None:
             "odomcorrupt effects NAME explains one",
         ]
     )
-    voice.say(text, text, {"schema": 2, "effects": effects})
+    voice.say(_brief(kinds), text, {"schema": 2, "effects": effects})
+
+
+_FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
+"""Labels of the kinds of effects, in the order in which they are listed."""
+
+
+def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
+    """Return the names by kind."""
+    from odomcorrupt.report.text.summary import Line, Summary
+
+    lines = [
+        Line(label, ", ".join(name for name, one in kinds.items() if one.kind == kind))
+        for kind, label in _FAMILIES.items()
+    ]
+    return Summary((*lines, Line("next", "odomcorrupt effects NAME, or -v for all in words", "command")))
+
+
+def _brief_page(kind: type[Effect]) -> Summary:
+    """Return what an effect does, its parameters, and a command that puts it into a bag."""
+    from odomcorrupt.effects.effect import choices, parameters
+    from odomcorrupt.report.text.summary import Line, Summary
+
+    lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
+    own = parameters(kind)
+    lines += [Line(p.name, f"{p.meaning}; typically {p.typical:g} {p.unit}".rstrip()) for p in own]
+    lines += [Line(word, " or ".join(options)) for word, options in choices(kind).items()]
+    if kind.twin_of is not None:
+        lines.append(Line("twin", f"{kind.twin_of}: no recording of poses tells them apart"))
+    if kind.about is not None:
+        lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
+    values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
+    command = f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
+    return Summary((*lines, Line("next", command, "command")))
 
 
 def _facts(kind: type[Effect]) -> dict[str, Any]:
@@ -82,6 +118,8 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "confused_with": list(about.confused_with) if about else [],
         "twin_of": kind.twin_of,
         "drive": about.drive if about else None,
+        "drive_types": sorted(kind.drives) if kind.drives is not None else None,
+        "needs_gyro": kind.needs_gyro,
         "needs_track": kind.needs_track,
         "needs_sideways": kind.needs_sideways,
     }
@@ -91,6 +129,7 @@ def _page(kind: type[Effect]) -> str:
     from odomcorrupt.effects.effect import choices, parameters
 
     own = parameters(kind)
+    names = {p.name for p in own}
     lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
     if kind.about is not None:
         lines += [f"truth minus odometry:  {kind.about.equation}", ""]
@@ -98,7 +137,10 @@ def _page(kind: type[Effect]) -> str:
     lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
     lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
     if kind.needs_track:
-        lines.append("  needs the distance between the wheels: --track, or [robot] track in a model file")
+        own_track = ", or its parameter track" if "track" in names else ""
+        lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{own_track}")
+    if kind.drives is not None:
+        lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
     if kind.needs_sideways:
         lines.append("  for robots that can drive sideways, on mecanum or other omnidirectional wheels")
     if kind.about is not None:

@@ -87,7 +87,7 @@ def command(
     controller: str,
     voice: Voice,
 ) -> None:
-    """Print a model as YAML to paste, with what it cannot express in comments.
+    """Print a model as YAML to paste; -v adds what it assumes and cannot express, in comments.
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
@@ -95,13 +95,13 @@ def command(
     from odomcorrupt.export.nav2 import amcl_alphas
     from odomcorrupt.export.robot_localization import Steady, twist_variances
     from odomcorrupt.export.ros2_control import wheel_multipliers
-    from odomcorrupt.export.yaml_text import amcl_text, twists_text, wheels_text
+    from odomcorrupt.export.yaml_text import amcl_text, twists_text, wheels_text, without_comments
     from odomcorrupt.model.model_file import read_model
 
     robot = read_model(model)
     if target == "ros2_control":
         text = wheels_text(robot, wheel_multipliers(robot, track), controller)
-        voice.say(text, text, {"schema": 2, "to": target, "yaml": text})
+        voice.say(without_comments(text, robot), text, {"schema": 2, "to": target, "yaml": text})
         return
     try:
         drive = Steady(speed, turn_rate, rate)
@@ -112,4 +112,4 @@ def command(
             text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.say(text, text, {"schema": 2, "to": target, "yaml": text})
+    voice.say(without_comments(text, robot), text, {"schema": 2, "to": target, "yaml": text})

@@ -13,8 +13,11 @@ from odomcorrupt.commands._standard import chosen_output, output_option, overwri
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.io.recording import Trajectory
     from odomcorrupt.trajectories.reader import Drive
 
@@ -83,9 +86,10 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     truth = None if truth_topic is None else read_poses(input_, truth_topic)
     said = [_about(drive, rule, given["hold"]), *drive.notes]
     clean = integrate(drive.xyt[0], drive.twist, drive.t_s, rule, hold=given["hold"])
-    said += _compared(drive, clean, truth, truth_topic)
+    compared = _compared(drive, clean, truth, truth_topic)
+    said += compared
     written, provenance = clean, {"command": "integrate", "rule": rule, "hold": given["hold"]}
-    runs = None
+    runs, spread = None, []
     if noise is not None:
         seed = draw_seed() if given["seed"] is None else given["seed"]
         try:
@@ -94,8 +98,13 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
             raise click.UsageError(str(error)) from error
         runs = integrate(drive.xyt[0], twists, drive.t_s, rule, hold=given["hold"])
         written, provenance = runs[0], provenance | {"seed": str(seed), "twist_noise": f"{noise[0]} {noise[1]}"}
-        said += _spread(runs, clean, noise, seed)
-    voice.say("\n".join(said), "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
+        spread = _spread(runs, clean, noise, seed)
+        said += spread
+    following = ["info", output] if output is not None else ["integrate", input_, "--plot", "errors.png"]
+    brief = _brief(
+        drive, f"{rule}, a twist holds {_held(given['hold'])}", {"error": compared, "noise": spread}, following
+    )
+    voice.say(brief, "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
     if output is not None:
         done = rewrite_path(input_, output, drive, written, provenance, overwrite=given["overwrite"])
         voice.note(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms")
@@ -103,12 +112,26 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         _draw(plot, drive, clean, runs, truth, rule, noise)
 
 
+def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
+    """Return what was integrated, its errors, what noise does to it, and what to type next."""
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
+
+    whole = f"{len(drive)} twists of {drive.topic}, {drive.distance_m[-1]:.4g} m in {drive.t_s[-1]:.4g} s"
+    lines = [Line("INTEGRATED", whole, "good"), Line("rule", rule)]
+    lines += [Line("note", note, "warning") for note in drive.notes]
+    lines += [Line("" if i else label, one) for label, said in found.items() for i, one in enumerate(said)]
+    return Summary((*lines, command_line(["odomcorrupt", *following])))
+
+
+def _held(hold: str) -> str:
+    return "until the next stamp" if hold == "next" else "since the previous stamp"
+
+
 def _about(drive: Drive, rule: str, hold: str) -> str:
     hertz = (len(drive) - 1) / float(drive.t_s[-1])
-    when = "until the next stamp" if hold == "next" else "since the previous stamp"
     return (
         f"{drive.topic}: {len(drive)} twists in {drive.t_s[-1]:.4g} s ({hertz:.3g} Hz), {drive.distance_m[-1]:.4g} m; "
-        f"rule {rule}, each twist holds {when}"
+        f"rule {rule}, each twist holds {_held(hold)}"
     )
 
 
@@ -134,8 +157,8 @@ def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) ->
     ends = runs[:, -1] - clean[-1]
     position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
     return [
-        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
         f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
+        f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
     ]
 
 

@@ -16,6 +16,7 @@ from odomcorrupt.commands._progress import part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -96,7 +97,10 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
     text = "\n".join([noise, *notes, _table(surveys)])
-    voice.say(text, text, _values(surveys, notes, seed))
+    brief = _brief(
+        surveys, notes, (f"{law_words(chosen.motion_model.noise)}{origin}", f"{seed}, run {given['run']}"), bag
+    )
+    voice.say(brief, text, _values(surveys, notes, seed))
     if output is None:
         return
     from odomcorrupt.mapping.mapfile import format_map
@@ -140,7 +144,13 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
     notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
     said = "\n".join([*notes, _thicknesses(maps.surveys)])
-    voice.say(said, said, _values(maps.surveys, notes, seed))
+    lines = [Line("MATCHED", f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map", "good")]
+    lines += [Line("walls" if not i else "", f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}") for i, s in
+              enumerate(maps.surveys)]  # fmt: skip
+    lines += [Line("note", note, "warning") for note in notes[:-1]]
+    following = ["odomcorrupt", "map", bag, "--method", "laser", "-o", "map.yaml"]
+    following = following if output is None else ["odomcorrupt", "learn", bag, "--truth", files[".tum"]]
+    voice.say(Summary((*lines, command_line(following))), said, _values(maps.surveys, notes, seed))
     if output is None:
         return
     image, text = format_map(maps.surveys[0].grid, files[".pgm"].name)
@@ -150,6 +160,30 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     save_picture(files[".png"], draw_surveys(maps.surveys, WINDOW_M, "added by the odometry"))
     for path in files.values():
         voice.note(f"wrote {path}")
+
+
+def _brief(surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], bag: Path) -> Summary:
+    """Return how much thicker the walls became, how far hits are off them, and the noise."""
+    from odomcorrupt.mapping.wall_thickness import added_thickness
+
+    clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])
+    added = 100.0 * added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)[-1]
+    first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
+    return Summary(
+        (
+            Line(
+                "THICKER" if noisy > clean else "NO THICKER",
+                f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added",
+                "warning" if noisy > clean else "good",
+            ),
+            Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"),
+            *(Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]),
+            Line("model", drawn[0]),
+            Line("seed", drawn[1]),
+            *(Line("scans" if "rays" in note else "note", note) for note in notes),
+            command_line(["odomcorrupt", "map", bag, "-o", "map.png"]),
+        )
+    )
 
 
 def _thicknesses(surveys: Sequence[Survey]) -> str:
@@ -190,16 +224,17 @@ def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[t
 def _table(surveys: Sequence[Survey]) -> str:
     from odomcorrupt.mapping.wall_thickness import WINDOW_M, added_thickness
 
+    heads = [*(s.name.split(" (")[0].removesuffix(" odometry") for s in surveys), "added", "hits off"]
     lines = [
-        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m)",
-        "  after      "
-        + "  ".join(f"{name:>20}" for name in (*(s.name for s in surveys), "added by noise", "hits off the walls")),
+        f"wall thickness, cm (root of the mean plane variance, Razlaw et al., ECMR 2015; window {WINDOW_M:g} m),",
+        "what the noise added to it, and how far noisy hits are off the clean walls, cm",
+        "  after      " + "".join(f"{head:>12}" for head in heads),
     ]
     clean, noisy = (s.thickness_m for s in surveys[:2])
     added = added_thickness(clean, noisy)
     for i, mark in enumerate(surveys[0].marks_m):
         values = (*(s.thickness_m[i] for s in surveys), added[i], surveys[1].off_surface_m[i])
-        lines.append(f"  {mark:7.2f} m  " + "  ".join(f"{100.0 * value:20.2f}" for value in values))
+        lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
     return "\n".join(
         [
             *lines,

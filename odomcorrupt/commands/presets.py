@@ -9,8 +9,11 @@ import click
 from odomcorrupt.commands._standard import standard_options
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.presets import Preset
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
 
@@ -34,7 +37,7 @@ def command(name: str | None, *, voice: Voice) -> None:
             "\n".join(_lines(p) for p in chosen)
             + "\nodomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
         )
-        voice.say(text, text, {"schema": 2, "presets": [_values(p) for p in chosen]})
+        voice.say(_brief(chosen), text, {"schema": 2, "presets": [_values(p) for p in chosen]})
         return
     try:
         preset = preset_named(name)
@@ -43,6 +46,23 @@ def command(name: str | None, *, voice: Voice) -> None:
     source = {"preset": preset.name, "from": preset.source}
     text = format_model(MotionModel(preset.noise, source=source))
     voice.say(text.rstrip("\n"), text.rstrip("\n"), {"schema": 2} | _values(preset))
+
+
+def _brief(presets: Sequence[Preset]) -> Summary:
+    """Return the names, fitted ones apart."""
+    from odomcorrupt.report.text.summary import Line, Summary
+
+    fitted = [p.name for p in presets if p.source.startswith("fitted")]
+    stated = [p.name for p in presets if p.name not in fitted]
+    return Summary(
+        (
+            Line("PRESETS", f"{len(presets)} noise models; -v has their laws, numbers and sources", "good"),
+            Line("stated", ", ".join(stated)),
+            Line("fitted", ", ".join(fitted)),
+            Line("use", f"odomcorrupt INPUT OUTPUT --preset {presets[0].name}"),
+            Line("next", f"odomcorrupt presets {presets[0].name} > robot.toml", "command"),
+        )
+    )
 
 
 def _values(preset: Preset) -> dict[str, Any]:

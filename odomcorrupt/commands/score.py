@@ -85,7 +85,8 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
         from odomcorrupt.report.json.score import score_json
 
         verdicts = check(score_json(report), given["rules"], baseline)
-    _tell(report, verdicts, given, voice)
+    following = ["odomcorrupt", "score", *runs, *(("--estimate", given["estimate"]) if given["estimate"] else ())]
+    _tell(report, verdicts, given | {"following": [*following, "--report", "page.html"]}, voice)
     return 1 if any(verdict.failed for verdict in verdicts) else 0
 
 
@@ -122,13 +123,17 @@ def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], v
 
     from odomcorrupt import __version__
     from odomcorrupt.report.json.score import score_json
-    from odomcorrupt.report.text.score import score_text
+    from odomcorrupt.report.text.score import score_brief, score_text
 
     values = score_json(report, verdicts)
     text = json.dumps(values, indent=1, allow_nan=False)
-    voice.say(score_text(report, every=given["each"]), score_text(report, every=True), values)
-    for verdict in verdicts:
-        click.echo(verdict.sentence + ".", err=voice.as_json)
+    gates = [f"{verdict.sentence}." for verdict in verdicts]
+    details = "\n".join([score_text(report, every=True), *gates])
+    brief = details if given["each"] else score_brief(report, verdicts, following=given["following"])
+    voice.say(brief, details, values)
+    if voice.as_json:
+        for sentence in gates:
+            click.echo(sentence, err=True)
     if given["save"] is not None:
         write_text(given["save"], text + "\n")
         voice.note(f"wrote {given['save']}")

@@ -14,10 +14,17 @@ from odomcorrupt.files import refuse_existing
 from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.batching.dispersion import SpreadReport
+    from odomcorrupt.batching.dispersion import SpreadRow as _Row
     from odomcorrupt.commands._standard import Voice
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
+
+_ERRORS = 2.0
+"""Standard errors beyond which a spread is not as predicted."""
 
 
 @click.command("spread", short_help="Compare the spread of a batch's runs with the prediction.")
@@ -41,11 +48,39 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
     report = measure(directory)
     rows = [asdict(row) for row in report.rows]
     words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
-    voice.say(_text(report), _text(report), finite({**words, "rows": rows}))
+    voice.say(_brief(report, directory), _text(report), finite({**words, "rows": rows}))
     if output is not None:
         from odomcorrupt.report.plots.dispersion import draw_spread
 
         save_picture(output, draw_spread(report))
+
+
+def _brief(report: SpreadReport, directory: Path) -> Summary:
+    """Return whether the runs spread as predicted at the end, and how far they do on the way."""
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
+
+    last = report.rows[-1]
+    ratio = last.position_m / last.position_predicted_m if last.position_predicted_m else math.inf
+    # standard error of the logarithm of a standard deviation from so many runs in two directions
+    chance = _ERRORS / math.sqrt(4.0 * max(report.runs - 1, 1))
+    off = math.inf if not ratio else math.log(ratio)
+    verdict = "AS PREDICTED" if abs(off) <= chance else "WIDER" if off > 0.0 else "NARROWER"
+    said = f"{ratio:.3g} times the predicted spread after {last.after_m:.4g} m, {report.runs} runs"
+    lines = [Line(verdict, said, "good" if abs(off) <= chance else "warning")]
+    for row in _some(report.rows):
+        measured = f"{row.position_m:.3g} m, {math.degrees(row.heading_rad):.3g} deg"
+        predicted = f"{row.position_predicted_m:.3g} m, {math.degrees(row.heading_predicted_rad):.3g} deg"
+        lines.append(Line(f"{row.after_m:.4g} m", f"{measured} (predicted {predicted})"))
+    mean = f"{last.mean_m:.3g} m, {math.degrees(last.mean_rad):.3g} deg off on average at the end"
+    lines.append(Line("mean", mean))
+    if report.random_effects:
+        lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
+    return Summary((*lines, command_line(["odomcorrupt", "spread", directory, "-o", "spread.png"])))
+
+
+def _some(rows: Sequence[_Row]) -> list[_Row]:
+    """Return the first, the last and one row between."""
+    return [rows[i] for i in sorted({0, len(rows) // 2, len(rows) - 1})]
 
 
 def _text(report: SpreadReport) -> str:

@@ -212,7 +212,27 @@ def correct_bag(
 ) -> Corrected:
     """Correct a bag; a target of None is a pipe. The output appears when it is complete, or not at all.
 
-    start_xyt : (3,) where the odometry begins, metres and radians, in the frame whose places effects read
+    Parameters
+    ----------
+    source : Path
+        Measured bag, read twice.
+    target : Path or None
+        Corrected bag; None is a pipe.
+    model : MotionModel
+        Effects to take out, and the noise that remains.
+    options : Options
+        What is moved.
+    container : Container
+        How bags are read and written.
+    start_xyt : (3,), optional
+        Pose at which the odometry begins in the frame of effects of place, metres and radians; None: as it says.
+    watch : callable
+        Called with every block written.
+
+    Returns
+    -------
+    Corrected
+        What was taken out and left, and what was moved.
 
     Raises
     ------
@@ -233,10 +253,17 @@ def correct_bag(
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockInverse(clocks)))
     transform = Transform(moving, 0, 0, options, path=path)
-    with open_reader(source, recover=container.recover) as reader:
+    with open_reader(source, recover=container.recover) as raw:
+        output = container.target(target, raw)
+        reader = output.reader
         transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
-            target, reader, overwrite=container.overwrite, compression=container.compression, level=container.level
+            target,
+            reader,
+            overwrite=container.overwrite,
+            compression=container.compression,
+            level=container.level,
+            form=output.form,
         )
         with writer:
             for block in transform.blocks(reader, reader.name, writer):

@@ -69,8 +69,10 @@ def correction_summary(corrected: Corrected) -> str:
     ]
     if corrected.unplaced:
         names = ", ".join(effect.name for effect in corrected.unplaced)
+        origin = corrected.model.setup.origin
+        frame = "the frame of the truth" + (f" (metres east and north of {origin})" if origin else "")
         parts.append(
-            f"{names}: depends on position or heading in the frame of the truth, which was taken to be "
+            f"{names}: depends on position or heading in {frame}, which was taken to be "
             f"{corrected.run.frames.odom}; if it is not, give the start of this drive in it with --start X,Y,THETA."
         )
     parts += _remains(corrected) + _misplaced(corrected)

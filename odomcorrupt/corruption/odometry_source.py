@@ -72,6 +72,20 @@ def says_truth(topic: str) -> bool:
 def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
     """Return the topic of the odometry source.
 
+    Parameters
+    ----------
+    channels : iterable of Channel
+        All channels of the bag.
+    asked : str or None
+        Requested topic; None for the only odometry topic.
+    bag : str
+        Name of the bag, for error messages.
+
+    Returns
+    -------
+    str
+        The topic.
+
     Raises
     ------
     TopicError
@@ -106,6 +120,20 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> s
 def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
     """Return the frames of the odometry source, or those requested.
 
+    Parameters
+    ----------
+    item : Item
+        First message of the odometry, or transform of its edge.
+    topic : str
+        Its topic, for error messages.
+    odom_frame, base_frame : str or None
+        Requested frames; None for those of the message.
+
+    Returns
+    -------
+    Frames
+        Odom and base frame without leading slashes.
+
     Raises
     ------
     TopicError
@@ -127,6 +155,19 @@ def side_of(parent: str, child: str, frames: Frames) -> Side | None:
 
     Edges between odom and its ancestors are localisation and are not moved. Of the edges that end in odom, only that
     from base is odometry (inverted).
+
+    Parameters
+    ----------
+    parent, child : str
+        Frames of the transform, without leading slashes.
+    frames : Frames
+        Odom and base frame.
+
+    Returns
+    -------
+    {"left", "right"} or None
+        Side of the composition.
+
     """
     parent, child = plain(parent), plain(child)
     if parent == frames.odom and _last(child) not in GLOBAL_FRAMES:

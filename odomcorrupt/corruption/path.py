@@ -62,6 +62,23 @@ def noise_variances(noise: Noise, steps: Increments, dt_s: Array, growth: StepGr
     evaluated at the metres and radians since then, the turn halved between rot1 and rot2, so growth is never
     negative; a step ends exactly at its distance or angle, if need be inside an increment. The same increments give
     the same bits for any division into calls.
+
+    Parameters
+    ----------
+    noise : Noise
+        Law, coefficients and step.
+    steps : Increments
+        n increments with the effects applied, metres and radians.
+    dt_s : (n,)
+        Their lengths, seconds.
+    growth : StepGrowth
+        State of the present step, as returned by the call before.
+
+    Returns
+    -------
+    GrownVariances
+        Variances of rot1, trans, across and rot2, (n,) each, and the state after them.
+
     """
     grown = GrownVariances(variances(noise.law, noise.coefficients, steps), growth)
     if noise.step is not None and len(steps):
@@ -212,10 +229,14 @@ class NoisyPath:
     """Noisy path of one run; after a restart of time a new path continues the same random streams.
 
     normals : source of the noise's standard normals, instead of the run's own stream
+    covariance : whether the samples carry the sums that covariances follow from, which takes 40 % of the time
     """
 
-    def __init__(self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None) -> None:
+    def __init__(
+        self, model: MotionModel, seed: int, run: int = 0, *, normals: Normals | None = None, covariance: bool = True
+    ) -> None:
         self._noise, self._law = model.noise, model.noise.law
+        self._covariance = covariance
         self._rng: Normals = stream(seed, run, "noise") if normals is None else normals
         self._effects = EffectInverse(model, seed, run)
         self._random_covariance = RandomEffectCovariance()
@@ -290,11 +311,12 @@ class NoisyPath:
         y = self._error[1:2], s * world[:, 0] + less * world[:, 1] + (st * along + ct * across)
         error = np.stack((np.cumsum(np.concatenate(x)), np.cumsum(np.concatenate(y)), heading), axis=1)
 
-        noisy = (poses[:, :2] + error[:, :2] - self._origin).T
-        moved = (steps.ds_m + along, steps.dl_m + across)
-        stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
-        terms = self._sum_terms(stepped, driven_s)
-        sums = np.cumsum(np.concatenate((self._sums, terms), axis=1), axis=1)
+        sums = np.broadcast_to(self._sums, (len(self._sums), n + 1))
+        if self._covariance:
+            noisy = (poses[:, :2] + error[:, :2] - self._origin).T
+            moved = (steps.ds_m + along, steps.dl_m + across)
+            stepped = NoiseSteps(v, noisy[:, :-1], noisy[:, 1:], travel, bearing, *moved, arc=self._law.arc)
+            sums = np.cumsum(np.concatenate((self._sums, self._sum_terms(stepped, driven_s)), axis=1), axis=1)
         travelled = np.cumsum(np.concatenate(([self._travelled_m], np.where(jump, 0.0, length))))
 
         self._last = (int(stamps_ns[-1]), clean_xyt[-1].copy())

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 import odomcorrupt
-from odomcorrupt.bags.open import kind_of, open_reader, open_writer
+from odomcorrupt.bags.open import open_reader, open_writer, target_of
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.pipeline import Workers, default_threads
 from odomcorrupt.corruption.inverse import acts
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Block, Channel
+    from odomcorrupt.bags.convert.message_types import Generation
+    from odomcorrupt.bags.open import Form, Target
     from odomcorrupt.corruption.drift import Drift
     from odomcorrupt.corruption.odometry_source import Frames
     from odomcorrupt.corruption.patch import Changes
@@ -42,17 +44,16 @@ __all__ = [
 _PIECE_BYTES = 1 << 16
 
 
-def may_stay(source: Path | None, target: Path | None, reader: BagReader) -> bool:
+def may_stay(source: Path | None, reader: BagReader, form: Form) -> bool:
     """Whether an output may be a byte copy of its input: one file, or a pipe, and the same format."""
-    if source is not None and source.is_dir():
+    if (source is not None and source.is_dir()) or getattr(reader, "mode", "none") != "none":
         return False
     if source is not None and reader.kind == "sqlite3":
         from odomcorrupt.bags.rosbag2.database import has_log  # noqa: PLC0415 - sqlite3 is slow to import
 
         if has_log(source):
             return False
-    one_file = target is None or reader.kind != "sqlite3" or bool(target.suffix)
-    return one_file and kind_of(target, reader) == reader.kind
+    return not form.directory and form.kind == reader.kind
 
 
 class TeeReader:
@@ -128,6 +129,9 @@ class Container:
     overwrite : replace an existing output
     compression, level : of the output, None for those of the input
     recover : read the intact parts of a damaged input
+    ros : generation of ROS of the output's messages, where its format leaves a choice
+    storage : "mcap" or "sqlite3", of an output that is a directory
+    exclude : topics left out
     threads : number of threads; None: one per core, at most four
     """
 
@@ -135,12 +139,19 @@ class Container:
     compression: str | None = None
     level: int | None = None
     recover: bool = False
+    ros: Generation | None = None
+    storage: str | None = None
+    exclude: tuple[str, ...] = ()
     threads: int | None = field(default=None, compare=False, repr=False)  # does not change the output
 
     @property
     def as_it_was(self) -> bool:
         """Whether an output without changes may be a byte copy of the input."""
-        return self.compression is None and self.level is None and not self.recover
+        return self.compression is None and self.level is None and not self.recover and not self.exclude
+
+    def target(self, path: Path | None, reader: BagReader) -> Target:
+        """Return an output, with a reader of the input that yields the messages as the output has them."""
+        return target_of(path, reader, ros=self.ros, storage=self.storage, exclude=self.exclude, recover=self.recover)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,6 +171,7 @@ class Outcome:
     placed : frame in which a channel's data are given, by channel id, see `unmodified_topics`
     stayed : TF edges that are not moved, "parent -> child"
     faults : counts of unusable odometry poses
+    remarks : what the output's message types cannot hold, in sentences
     """
 
     model: MotionModel
@@ -181,6 +193,7 @@ class Outcome:
     placed: Mapping[int, str]
     stayed: frozenset[str] = frozenset()
     faults: PoseFaults = field(default_factory=PoseFaults)
+    remarks: tuple[str, ...] = ()
 
 
 def corrupt_bag(
@@ -198,10 +211,29 @@ def corrupt_bag(
 ) -> Outcome:
     """Write a corrupted copy of a bag and return what was changed; the output appears only when complete.
 
-    source, target : bags; None is a pipe
-    watch : called with every block written
-    path : corrupted path, instead of the noisy path that the model draws
-    metadata : further metadata for the output, besides model, seed, run and version
+    Parameters
+    ----------
+    source, target : Path or None
+        Bags; None is a pipe.
+    model : MotionModel
+        Noise and effects.
+    seed, run : int
+        Seed of all draws, and number of the run.
+    options : Options
+        What is moved.
+    container : Container
+        How bags are read and written.
+    watch : callable
+        Called with every block written.
+    path : PathSource, optional
+        Corrupted path, instead of the noisy path that the model draws.
+    metadata : mapping, optional
+        Further metadata for the output, besides model, seed, run and version.
+
+    Returns
+    -------
+    Outcome
+        What was moved, the drift, and what is odd.
 
     Raises
     ------
@@ -220,8 +252,10 @@ def corrupt_bag(
     threads = default_threads() if container.threads is None else container.threads
     with (
         Workers(threads) as workers,
-        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as reader,
+        open_reader(source, cast("BinaryIO | None", tape), recover=container.recover, threads=threads) as raw,
     ):
+        output = container.target(target, raw)
+        reader = output.reader
         transform.odometry.prepare(reader, reader.name)
         writer = open_writer(
             target,
@@ -230,8 +264,9 @@ def corrupt_bag(
             compression=container.compression,
             level=container.level,
             workers=workers,
+            form=output.form,
         )
-        if silent and not adds and container.as_it_was and may_stay(source, target, reader):
+        if silent and not adds and container.as_it_was and reader is raw and may_stay(source, reader, output.form):
             blocks = transform.blocks(reader, reader.name)
             write_as_it_was(tape or reader.paths[0], target, blocks, watch, overwrite=container.overwrite)
         else:
@@ -248,7 +283,25 @@ def corrupt_bag(
 
 
 def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, seed: int, run: int) -> Outcome:
-    """Return the result of a transform that has read a bag to its end."""
+    """Return the result of a transform that has read a bag to its end.
+
+    Parameters
+    ----------
+    transform : Transform
+        After its last block.
+    reader : BagReader
+        The bag that it read, still open.
+    model : MotionModel
+        Model to report.
+    seed, run : int
+        Seed of all draws, and number of the run.
+
+    Returns
+    -------
+    Outcome
+        What was moved, the drift, and what is odd.
+
+    """
     drift = transform.drift.result()
     assert drift is not None  # noqa: S101 - the transform raises where there was no odometry
     frames = transform.odometry.frames
@@ -273,6 +326,7 @@ def outcome_of(transform: Transform, reader: BagReader, model: MotionModel, *, s
         placed=transform.placed,
         stayed=frozenset(transform.stayed),
         faults=transform.odometry.faults,
+        remarks=tuple(getattr(reader, "remarks", ())),
     )
 
 

@@ -215,7 +215,21 @@ def _rate(outcome: Outcome) -> list[str]:
 
 
 def holonomic_words(model: MotionModel, sideways_m: float, distance_m: float) -> list[str]:
-    """Return a warning where noise law and robot disagree about sideways motion."""
+    """Return a warning where noise law and robot disagree about sideways motion.
+
+    Parameters
+    ----------
+    model : MotionModel
+        Its noise law may assume sideways motion.
+    sideways_m, distance_m : float
+        Lateral and total travel of the drive, metres.
+
+    Returns
+    -------
+    list of str
+        One sentence, or none.
+
+    """
     law = model.noise.law
     if law.along_travel and not model.noise.coefficients.silent and sideways_m < STRAIGHT * distance_m:
         return [f"The law {law.name} is for robots that move sideways, and this one does not; leave --law out."]
@@ -266,6 +280,6 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
         f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."
         for edge in sorted(changes.static)
     ]
-    lost = [f"Lost: {loss}." for loss in outcome.losses]
+    lost = [f"Lost: {loss}." for loss in outcome.losses] + [f"{remark}." for remark in outcome.remarks]
     said = [*static, *lost, *(sentence for sentence, count in counted.items() if count > 0)]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, wheel_motions
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    heading_choice,
+    needed_track_m,
+    on_every_track,
+    track_parameter,
+    wheel_motions,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.geometry.se2 import Array
 
 
@@ -43,12 +53,19 @@ class AccelSlip(Effect):
         "what slips, and at whose acceleration: the robot as a whole, each wheel at the robot's, or each at its own",
         "body", "axle", "wheels",
     )  # fmt: skip
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the slip of the body; and of single wheels, on every track that is tried, where none is known."""
+        wheels = on_every_track((cls(contact="axle"), cls(contact="wheels")), motions)
+        return (cls(), *(effect for effect in wheels if effect.track))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: behind while speeding up, ahead while braking."""
         if self.contact == "body":
             return TwistError(stacked(self._gained(motion, motion.a), 0.0, 0.0, motion.v), state)
-        track_m = needed_track_m(self.name, motion.track_m)
+        track_m = needed_track_m(self.name, self.track or motion.track_m)
         wheels = wheel_motions(motion, track_m)
         rims = Rims(*(self._gained(wheel, motion.a if self.contact == "axle" else wheel.a) for wheel in wheels))
         return TwistError(body_of(rims, track_m, self.heading), state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -18,9 +18,19 @@ from odomcorrupt.effects.effect import (
     TwistError,
     parameter,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    heading_choice,
+    needed_track_m,
+    on_every_track,
+    rims_of,
+    track_parameter,
+)
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
     from odomcorrupt.geometry.se2 import Array
@@ -60,6 +70,12 @@ class Backlash(Effect):
 
     travel: float = parameter("m", "lost at each reversal of a wheel", low=0.0, high=0.05, typical=0.005, step=0.004)
     heading: str = heading_choice()
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the play of gears; on every track that is tried where the robot's is not known."""
+        return on_every_track((cls(),), motions)
 
     @property
     def lost_m(self) -> float:
@@ -72,7 +88,7 @@ class Backlash(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus what the motors do inside their play. Below zero, for slopes, the opposite of it."""
-        track = needed_track_m(self.name, motion.track_m)
+        track = needed_track_m(self.name, self.track or motion.track_m)
         width, sign = abs(self.travel), np.sign(self.travel)
         rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
         lost, gears = [], []
@@ -84,7 +100,7 @@ class Backlash(Effect):
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - at any time
         """Return the motors' travel: that of the wheels, and the whole play where a wheel reverses."""
-        track = needed_track_m(self.name, track_m)
+        track = needed_track_m(self.name, self.track or track_m)
         extra, gears = [], []
         for travel, gear in zip(rims_of(steps[:, 0], steps[:, 2], track), state, strict=True):
             side, after = _sides(travel, gear)

@@ -4,23 +4,11 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Kind,
-    Layer,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    choice,
-    parameter,
-    stacked,
-)
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter, stacked
 from odomcorrupt.geometry.motion import TRAIL_S, accelerations
 
 if TYPE_CHECKING:
@@ -37,11 +25,10 @@ class ChannelLag(Effect):
     In corruption the channel passes through the filter itself, which is stable whatever tau is.
     """
 
-    name: ClassVar[str] = "channel_lag"
-    kind: ClassVar[Kind] = "effect"
-    layer: ClassVar[Layer] = "record"
-    summary: ClassVar[str] = "the odometry's turns, or its travel, come late: a filter, a servo, a delay of one channel"
-    about: ClassVar[About | None] = About(
+    name = "channel_lag"
+    layer = "record"
+    summary = "the odometry's turns, or its travel, come late: a filter, a servo, a delay of one channel"
+    about = About(
         equation="f = tau d omega' / dt of the yaw rate omega' that odometry reports, or tau d v' / dt of its speed",
         typical="10 to 100 ms by low-pass filters, 50 to 300 ms by steering servos (an estimate)",
         source="first-order low-pass filter; Franklin, Powell & Emami-Naeini, Feedback Control of Dynamic Systems",

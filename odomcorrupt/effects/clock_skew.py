@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -18,11 +18,11 @@ class ClockSkew(Effect):
     Only the regression sees f; the shift itself is exact.
     """
 
-    name: ClassVar[str] = "clock_skew"
-    kind: ClassVar[Kind] = "setup"
-    summary: ClassVar[str] = "the odometry's clock runs fast or slow against the truth's"
-    clock: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "clock_skew"
+    kind = "setup"
+    summary = "the odometry's clock runs fast or slow against the truth's"
+    clock = True
+    about = About(
         equation="f = rate (t (a, ay, alpha) + (v, vy, omega))",
         typical="1e-6 to 1e-4 between unsynchronised computers",
         source="engineering judgement; no published figures known to us",

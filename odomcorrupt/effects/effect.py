@@ -38,6 +38,7 @@ __all__ = [
     "choices",
     "parameter",
     "parameters",
+    "shapes",
     "stacked",
 ]
 
@@ -120,6 +121,8 @@ class Effect:
         message (play, ticks, losses), which acts on the increments after all f; "draws" for the noise law's draws
     needs_track : it acts on single wheels and needs the track
     needs_sideways : only a robot that can drive sideways can have it
+    needs_gyro : only an odometry whose heading is a gyro's can have it
+    drives : the drive types that can have it; None: all
     restorable : the odometry itself shows what it did, so that it can be undone although it is random
     reads_truth : f depends on acceleration, pose or distance, which a correction estimates on the way
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
@@ -127,13 +130,15 @@ class Effect:
     """
 
     name: ClassVar[str]
-    kind: ClassVar[Kind]
+    kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str]
     about: ClassVar[About | None] = None
     clock: ClassVar[bool] = False
     layer: ClassVar[Layer] = "motion"
     needs_track: ClassVar[bool] = False
     needs_sideways: ClassVar[bool] = False
+    needs_gyro: ClassVar[bool] = False
+    drives: ClassVar[frozenset[str] | None] = None
     restorable: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
     reads_places: ClassVar[bool] = False
@@ -219,6 +224,7 @@ class Parameter:
     typical : a usual size on real robots, for scans and power statements
     amplitude : f is proportional to it (near the identity), so one regressor column finds it; otherwise a shape
     step : by how much to change it for a numerical slope of f
+    optional : a shape that an effect makes no use of while it is at its identity, and that is held there
     """
 
     name: str
@@ -230,6 +236,7 @@ class Parameter:
     identity: float
     amplitude: bool
     step: float
+    optional: bool = False
 
 
 def parameter(
@@ -242,11 +249,13 @@ def parameter(
     identity: float = 0.0,
     amplitude: bool = True,
     step: float | None = None,
+    optional: bool = False,
 ) -> Any:
     """Declare a parameter: a dataclass field with unit and bounds; its default is the identity."""
     facts = {
         "unit": unit, "meaning": meaning, "low": low, "high": high, "typical": typical, "identity": identity,
         "amplitude": amplitude, "step": 1e-3 * typical if step is None else step,
+        "optional": optional,
     }  # fmt: skip
     return dataclasses.field(default=identity, metadata=facts)
 
@@ -263,14 +272,22 @@ def choices(effect: Effect | type[Effect]) -> dict[str, tuple[str, ...]]:
 
 
 def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
-    """Return the parameters that an effect declares, in order."""
+    """Return the parameters that a class of effects declares, in order; of an effect, those that it makes use of."""
     fields = dataclasses.fields(effect)  # type: ignore[arg-type]  # every subclass is a dataclass
-    return tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
+    declared = tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
+    if isinstance(effect, type):
+        return declared
+    return tuple(p for p in declared if not p.optional or getattr(effect, p.name) != p.identity)
 
 
 def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
     """Return the parameters that f is proportional to: the ones a linear fit may move while shapes are held."""
     return tuple(p for p in parameters(effect) if p.amplitude)
+
+
+def shapes(effect: Effect) -> tuple[Parameter, ...]:
+    """Return the parameters of an effect's shape, which a search may move."""
+    return tuple(p for p in parameters(effect) if not p.amplitude)
 
 
 def check_bounds(effect: Effect) -> None:

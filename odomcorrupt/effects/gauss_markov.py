@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from odomcorrupt.effects.effect import (
     About,
     Effect,
     Gain,
-    Kind,
     Moments,
     Motion,
     State,
@@ -44,10 +43,10 @@ class GaussMarkov(Effect):
     It vanishes at rest, unlike a bias. The gain is limited to 0.9, so that every motion has an odometry.
     """
 
-    name: ClassVar[str] = "gauss_markov"
-    kind: ClassVar[Kind] = "noise"
-    summary: ClassVar[str] = "the gain of travel or turn varies slowly about one (Gauss-Markov)"
-    about: ClassVar[About | None] = About(
+    name = "gauss_markov"
+    kind = "noise"
+    summary = "the gain of travel or turn varies slowly about one (Gauss-Markov)"
+    about = About(
         equation="f_along = g v, or f_yaw = g omega; g Gauss-Markov of deviation sigma and correlation time tau",
         typical="1 to 5 % with correlation times of 2 to 30 s (an estimate)",
         source="first-order Gauss-Markov process, as in Gelb 1974, Applied Optimal Estimation",

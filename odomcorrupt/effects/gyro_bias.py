@@ -18,6 +18,7 @@ class GyroBias(Effect):
     name: ClassVar[str] = "gyro_bias"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the yaw rate has a constant offset, also while standing"
+    needs_gyro: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
         equation="f_yaw = -bias",
         typical="0.01 to 0.1 deg/s after zeroing a MEMS gyro, 1 deg/s raw",

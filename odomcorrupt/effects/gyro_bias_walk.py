@@ -42,6 +42,7 @@ class GyroBiasWalk(Effect):
     name: ClassVar[str] = "gyro_bias_walk"
     kind: ClassVar[Kind] = "noise"
     summary: ClassVar[str] = "the yaw rate's offset varies slowly, also at rest"
+    needs_gyro: ClassVar[bool] = True
     about: ClassVar[About | None] = About(
         equation="f_yaw = -b(t), b a random walk with standard deviation density sqrt(t); with tau Gauss-Markov of "
         "deviation density sqrt(tau / 2)",

@@ -15,6 +15,7 @@ class GyroScale(Effect):
     name: ClassVar[str] = "gyro_scale"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the yaw rate has a wrong gain"
+    needs_gyro: ClassVar[bool] = True
     twin_of: ClassVar[str | None] = "wheelbase"
     about: ClassVar[About | None] = About(
         equation="f_yaw = -e / (1 + e) omega",

@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Drawn,
-    Effect,
-    Kind,
-    Layer,
-    Motion,
-    State,
-    TwistError,
-    parameter,
-)
+from odomcorrupt.effects.effect import About, Drawn, Effect, Motion, State, TwistError, parameter
 from odomcorrupt.effects.random_state import again
 
 if TYPE_CHECKING:
@@ -33,11 +23,11 @@ class HeavyTails(Effect):
     A t of nu degrees is a normal over the root of a chi-square over nu; nu - 2 in the place of nu gives variance 1.
     """
 
-    name: ClassVar[str] = "heavy_tails"
-    kind: ClassVar[Kind] = "noise"
-    layer: ClassVar[Layer] = "draws"
-    summary: ClassVar[str] = "the noise has heavy tails: rare steps are much larger than normal ones"
-    about: ClassVar[About | None] = About(
+    name = "heavy_tails"
+    kind = "noise"
+    layer = "draws"
+    summary = "the noise has heavy tails: rare steps are much larger than normal ones"
+    about = About(
         equation="draws of the noise law ~ Student t with 1 / inverse_dof degrees of freedom and variance 1",
         typical="0.1 to 0.3, ten to three degrees of freedom (an estimate)",
         source="Lange, Little & Taylor 1989, JASA 84 (the t distribution for robust modelling)",

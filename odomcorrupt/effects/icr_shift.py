@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
@@ -15,6 +16,7 @@ class IcrShift(Effect):
     name: ClassVar[str] = "icr_shift"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the robot turns about a point ahead of or behind its base frame"
+    drives: ClassVar[frozenset[str] | None] = PIVOTING
     twin_of: ClassVar[str | None] = "lever_arm"
     about: ClassVar[About | None] = About(
         equation="f_across = x omega",

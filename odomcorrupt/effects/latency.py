@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.event_window import time_parameter
 
 if TYPE_CHECKING:
@@ -25,11 +25,11 @@ class Latency(Effect):
     equivalent for a regression.
     """
 
-    name: ClassVar[str] = "latency"
-    kind: ClassVar[Kind] = "event"
-    summary: ClassVar[str] = "once, odometry messages are delayed, and stamped when they arrive in a burst"
-    clock: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "latency"
+    kind = "event"
+    summary = "once, odometry messages are delayed, and stamped when they arrive in a burst"
+    clock = True
+    about = About(
         equation="stamp = t + 0.999 (time + delay - t) where time <= t < time + delay; f = shift (a, ay, alpha) "
         "- 0.999 (v, vy, omega) there",
         typical="0.05 to 1 s over WiFi or a loaded computer (an estimate)",

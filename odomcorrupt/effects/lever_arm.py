@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +14,10 @@ class LeverArm(Effect):
     Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2) (a sensor's extrinsics).
     """
 
-    name: ClassVar[str] = "lever_arm"
-    kind: ClassVar[Kind] = "setup"
-    summary: ClassVar[str] = "the point that the truth follows is not the origin of the base frame"
-    about: ClassVar[About | None] = About(
+    name = "lever_arm"
+    kind = "setup"
+    summary = "the point that the truth follows is not the origin of the base frame"
+    about = About(
         equation="f = (-y omega, x omega, 0)",
         typical="1 to 20 cm where nobody has measured it",
         source="Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2)",

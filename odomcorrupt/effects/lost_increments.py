@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from odomcorrupt.effects.effect import (
     About,
     Effect,
     Gain,
-    Kind,
-    Layer,
     Moments,
     Motion,
     Recorded,
@@ -51,12 +49,12 @@ class LostIncrements(Effect):
     between neighbours that move, and is interpolated from these.
     """
 
-    name: ClassVar[str] = "lost_increments"
-    kind: ClassVar[Kind] = "noise"
-    layer: ClassVar[Layer] = "record"
-    restorable: ClassVar[bool] = True
-    summary: ClassVar[str] = "some increments of the odometry are lost, with their travel"
-    about: ClassVar[About | None] = About(
+    name = "lost_increments"
+    kind = "noise"
+    layer = "record"
+    restorable = True
+    summary = "some increments of the odometry are lost, with their travel"
+    about = About(
         equation="reported increment = 0 with probability fraction",
         typical="0.1 to 5 % on a bad serial line (an estimate)",
         source="engineering judgement; no published figures known to us",

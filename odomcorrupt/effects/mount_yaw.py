@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,10 +15,10 @@ class MountYaw(Effect):
     Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2) (a sensor's extrinsics).
     """
 
-    name: ClassVar[str] = "mount_yaw"
-    kind: ClassVar[Kind] = "setup"
-    summary: ClassVar[str] = "the truth's forward axis is turned against the robot's"
-    about: ClassVar[About | None] = About(
+    name = "mount_yaw"
+    kind = "setup"
+    summary = "the truth's forward axis is turned against the robot's"
+    about = About(
         equation="f = (cos(yaw) - 1, -sin(yaw)) v, and the like for vy",
         typical="0.1 to 3 degrees",
         source="Censi, Marchionni, Oriolo & Franchi 2013, IEEE T-RO 29(2)",

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Kind,
-    Layer,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    choice,
-    parameter,
-)
+from odomcorrupt.effects.effect import About, Effect, Motion, Recorded, State, TwistError, choice, parameter
 from odomcorrupt.effects.event_window import time_parameter
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 
@@ -36,11 +25,11 @@ class OdometryStop(Effect):
     bus was blocked and its encoders went on counting.
     """
 
-    name: ClassVar[str] = "odometry_stop"
-    kind: ClassVar[Kind] = "event"
-    layer: ClassVar[Layer] = "record"
-    summary: ClassVar[str] = "once, the odometry stands still for a while although the robot drives on"
-    about: ClassVar[About | None] = About(
+    name = "odometry_stop"
+    kind = "event"
+    layer = "record"
+    summary = "once, the odometry stands still for a while although the robot drives on"
+    about = About(
         equation="reported increment = 0 where time < t <= time + duration; then lost, or added to the next one",
         typical="0.5 to 5 s while a motor controller or a bus recovers (an estimate)",
         source="engineering judgement; no published figures known to us",

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.event_window import duration_parameter, part_inside, time_parameter
 
 if TYPE_CHECKING:
@@ -20,10 +20,10 @@ class Push(Effect):
     bag the odometry misses that motion.
     """
 
-    name: ClassVar[str] = "push"
-    kind: ClassVar[Kind] = "event"
-    summary: ClassVar[str] = "once, the robot is pushed, and the odometry does not notice"
-    about: ClassVar[About | None] = About(
+    name = "push"
+    kind = "event"
+    summary = "once, the robot is pushed, and the odometry does not notice"
+    about = About(
         equation="f = (along, across, yaw) / duration where time <= t < time + duration, 0 otherwise",
         typical="5 to 30 cm and up to 20 degrees in half a second (an estimate)",
         source="engineering judgement; kidnapping of a robot as in Probabilistic Robotics, ch. 8",

@@ -3,23 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.effects.effect import (
-    About,
-    Effect,
-    Kind,
-    Layer,
-    Moments,
-    Motion,
-    Recorded,
-    State,
-    TwistError,
-    parameter,
-    stacked,
-)
+from odomcorrupt.effects.effect import About, Effect, Moments, Motion, Recorded, State, TwistError, parameter, stacked
 from odomcorrupt.effects.random_state import again
 from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of
 
@@ -44,12 +32,12 @@ class Quantization(Effect):
     take it back, hence f = 0 for correction and study; it counts as noise.
     """
 
-    name: ClassVar[str] = "quantization"
-    kind: ClassVar[Kind] = "noise"
-    layer: ClassVar[Layer] = "record"
-    needs_track: ClassVar[bool] = True
-    summary: ClassVar[str] = "wheels report whole ticks"
-    about: ClassVar[About | None] = About(
+    name = "quantization"
+    kind = "noise"
+    layer = "record"
+    needs_track = True
+    summary = "wheels report whole ticks"
+    about = About(
         equation="reported travel of a wheel = step floor(travel / step + phase)",
         typical="0.1 to 2 mm of wheel travel a tick",
         source="uniform quantization, as in any text on signal processing (Widrow & Kollar 2008)",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, turning, wheel_motions
 
 if TYPE_CHECKING:
@@ -27,12 +27,11 @@ class RegionSlip(Effect):
     At its edge one wheel slips before the other, and the robot turns.
     """
 
-    name: ClassVar[str] = "region_slip"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the wheels slip on one patch of the floor"
-    reads_truth: ClassVar[bool] = True
-    reads_places: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "region_slip"
+    summary = "the wheels slip on one patch of the floor"
+    reads_truth = True
+    reads_places = True
+    about = About(
         equation="f = -slip (v, vy, omega) where (x, y) lies inside the disc; (v, vy, 0) with a gyro; "
         "contact = wheels: f_wheel = -slip u of each wheel that is inside",
         typical="1 to 10 % at a carpet's edge, on wet floor, on a ramp (an estimate)",

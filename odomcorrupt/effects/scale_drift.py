@@ -24,7 +24,7 @@ class ScaleDrift(Effect):
         drive="repeat one loop for half an hour and more",
     )
 
-    rate: float = parameter("1/s", "growth of the true radius per second", low=-2e-4, high=2e-4, typical=1e-5)
+    rate: float = parameter("1/s", "growth of the true radius per second", low=-1e-3, high=1e-3, typical=1e-5)
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

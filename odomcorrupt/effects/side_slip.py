@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,10 +14,9 @@ class SideSlip(Effect):
     Rajamani, Vehicle Dynamics and Control, ch. 2 (linear tyre).
     """
 
-    name: ClassVar[str] = "side_slip"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the robot slips outwards in turns, in proportion to speed times yaw rate"
-    about: ClassVar[About | None] = About(
+    name = "side_slip"
+    summary = "the robot slips outwards in turns, in proportion to speed times yaw rate"
+    about = About(
         equation="f_across = -k v omega",
         typical="0.01 to 0.1 s (an estimate)",
         source="Rajamani, Vehicle Dynamics and Control (linear tyre)",
@@ -26,7 +24,7 @@ class SideSlip(Effect):
         drive="the same turn slowly and fast",
     )
 
-    k: float = parameter("s", "sideways speed per speed and yaw rate", low=-0.5, high=0.5, typical=0.03)
+    k: float = parameter("s", "sideways speed per speed and yaw rate", low=0.0, high=0.5, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: a sideways error in turns."""

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
 class SidewaysScale(Effect):
     """f = (0, e vy, 0): only sideways travel is wrong."""
 
-    name: ClassVar[str] = "sideways_scale"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "sideways the robot goes farther or less far than its wheels say"
-    needs_sideways: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "sideways_scale"
+    summary = "sideways the robot goes farther or less far than its wheels say"
+    needs_sideways = True
+    about = About(
         equation="f = (0, e vy, 0)",
         typical="-1 to -10 %: rollers of mecanum wheels slip and have play when the robot goes sideways (an estimate)",
         source="Tlale & de Villiers 2008, Kinematics and dynamics modelling of a mecanum wheeled mobile platform",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from odomcorrupt.effects.effect import (
     About,
     Effect,
     Gain,
-    Kind,
     Moments,
     Motion,
     State,
@@ -58,10 +57,10 @@ class SlipBurst(Effect):
     bursts are spread evenly about their mean, within 0 to 0.75. A new burst ends the one before.
     """
 
-    name: ClassVar[str] = "slip_burst"
-    kind: ClassVar[Kind] = "noise"
-    summary: ClassVar[str] = "now and then a wheel spins for a moment"
-    about: ClassVar[About | None] = About(
+    name = "slip_burst"
+    kind = "noise"
+    summary = "now and then a wheel spins for a moment"
+    about = About(
         equation="f_wheel = -slip u for each wheel's rim speed u during bursts, 0 between them",
         typical="30 % and more for 0.1 to 0.5 s, a few times a minute on a bad floor (an estimate)",
         source="engineering judgement; no published figures known to us",

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, choice, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, choice, parameter, stacked
 from odomcorrupt.effects.event_window import duration_parameter, part_inside, time_parameter
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, needed_track_m, rims_of, turning
 
@@ -19,10 +18,10 @@ class SlipEvent(Effect):
     `region_slip` is the slip at a place, `slip_burst` slips at random times.
     """
 
-    name: ClassVar[str] = "slip_event"
-    kind: ClassVar[Kind] = "event"
-    summary: ClassVar[str] = "once, at a given time, wheels slip for a while"
-    about: ClassVar[About | None] = About(
+    name = "slip_event"
+    kind = "event"
+    summary = "once, at a given time, wheels slip for a while"
+    about = About(
         equation="f_wheel = -slip u for each wheel's rim speed u where time <= t < time + duration, 0 otherwise",
         typical="30 % and more for 0.1 to 2 s (an estimate)",
         source="engineering judgement; no published figures known to us",

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,12 +23,11 @@ class Slope(Effect):
     Two of them at right angles span all directions, linearly; a negative creep is the opposite direction.
     """
 
-    name: ClassVar[str] = "slope"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the robot creeps towards one side of the world as it drives"
-    reads_truth: ClassVar[bool] = True
-    reads_places: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "slope"
+    summary = "the robot creeps towards one side of the world as it drives"
+    reads_truth = True
+    reads_places = True
+    about = About(
         equation="f = creep abs(v) (cos(direction - theta), sin(direction - theta), 0)",
         typical="0.3 to 3 % of the way on ramps of 2 to 5 degrees (an estimate)",
         source="slip under a constant force, with a linear tyre (Rajamani, Vehicle Dynamics and Control)",

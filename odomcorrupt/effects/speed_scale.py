@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 
@@ -18,10 +17,9 @@ class SpeedScale(Effect):
     With the track, both wheels of a turn on the spot grow alike, and so does the turn.
     """
 
-    name: ClassVar[str] = "speed_scale"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the wheels' radius changes with their speed"
-    about: ClassVar[About | None] = About(
+    name = "speed_scale"
+    summary = "the wheels' radius changes with their speed"
+    about = About(
         equation="f_wheel = k abs(u) u for each wheel's rim speed u; no yaw with a gyro",
         typical="0.1 to 3 % per m/s (an estimate)",
         source="tyre growth, as in any text on tyres; sizes are engineering judgement",

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -20,11 +20,11 @@ class TimeOffset(Effect):
     Only the regression sees f; the shift itself is exact.
     """
 
-    name: ClassVar[str] = "time_offset"
-    kind: ClassVar[Kind] = "setup"
-    summary: ClassVar[str] = "the odometry's clock is ahead of the truth's by a constant"
-    clock: ClassVar[bool] = True
-    about: ClassVar[About | None] = About(
+    name = "time_offset"
+    kind = "setup"
+    summary = "the odometry's clock is ahead of the truth's by a constant"
+    clock = True
+    about = About(
         equation="f = offset (a, ay, alpha)",
         typical="5 to 150 ms by USB, WiFi or motion capture",
         source="engineering judgement; no published figures known to us",

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 
 
 @dataclass(frozen=True, slots=True)
 class TurnAsymmetry(Effect):
     """f = (0, 0, k abs(omega)): the true turn is 1 + k of the odometry's to the left and 1 - k to the right."""
 
-    name: ClassVar[str] = "turn_asymmetry"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "left turns come out larger than right turns, or the other way round"
-    about: ClassVar[About | None] = About(
+    name = "turn_asymmetry"
+    summary = "left turns come out larger than right turns, or the other way round"
+    about = About(
         equation="f_yaw = k abs(omega)",
         typical="0.3 to 3 % (an estimate: a load off the middle, a tyre that scrubs on one side)",
         source="engineering judgement; no published figures known to us",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
@@ -18,6 +19,7 @@ class UnequalWheels(Effect):
     name: ClassVar[str] = "unequal_wheels"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "one wheel is larger than the other, so that straight lines bend"
+    drives: ClassVar[frozenset[str] | None] = PIVOTING
     about: ClassVar[About | None] = About(
         equation="f_yaw = curvature v; with the track b also f_along = curvature b^2 omega / 4",
         typical="wheels that differ by 0.05 to 1 %: 0.001 to 0.03 rad/m on a track of 0.4 m",

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
-from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
 from odomcorrupt.effects.wheels import heading_choice, turning
 
 
@@ -16,10 +15,9 @@ class WheelScale(Effect):
     Borenstein & Feng 1996, IEEE T-RA 12(6), E_s.
     """
 
-    name: ClassVar[str] = "wheel_scale"
-    kind: ClassVar[Kind] = "effect"
-    summary: ClassVar[str] = "the wheels' true radius differs from the nominal one"
-    about: ClassVar[About | None] = About(
+    name = "wheel_scale"
+    summary = "the wheels' true radius differs from the nominal one"
+    about = About(
         equation="f = e (v, vy, omega); e (v, vy, 0) with a gyro",
         typical="0.2 to 2 %; inflatable tyres up to 3 %",
         source="Borenstein & Feng 1996, IEEE T-RA 12(6), E_s",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+from odomcorrupt.drive_types import PIVOTING
 from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
 
 
@@ -18,6 +19,7 @@ class Wheelbase(Effect):
     name: ClassVar[str] = "wheelbase"
     kind: ClassVar[Kind] = "effect"
     summary: ClassVar[str] = "the true distance between the wheels differs from the nominal track"
+    drives: ClassVar[frozenset[str] | None] = PIVOTING
     about: ClassVar[About | None] = About(
         equation="f_yaw = -e / (1 + e) omega",
         typical="0.5 to 5 % with wide tyres; factors of 1.3 to 2 when skid-steering",

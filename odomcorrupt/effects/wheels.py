@@ -3,17 +3,56 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Motion, choice, stacked
+from odomcorrupt.effects.effect import Effect, Motion, choice, parameter, parameters, stacked
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Rims", "body_of", "heading_choice", "needed_track_m", "rims_of", "turning", "wheel_motions"]
+__all__ = [
+    "TRACKS_M",
+    "Rims",
+    "body_of",
+    "brings_track",
+    "heading_choice",
+    "needed_track_m",
+    "on_every_track",
+    "rims_of",
+    "track_parameter",
+    "turning",
+    "wheel_motions",
+]
+
+TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
+"""Tracks on which an effect of single wheels is tried where the robot's is not known."""
+
+E = TypeVar("E", bound=Effect)
+
+
+def track_parameter() -> Any:
+    """Declare the track of an effect of single wheels, a nuisance that is estimated where the robot's is not known."""
+    return parameter(
+        "m", "distance between the wheels, where that of the robot is not known; 0: the robot's own", low=0.0, high=3.0,
+        typical=0.3, amplitude=False, optional=True,
+    )  # fmt: skip
+
+
+def brings_track(kind: type[Effect] | Effect) -> bool:
+    """Tell whether an effect of single wheels can be tried where the robot's track is not known."""
+    return any(p.name == "track" and p.optional for p in parameters(kind))
+
+
+def on_every_track(effects: Sequence[E], motions: Sequence[Motion]) -> tuple[E, ...]:
+    """Return effects as they are where the robot's track is known, and on every track that is tried where it is not."""
+    if all(m.track_m is not None for m in motions):
+        return tuple(effects)
+    return tuple(replace(effect, track=track_m) for effect in effects for track_m in TRACKS_M)  # type: ignore[type-var]
 
 
 def heading_choice() -> Any:

@@ -16,10 +16,23 @@ if TYPE_CHECKING:
     from odomcorrupt.export.ros2_control import WheelMultipliers
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["amcl_text", "twists_text", "wheels_text"]
+__all__ = ["amcl_text", "twists_text", "wheels_text", "without_comments"]
 
 _UNKNOWN = 1e6
 """Variance of what a planar robot's odometry does not measure."""
+_WIDTH = 80
+
+
+def without_comments(text: str, model: MotionModel) -> str:
+    """Return a snippet with one comment in the place of all: which effects of the model it may not express."""
+    left = [effect.name for effect in model.effects if effect.acts and f"{effect.name}" in _comments(text)]
+    said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
+    return "\n".join([said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them", *lines])
+
+
+def _comments(text: str) -> str:
+    return " ".join(line for line in text.splitlines() if line.startswith("#"))
 
 
 def wheels_text(model: MotionModel, multipliers: WheelMultipliers, controller: str) -> str:
@@ -88,10 +101,12 @@ def twists_text(model: MotionModel, variances: TwistVariances, drive: Steady, co
         lines,
         f"{controller}:",
         "  ros__parameters:",
-        f"    twist_covariance_diagonal: [{', '.join(_number(value) for value in diagonal)}]",
+        "    twist_covariance_diagonal:",
+        f"      [{', '.join(_number(value) for value in diagonal)}]",
         "ekf_filter_node:",
         "  ros__parameters:",
-        "    # velocities, not poses: the errors of poses add up, and a filter takes every message for a new witness",
+        "    # velocities, not poses: the errors of poses add up, and a filter takes",
+        "    # every message for a new witness",
         "    odom0_config: [false, false, false, false, false, false,",
         "                   true, true, false, false, false, true,",
         "                   false, false, false]",
@@ -115,7 +130,7 @@ def _left_out(model: MotionModel, said: Collection[str], why: str) -> list[str]:
 
 
 def _comment(sentence: str) -> list[str]:
-    return textwrap.wrap(sentence, 100, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
+    return textwrap.wrap(sentence, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)
 
 
 def _yaml(comments: list[str], *lines: str) -> str:

@@ -52,15 +52,15 @@ class Tracked:
     t_s: Array
 
 
-def make_map(sweeps: Sweeps, calibration: Calibration, told: Callable[[float], None] | None = None) -> Tracked:
+def make_map(sweeps: Sweeps, calibration: Calibration, progress: Callable[[float], None] | None = None) -> Tracked:
     """Return the finished map and where each sweep was in it.
 
-    told : called now and then with which part of the sweeps is done
+    progress : called now and then with which part of the sweeps is done
     """
     tracker = _Tracker(sweeps, calibration)
     for n in range(len(sweeps)):
-        if told is not None and n % 50 == 0:
-            told(n / len(sweeps))
+        if progress is not None and n % 50 == 0:
+            progress(n / len(sweeps))
         tracker.take(n)
     world = tracker.world
     for _ in range(_CLOSE_ROUNDS):

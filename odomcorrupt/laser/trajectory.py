@@ -66,7 +66,7 @@ class LaserPath:
 
 
 def relocalised(
-    sweeps: Sweeps, calibration: Calibration, tracked: Tracked, told: Callable[[float], None] | None = None
+    sweeps: Sweeps, calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
 ) -> LaserPath:
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
@@ -74,8 +74,8 @@ def relocalised(
     rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
     tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
     for done, n in enumerate(tracked_rows):
-        if told is not None and done % 50 == 0:
-            told(done / len(tracked_rows))
+        if progress is not None and done % 50 == 0:
+            progress(done / len(tracked_rows))
         k = int(tracked.keyframe[n])
         scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
         found = match(thinned(scan, _QUERY), world.local(k), tracked.relative[n], _GATES_M)

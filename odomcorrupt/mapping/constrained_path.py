@@ -275,8 +275,7 @@ class FreePath:
         x, y = self._pose[:2]
         raise NoFreePoseError(
             f"the map and the drive do not fit: at ({x:.2f} m, {y:.2f} m) none of {self._tries} tries ends where the "
-            "map is free; check --map-pose, --robot-radius and --unknown, or leave out --map. A drive in a file is "
-            "drawn as whole paths, one on a pipe is not"
+            "map is free; check --map-pose, --robot-radius and --unknown, or leave out --map"
         )
 
 

@@ -127,7 +127,7 @@ class MapCondition:
     def path(self, model: MotionModel, seed: int, run: int, drive: CleanDrive | None = None) -> FreePath | None:
         """Return the path of one run within the free space; None where no noise is drawn, and nothing moves.
 
-        drive : the odometry, of which whole paths can be drawn; None where it is read only once, as of a pipe
+        drive : the odometry, of which whole paths can be drawn; None where it is not known
         """
         if without_effects(model).noise.coefficients.silent:
             return None

@@ -9,13 +9,14 @@ import json
 import re
 from typing import TYPE_CHECKING, Any
 
+from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
 from odomcorrupt.files import read_input
 from odomcorrupt.model.correlation import Correlation
-from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, Step, TruthNoise, parse_alpha
+from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
 from odomcorrupt.model.noise_laws import Coefficients
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ _COEFFICIENTS = {
     "white_omega": "rad/s",
 }
 _REQUIRED = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
-_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "wander"}
+_TRUTH = {"truth_xy": "xy_m", "truth_yaw": "yaw_rad", "truth_wander": "random_walk"}
+_ORIGIN = {"latitude": "latitude_deg", "longitude": "longitude_deg", "altitude": "altitude_m"}
 _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
 
@@ -137,7 +139,10 @@ def _user_effect(name: str, item: Mapping[str, Any], errors: dict[str, float]) -
 
 
 def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
-    _only(table, (*_TRUTH, "effect", "clock"), "[setup]")
+    _only(table, ("drive_type", *_TRUTH, "origin", "effect", "clock"), "[setup]")
+    drive_type = table.get("drive_type", "")
+    if drive_type and drive_type not in DRIVE_TYPES:
+        raise ModelError(f"setup.drive_type: {drive_type!r}; write {', '.join(DRIVE_TYPES[:-1])} or {DRIVE_TYPES[-1]}")
     known = {field: _number(table[key], key)[0] for key, field in _TRUTH.items() if key in table}
     if any(value < 0.0 for value in known.values()):
         raise ModelError("[setup]: noise of the truth below zero")
@@ -151,7 +156,18 @@ def _setup(table: Mapping[str, Any], errors: dict[str, float]) -> Setup:
             _number(item.get("time_offset", 0.0), "time_offset")[0],
             _number(item.get("clock_skew", 0.0), "clock_skew")[0],
         )
-    return Setup(_effects(table.get("effect", []), errors), TruthNoise(**known) if known else None, clocks)
+    truth = TruthNoise(**known) if known else None
+    return Setup(_effects(table.get("effect", []), errors), truth, clocks, _origin(_table(table, "origin")), drive_type)
+
+
+def _origin(table: Mapping[str, Any]) -> Origin | None:
+    _only(table, _ORIGIN, "setup.origin")
+    if not table:
+        return None
+    for key in ("latitude", "longitude"):
+        if key not in table:
+            raise ModelError(f"setup.origin: {key} is missing; write degrees")
+    return Origin(**{_ORIGIN[key]: _number(value, f"setup.origin.{key}")[0] for key, value in table.items()})
 
 
 def _source(table: Mapping[str, Any]) -> Mapping[str, str | float | list[str]]:
@@ -250,9 +266,14 @@ def _setup_lines(setup: Setup, errors: Mapping[str, float]) -> list[str]:
     if setup == Setup():
         return []
     lines = ["", "# what belongs to the measurement, not to the robot: corruption passes it by", "[setup]"]
+    if setup.drive_type:
+        lines.append(f"drive_type = {_text(setup.drive_type)}")
     if setup.truth is not None:
         units = {"truth_xy": "m", "truth_yaw": "rad", "truth_wander": "m per sqrt(s)"}
         lines += [f"{key} = {_figure(getattr(setup.truth, field))}  # {units[key]}" for key, field in _TRUTH.items()]
+    if setup.origin is not None:
+        place = ", ".join(f"{key} = {_figure(getattr(setup.origin, field), 12)}" for key, field in _ORIGIN.items())
+        lines.append(f"origin = {{ {place} }}  # deg, deg, m: places of effects are metres east and north of it")
     for effect in setup.effects:
         lines += ["", "[[setup.effect]]", *_effect_lines(effect, errors)]
     for recording, (offset, rate) in setup.clocks.items():

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.noise_laws import Law
 
-__all__ = ["MotionModel", "Noise", "Setup", "Step", "TruthNoise", "parse_alpha"]
+__all__ = ["MotionModel", "Noise", "Origin", "Setup", "Step", "TruthNoise", "parse_alpha"]
 
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?\s*(/\s*(?:m|rad))?\s*\Z")
 
@@ -89,7 +89,23 @@ class TruthNoise:
 
     xy_m: float = 0.003
     yaw_rad: float = 0.003
-    wander: float = 0.0
+    random_walk: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where on Earth the frame of satellite fixes has its origin: x points east there and y north."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (abs(self.latitude_deg) <= 90.0 and abs(self.longitude_deg) <= 360.0 and abs(self.altitude_m) < 1e6):
+            raise ModelError(f"origin: {self}; write latitude and longitude in degrees and the height in metres")
+
+    def __str__(self) -> str:
+        return f"latitude {self.latitude_deg:.7f}, longitude {self.longitude_deg:.7f}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,12 +113,16 @@ class Setup:
     """What belongs to a measurement and not to the robot; corruption and correction pass it by.
 
     effects : lever arm and mounting yaw of the truth
+    drive_type : how the wheels steer the robot, see `drive_types`; "" where nothing is said
     clocks : by recording, offset (s) and rate of the odometry's clock; for the reader, every run has its own
+    origin : of the truth's frame where it was satellite fixes; places of effects are metres east and north of it
     """
 
     effects: tuple[Effect, ...] = ()
     truth: TruthNoise | None = None
     clocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    origin: Origin | None = None
+    drive_type: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,14 +35,46 @@ class Odometry:
 
 
 def jittered_times(duration_s: float, rate_hz: float, jitter_s: float, rng: np.random.Generator) -> np.ndarray:
-    """Return increasing sampling times in [0, duration], with a random phase; s."""
+    """Return increasing sampling times in [0, duration], with a random phase; s.
+
+    Parameters
+    ----------
+    duration_s, rate_hz : float
+        Length of the recording, s, and sampling rate, Hz.
+    jitter_s : float
+        Standard deviation of the sampling times, s.
+    rng : Generator
+        Source of phase and jitter.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Times, s.
+
+    """
     period_s = 1.0 / rate_hz
     times_s = np.arange(rng.uniform(0.1, 0.9) * period_s, duration_s - period_s, period_s)
     return times_s + np.clip(jitter_s * rng.normal(size=times_s.size), -0.1 * period_s, 0.1 * period_s)
 
 
 def count(angle_rad: np.ndarray, tick_rad: float | None, rng: np.random.Generator) -> np.ndarray:
-    """Return wheel angles as measured by an encoder (the last edge passed), rad."""
+    """Return wheel angles as measured by an encoder (the last edge passed), rad.
+
+    Parameters
+    ----------
+    angle_rad : ndarray, shape (n, 2)
+        Angles of the right and left wheel, rad.
+    tick_rad : float or None
+        Angle between two edges, rad; None for infinite resolution.
+    rng : Generator
+        Source of the phases.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Angles of the last edges, rad.
+
+    """
     phase = rng.uniform(size=2)
     if tick_rad is None:
         return angle_rad

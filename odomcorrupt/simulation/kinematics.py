@@ -7,7 +7,7 @@ import numpy as np
 from odomcorrupt.simulation.drivetrain import turn_wheels
 from odomcorrupt.simulation.planar import add_up_steps
 from odomcorrupt.simulation.robot import Robot
-from odomcorrupt.simulation.streams import Streams, wander
+from odomcorrupt.simulation.streams import Streams, gauss_markov_noise
 from odomcorrupt.simulation.tyres import creep_sideways, hold, lose_by_place, roll, yield_along
 
 
@@ -81,7 +81,9 @@ def _carry(
     turn_rad = _turn(travel_m[:, 0] - travel_m[:, 1], rim_mps[:, 0] - rim_mps[:, 1], step_s, robot, streams)
     forward_m = yield_along(rolled_m, 0.5 * (rim_mps[:, 0] + rim_mps[:, 1]), step_s, robot)
     for i, (sigma, tau_s) in enumerate(robot.floor.uneven):
-        forward_m = forward_m * (1.0 + wander(sigma, tau_s, step_s, len(forward_m), streams.open(f"uneven {i}")))
+        forward_m = forward_m * (
+            1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(forward_m), streams.open(f"uneven {i}"))
+        )
     left_m = creep_sideways(forward_m / step_s, turn_rad / step_s, step_s, robot)
     if robot.rotation_centre_behind_m != 0.0:
         left_m = left_m + robot.rotation_centre_behind_m * turn_rad
@@ -105,5 +107,7 @@ def _turn(apart_m: np.ndarray, apart_mps: np.ndarray, step_s: float, robot: Robo
     if robot.scrub_s != 0.0:
         turn_rad = turn_rad / (1.0 + robot.scrub_s * np.abs(apart_mps) / robot.track_m)
     for i, (sigma, tau_s) in enumerate(robot.play_of_track):
-        turn_rad = turn_rad * (1.0 + wander(sigma, tau_s, step_s, len(turn_rad), streams.open(f"play of track {i}")))
+        turn_rad = turn_rad * (
+            1.0 + gauss_markov_noise(sigma, tau_s, step_s, len(turn_rad), streams.open(f"play of track {i}"))
+        )
     return np.asarray(turn_rad)

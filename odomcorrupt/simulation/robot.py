@@ -65,7 +65,7 @@ class Floor:
     grain_from_rad: float = 0.0
     """Direction of the ribs."""
     uneven: tuple[tuple[float, float], ...] = ()
-    """Random wander of the way made per metre rolled: (sigma, correlation time in s)."""
+    """Gauss-Markov variation of the travel per metre rolled: (sigma, correlation time in s)."""
     jolts_inverse_dof: float = 0.0
     """How heavy the tails of the random creep are: 1 / degrees of freedom of Student's t."""
     grip_mps: float = np.inf
@@ -123,7 +123,7 @@ class Robot:
     scrub_s: float = 0.0
     """Relative growth of the effective track per rad/s of turn rate."""
     play_of_track: tuple[tuple[float, float], ...] = ()
-    """Random wander of the effective track: (sigma, correlation time in s)."""
+    """Gauss-Markov variation of the effective track: (sigma, correlation time in s)."""
 
     # gear, encoders and heading sensor
     gear_play_m: float = 0.0

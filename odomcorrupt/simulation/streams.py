@@ -31,7 +31,7 @@ class Streams:
         return stream(self.seed, layer)
 
 
-def wander(sigma: float, tau_s: float, step_s: float, n: int, rng: np.random.Generator) -> np.ndarray:
+def gauss_markov_noise(sigma: float, tau_s: float, step_s: float, n: int, rng: np.random.Generator) -> np.ndarray:
     """Return a stationary Gauss-Markov sequence of deviation `sigma` and correlation time `tau_s`, shape (n,)."""
     stay = np.exp(-step_s / tau_s)
     draws = rng.normal(size=n)

@@ -8,7 +8,7 @@ from odomcorrupt.simulation.encoders import jittered_times
 from odomcorrupt.simulation.kinematics import Drive
 from odomcorrupt.simulation.planar import attach, sample
 from odomcorrupt.simulation.robot import Robot
-from odomcorrupt.simulation.streams import Streams, wander
+from odomcorrupt.simulation.streams import Streams, gauss_markov_noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,25 @@ def dock(rng: np.random.Generator) -> np.ndarray:
 
 
 def watch(drive: Drive, robot: Robot, tracker: Tracker, streams: Streams) -> Track:
-    """Return the tracked poses of the robot's marker."""
+    """Return the tracked poses of the robot's marker.
+
+    Parameters
+    ----------
+    drive : Drive
+        True motion.
+    robot : Robot
+        Has the position of the marker.
+    tracker : Tracker
+        Rate, noise, dropouts and clock.
+    streams : Streams
+        Random streams of the drive.
+
+    Returns
+    -------
+    Track
+        Stamps, s, and poses of the marker in the truth frame, m and rad.
+
+    """
     grid_s = drive.grid_s
     origin, heading_rad = complex(drive.start_xyt[0], drive.start_xyt[1]), drive.start_xyt[2]
 
@@ -63,7 +81,9 @@ def watch(drive: Drive, robot: Robot, tracker: Tracker, streams: Streams) -> Tra
     seen_xyt += noise * (tracker.noise_m, tracker.noise_m, tracker.noise_rad)
     for axis, name in enumerate(("east", "north") if tracker.wander_m > 0.0 else ()):
         slow = streams.open(f"tracker wander {name}")
-        seen_xyt[:, axis] += wander(tracker.wander_m, tracker.wander_tau_s, 1.0 / tracker.rate_hz, len(seen_xyt), slow)
+        seen_xyt[:, axis] += gauss_markov_noise(
+            tracker.wander_m, tracker.wander_tau_s, 1.0 / tracker.rate_hz, len(seen_xyt), slow
+        )
 
     seen = ~_hidden(times_s, grid_s[-1], tracker, streams.open("dropouts"))
     stamps_s = times_s * (1.0 + tracker.clock_rate) + tracker.clock_offset_s

@@ -145,6 +145,23 @@ def lose_by_chance(travel_m: np.ndarray, step_s: float, bursts: Bursts, rng: np.
     """Return the travel of each wheel (n, 2), m, with random bursts of slip.
 
     Bursts start at random; each wheel loses its own random fraction, between 0 and 1 and of the given mean.
+
+    Parameters
+    ----------
+    travel_m : ndarray, shape (n, 2)
+        Travel of the right and left wheel per step without bursts, m.
+    step_s : float
+        Grid step, s.
+    bursts : Bursts
+        Rate, duration and mean loss.
+    rng : Generator
+        Source of the draws.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Travel with bursts, m.
+
     """
     steps = len(travel_m)
     lost = np.zeros_like(travel_m)
@@ -196,7 +213,27 @@ def lose_by_place(
 
 
 def hold(travel_m: np.ndarray, rim_mps: np.ndarray, step_s: float, robot: Robot, streams: Streams) -> np.ndarray:
-    """Return the travel of each wheel (n, 2), m, with slip that does not depend on the place."""
+    """Return the travel of each wheel (n, 2), m, with slip that does not depend on the place.
+
+    Parameters
+    ----------
+    travel_m : ndarray, shape (n, 2)
+        Travel of the right and left wheel per step without slip, m.
+    rim_mps : ndarray, shape (n, 2)
+        Speeds of the rims, m/s.
+    step_s : float
+        Grid step, s.
+    robot : Robot
+        Tyres and floor.
+    streams : Streams
+        Random streams of the drive.
+
+    Returns
+    -------
+    ndarray, shape (n, 2)
+        Travel with slip, m.
+
+    """
     travel_m = lose_by_speed(travel_m, rim_mps, step_s, robot.floor)
     for i, bursts in enumerate(robot.floor.bursts):
         travel_m = lose_by_chance(travel_m, step_s, bursts, streams.open(f"bursts {i}"))

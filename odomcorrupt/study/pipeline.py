@@ -15,8 +15,8 @@ from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
 from odomcorrupt.study.validate.held_out import keep_what_holds
-from odomcorrupt.study.validate.model_sequence import ladder_comparison
-from odomcorrupt.study.validate.round_trip import RoundTrip, proved
+from odomcorrupt.study.validate.model_sequence import sequence_comparison
+from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,7 +35,7 @@ Watch = Callable[[str, float], None]
 
 
 def _silent(_stage: str, _share: float) -> None:
-    """Take no note."""
+    """Report no progress."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
@@ -87,7 +87,7 @@ def learn_robot(
     random = [gain.effect for gain in search.noise]
     found = (*search.fit.effects, *random)
     robot = fit_robot(recordings, found, law_name=LAW, clocks=search.clocks, shaped=search.added)
-    proof = proved(robot.model, recordings)
+    proof = verified_model(robot.model, recordings)
     models = {"without effects": base.model}
     names = [*search.added, *(one.title for one in search.laws), *(effect.name for effect in random)]
     if names:
@@ -109,7 +109,7 @@ def learn_robot(
 
 @cache
 def _sequence(learned: LearnedRobot) -> Comparison:
-    return ladder_comparison(learned.search, learned.held_out)
+    return sequence_comparison(learned.search, learned.held_out)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -146,5 +146,5 @@ def diagnose_model(
     watch("what the data leave open", 0.6)
     advice = advise(search)
     watch("comparison of the additions", 0.8)
-    sequence = ladder_comparison(search, recordings, name or "without effects")
+    sequence = sequence_comparison(search, recordings, name or "without effects")
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

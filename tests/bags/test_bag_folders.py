@@ -9,7 +9,7 @@ from oracles import FIXTURES, OFFICE_MCAP, copy
 
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.bags.rosbag2 import bounded_yaml
+from odomcorrupt.bags.rosbag2 import bounded_yaml, metadata
 from odomcorrupt.bags.rosbag2.bounded_yaml import load_faithful, load_plain
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, generated
 from odomcorrupt.errors import BagError
@@ -61,6 +61,7 @@ def test_aliases_and_merges_of_honest_size_are_read(load):
 
 def test_a_file_that_is_too_large_or_takes_too_long_is_refused(bag, monkeypatch):
     monkeypatch.setattr(bounded_yaml, "LONGEST_S", -1.0)
+    metadata._parsed.cache_clear()
     with pytest.raises(BagError, match="takes more than"):
         open_reader(bag)
     (bag / "metadata.yaml").write_text("a: " + "x" * (5 << 20))

@@ -35,11 +35,14 @@ def test_md5sums_follow_from_the_definitions_of_bags():
     with open_reader(OFFICE_BAG) as reader:
         for channel in reader.channels.values():
             definition = reader.definition(channel)
-            if channel.topic != "/door":
-                assert md5sum_of(channel.msgtype, definition) == definition.metadata["md5sum"]
-            else:
-                with pytest.raises(BagError, match="office_msgs"):
-                    md5sum_of(channel.msgtype, definition)
+            assert md5sum_of(channel.msgtype, definition) == definition.metadata["md5sum"]
+
+
+def test_no_md5sum_follows_from_an_incomplete_definition():
+    with open_reader(OFFICE_MCAP.with_name("incomplete.mcap")) as reader:
+        (door,) = (channel for channel in reader.channels.values() if channel.topic == "/door")
+        with pytest.raises(BagError, match="office_msgs"):
+            md5sum_of(door.msgtype, reader.definition(door))
 
 
 def test_a_retyped_topic_keeps_its_publisher_and_takes_the_bags_own_definition():

@@ -26,7 +26,7 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
     renamed.write_bytes(source.read_bytes())
     with open_reader(renamed) as reader:
         assert reader.kind == kind
-    out = copy(renamed, tmp_path / "out")
+    out = copy(renamed, tmp_path / f"out{source.suffix}")
     with open_reader(out) as reader:
         assert reader.kind == kind
     with open_reader(None, io.BytesIO(source.read_bytes())) as reader:
@@ -38,7 +38,6 @@ def test_content_tells_the_format_not_the_name(source, kind, tmp_path):
     [
         (b"", "is empty"),
         (b"#ROSBAG V1.2\n", "version 1.2"),
-        (b"\x28\xb5\x2f\xfd compressed", "decompress it first .`zstd -d`"),
         (gzip.compress(b"a bag", mtime=0), "is a gzip-compressed file; decompress it first .`gunzip`"),
         (bz2.compress(b"a bag"), "`bunzip2`"),
         (lzma.compress(b"a bag"), "`unxz`"),
@@ -52,6 +51,14 @@ def test_what_is_no_bag_is_refused_with_what_was_found(content, words, tmp_path)
         open_reader(tmp_path / "in")
     with pytest.raises(BagError, match=words):
         open_reader(None, io.BytesIO(content))
+
+
+def test_what_is_compressed_by_zstd_is_read_from_a_file_alone(tmp_path):
+    (tmp_path / "in").write_bytes(b"\x28\xb5\x2f\xfd compressed")
+    with pytest.raises(BagError, match="zstd cannot decompress it"):
+        open_reader(tmp_path / "in")
+    with pytest.raises(BagError, match=r"decompress it first .`zstd -d`"):
+        open_reader(None, io.BytesIO((tmp_path / "in").read_bytes()))
 
 
 def test_a_missing_file_is_a_bag_error(tmp_path):
@@ -87,7 +94,7 @@ def test_an_output_into_nowhere_is_refused(tmp_path):
 @pytest.mark.parametrize("source", [OFFICE_BAG, OFFICE_MCAP])
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError, SystemExit])
 def test_a_failure_leaves_nothing_and_what_was_there_before(source, failure, tmp_path):
-    target = tmp_path / "out"
+    target = tmp_path / f"out{source.suffix}"
     for before in (None, b"precious"):
         if before:
             target.write_bytes(before)
@@ -98,7 +105,7 @@ def test_a_failure_leaves_nothing_and_what_was_there_before(source, failure, tmp
 
         with pytest.raises(failure):
             copy(source, target, fail, overwrite=True)
-        assert [one.name for one in tmp_path.iterdir()] == (["out"] if before else [])
+        assert [one.name for one in tmp_path.iterdir()] == ([target.name] if before else [])
         assert not before or target.read_bytes() == before
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import FIXTURES, OFFICE_MCAP, SHARED, copy, damaged_copies_fail, mcap_extras, mcap_messages
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from rosbags.typesys import Stores, get_typestore
 from ruamel.yaml import YAML
@@ -281,23 +281,6 @@ def test_all_versions_of_the_tables_are_read(tmp_path):
     assert texts["office_msgs/msg/Door"] == b""
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
-@pytest.mark.parametrize("with_metadata", [True, False])
-def test_compressed_files_and_messages_are_refused_in_a_line(tmp_path, mode, with_metadata):
-    with Reader(OFFICE) as reader:
-        writer = Ros2LibraryWriter(tmp_path / "in", version=8, storage_plugin=StoragePlugin.SQLITE3)
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-        with writer:
-            one = reader.connections[0]
-            made = writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
-            writer.write(made, 1, b"\0\1\0\0")
-    if not with_metadata:
-        (tmp_path / "in" / "metadata.yaml").unlink()
-    with pytest.raises(BagError, match="compressed") as caught:
-        open_reader(tmp_path / "in")
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -367,8 +350,9 @@ def test_only_a_bag_is_ever_replaced_by_a_bag(tmp_path):
     (out / "thesis.tex").write_text("years of work")
     with open_reader(OFFICE) as reader, pytest.raises(BagError, match="holds more"):
         open_writer(out, reader, overwrite=True)
+    (tmp_path / "out.mcap").mkdir()
     with open_reader(OFFICE_MCAP) as reader, pytest.raises(BagError, match="is a directory"):
-        open_writer(out, reader, overwrite=True)
+        open_writer(tmp_path / "out.mcap", reader, overwrite=True)
     (tmp_path / "file").touch()
     with open_reader(OFFICE) as reader, pytest.raises(BagError, match="is a file"):
         open_writer(tmp_path / "file", reader, overwrite=True)
@@ -382,10 +366,21 @@ def test_the_input_is_never_the_output(tmp_path, name):
         open_writer(source, reader, overwrite=True)
 
 
-def test_what_cannot_become_sqlite3_says_so(tmp_path):
-    for source in (OFFICE_MCAP, split(tmp_path / "in", StoragePlugin.SQLITE3, 2)):
-        with open_reader(source) as reader, pytest.raises(BagError, match=r"\.mcap"):
-            open_writer(tmp_path / "out.db3", reader)
+def test_any_ros_2_bag_becomes_a_single_sqlite3_file(tmp_path):
+    for number, source in enumerate((OFFICE_MCAP, split(tmp_path / "in", StoragePlugin.SQLITE3, 2), OFFICE)):
+        out = copy(source, tmp_path / f"{number}.db3")
+        with open_reader(source) as before, open_reader(out) as after:
+            counts = [
+                sorted((r.channels[c].topic, t) for b in r.blocks() for c, t, _, _ in b.table.tolist())
+                for r in (before, after)
+            ]
+        assert counts[0] == counts[1]
+
+
+def test_messages_of_ros_1_do_not_become_a_ros_2_bag_as_they_are(tmp_path):
+    for name in ("out.db3", "out"):
+        with open_reader(OFFICE_MCAP.with_suffix(".bag")) as reader, pytest.raises(BagError, match="ros1 messages"):
+            open_writer(tmp_path / name, reader)
 
 
 @pytest.mark.parametrize("path", DIRECTORIES, ids=lambda path: path.name)

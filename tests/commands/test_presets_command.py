@@ -21,7 +21,7 @@ OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
 
 
 def test_the_list_has_law_numbers_and_source_of_each(capsys):
-    assert run(["presets"]) == 0
+    assert run(["presets", "-v"]) == 0
     text = capsys.readouterr().out
     for preset in PRESETS.values():
         entry = text.split(f"{preset.name}\n", 1)[1].split("\n\n", 1)[0]

@@ -33,12 +33,15 @@ def test_every_command_is_understood(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("runs", "estimates"):
         (tmp_path / folder).mkdir()
-    for file in ("drive.mcap", "in.mcap", "robot.toml", "last.json", *(f"{name}.toml" for name in "abc")):
+    for file in ("drive.mcap", "in.mcap", "in.bag", "robot.toml", "last.json", *(f"{name}.toml" for name in "abc")):
         (tmp_path / file).touch()
     found = list(commands(page))
     for line in found:
         name, *words = shlex.split(line)[1:]
         command = cli.get_command(click.Context(cli), name)
+        if command is None:
+            name, words = "corrupt", [name, *words]
+            command = cli.get_command(click.Context(cli), name)
         assert command is not None, line
         context = command.make_context(name, words, parent=click.Context(cli, **cli.context_settings))
         for rule in context.params.get("rules") or ():

@@ -27,8 +27,8 @@ def test_the_expression_is_read():
 
 def test_the_class_keeps_the_contract():
     names: dict[str, object] = {"__name__": __name__}
-    head = "from dataclasses import dataclass\nfrom typing import ClassVar\nfrom odomcorrupt.effects.effect import "
-    head += "Effect, Kind, Motion, State, TwistError, parameter, stacked\n"
+    head = "from dataclasses import dataclass\nfrom odomcorrupt.effects.effect import "
+    head += "Effect, Motion, State, TwistError, parameter, stacked\n"
     exec(compile(head + block("python"), "effects.md", "exec", dont_inherit=True), names)  # noqa: S102 - our own page
     check_effect(names["Wobble"])
 

@@ -8,6 +8,7 @@ import json
 from importlib.metadata import EntryPoint
 
 import pytest
+import test_contract  # noqa: F401 - whole before it is an entry point
 from click.testing import CliRunner
 
 from odomcorrupt.cli import cli, run
@@ -61,7 +62,7 @@ def test_what_is_wrong_with_an_effect_is_said(name, values, complaint):
 
 
 def page(*args):
-    result = CliRunner().invoke(cli, ["effects", *args])
+    result = CliRunner().invoke(cli, ["effects", *(args if "--json" in args else ("-v", *args))])
     assert result.exit_code == 0, result.output
     return result.output
 

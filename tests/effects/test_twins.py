@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from manoeuvres import motion
 
+from odomcorrupt.drive_types import DRIVE_TYPES
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, parameters
+from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.geometry.motion import error_of
 
 KINDS = registry()
@@ -31,11 +34,12 @@ def test_twins_have_the_same_regressor(name):
     assert np.array_equal(ours, theirs)
 
 
-def test_no_other_two_effects_have_the_same_regressor():
+@pytest.mark.parametrize("drive_type", DRIVE_TYPES)
+def test_no_other_two_effects_of_a_drive_type_have_the_same_regressor(drive_type):
     drive = varied()
     columns = {}
     for name, kind in KINDS.items():
-        if kind.kind in ("noise", "event") or kind.twin_of:
+        if kind.kind in ("noise", "event") or kind.twin_of or drive_type not in (kind.drives or DRIVE_TYPES):
             continue
         for p in amplitudes(kind):
             f = error_of(kind(**{p.name: p.typical}), drive).ravel()
@@ -46,9 +50,12 @@ def test_no_other_two_effects_have_the_same_regressor():
     assert likeness.max() < 0.999
 
 
-@pytest.mark.parametrize(
-    "name", [n for n, k in KINDS.items() if amplitudes(k) != parameters(k) and k.kind not in ("noise", "event")]
-)
+STEERING = ("steering_offset", "steering_scale", "flat_spot")
+SHAPED = [n for n, k in KINDS.items() if any(not p.amplitude and not p.optional for p in parameters(k))]
+SHAPED.remove("flat_spot")  # its circumference is a line of a spectrum
+
+
+@pytest.mark.parametrize("name", [name for name in SHAPED if KINDS[name].kind not in ("noise", "event")])
 def test_a_scan_is_finite_at_the_identity_and_within_bounds(name):
     kind = KINDS[name]
     found = kind.scan([varied(), varied()])
@@ -59,9 +66,23 @@ def test_a_scan_is_finite_at_the_identity_and_within_bounds(name):
         assert all(p.low <= getattr(effect, p.name) <= p.high for p in parameters(effect))
 
 
-@pytest.mark.parametrize("name", [n for n, k in KINDS.items() if amplitudes(k) == parameters(k)])
+@pytest.mark.parametrize("name", [name for name, kind in KINDS.items() if name not in (*SHAPED, *STEERING)])
 def test_an_effect_without_shapes_needs_one_try(name):
     assert KINDS[name].scan([varied()]) == (KINDS[name](),)
+
+
+@pytest.mark.parametrize("name", [n for n, k in KINDS.items() if brings_track(k) and n != "flat_spot"])
+def test_an_effect_of_single_wheels_brings_tracks_where_the_robots_is_not_known(name):
+    kind = KINDS[name]
+    found = kind.scan([replace(varied(), track_m=None)])
+    own = {effect.track for effect in found} - {0.0}
+    assert min(own) < 0.2
+    assert max(own) > 1.0
+    p = amplitudes(kind)[0]
+    known = [replace(effect, track=0.4, **{p.name: p.typical}) for effect in found]
+    for effect in known:
+        bare = error_of(replace(effect, track=0.0), varied())
+        assert np.array_equal(error_of(effect, replace(varied(), track_m=None)), bare)
 
 
 def test_a_scan_of_discs_has_one_near_any_patch_of_the_floor():

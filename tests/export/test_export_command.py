@@ -39,7 +39,7 @@ def export(tmp_path, capsys):
     def call(target, *args, law="diffusion", more="[robot]\ntrack = 0.4"):
         path = tmp_path / "robot.toml"
         path.write_text(MODEL.format(law=law, more=more))
-        code = run(["export", str(path), "--to", target, *args])
+        code = run(["export", "-v", str(path), "--to", target, *args])
         printed = capsys.readouterr()
         return code, YAML(typ="safe").load(io.StringIO(printed.out)), printed.out, printed.err
 

@@ -73,7 +73,7 @@ def write_outputs(room: Path) -> list[Output]:
     """Write every format in every compression and layout."""
     (room / "in").mkdir()
     (room / "out").mkdir()
-    bags = make_small_bags(room / "in", door=False)
+    bags = make_small_bags(room / "in")
     outputs = []
     own = room / "in" / "debian.bag"
     if not missing(READERS[0]):
@@ -90,7 +90,8 @@ def write_outputs(room: Path) -> list[Output]:
         add(f"ROS 1 {codec}", "ros1 lz4", f"{codec}.bag", "ros1", "--compression", codec)
     for codec in ("none", "lz4", "zstd"):
         add(f"MCAP {codec}", "mcap zstd", f"{codec}.mcap", "mcap", "--compression", codec)
-        add(f"MCAP {codec}, of a ROS 1 bag", "ros1 lz4", f"ros1-{codec}.mcap", "mcap", "--compression", codec)
+        add(f"MCAP {codec}, of a ROS 1 bag", "ros1 lz4", f"ros1-{codec}.mcap", "mcap", "--compression", codec, "--ros",
+            "1")  # fmt: skip
         add(f"MCAP {codec}, split, directory", "mcap directory", f"dir-{codec}", "mcap", "--compression", codec,
             directory=True)  # fmt: skip
     add("MCAP without chunks", "mcap unchunked", "unchunked.mcap", "mcap")

@@ -48,13 +48,10 @@ def messages(ros: int, seconds: float = 1.3) -> list[Recorded]:
     return kept
 
 
-def make_small_bags(directory: Path, seconds: float = 1.3, *, door: bool = True) -> dict[str, Small]:
-    """Write the bags, by what they are.
-
-    door : have /door, whose definition is incomplete on purpose: some readers refuse a whole bag for it
-    """
-    topics = {topic: msgtype for topic, msgtype in TOPICS.items() if door or topic != "/door"}
-    one, two = ([m for m in messages(ros, seconds) if m.topic in topics] for ros in (1, 2))
+def make_small_bags(directory: Path, seconds: float = 1.3) -> dict[str, Small]:
+    """Write the bags, by what they are."""
+    topics = TOPICS
+    one, two = (messages(ros, seconds) for ros in (1, 2))
     bags = {}
     for codec in ("zstd", "lz4", "none"):
         bags[f"mcap {codec}"] = _mcap(

@@ -29,7 +29,7 @@ def test_a_reader_sees_what_was_written(source, name, kind, reader, tmp_path):
     if said := missing(one):
         pytest.skip(f"{reader}: {said}")
     (tmp_path / "in").mkdir()
-    bags = make_small_bags(tmp_path / "in", door=False)
+    bags = make_small_bags(tmp_path / "in")
     ours(str(bags[source].path), str(tmp_path / name), "--seed", "7")
     output = Output(source, tmp_path / name, kind)
     assert opens(one, output)

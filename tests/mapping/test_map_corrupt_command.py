@@ -18,7 +18,8 @@ from odomcorrupt.trajectories.reader import read_drive
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 MAPS, OLIN = SHARED / "bags" / "maps", SHARED / "bags" / "olin_tb4"
-OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+OFFICE = FIXTURES / "office.mcap"
 ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
 
 
@@ -136,3 +137,26 @@ def test_a_batch_in_a_map_makes_the_bytes_of_its_own_single_commands(corridor, t
         assert (tmp_path / record["file"]).read_bytes() == (tmp_path / "runs" / record["file"]).read_bytes()
     walls = free_space(read_map(corridor), 0.0, map_from_odom=np.zeros(3))
     assert walls.free(read_drive(tmp_path / "runs" / records[1]["file"], "/odom").xyt[:, :2]).all()
+
+
+@pytest.mark.slow
+def test_batches_and_pipes_draw_whole_paths_where_single_increments_are_stuck(corridor, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short = FIXTURES / "office_ros2"
+    # few tries are what narrow places do: an increment is given up soon
+    words = [*ALPHA, "--seed", "7", "--map", str(corridor), "--map-pose", "0,0,0", "--robot-radius", "0"]
+    words += ["--max-tries", "2", "--odom-topic", "/odom"]
+    assert run(["batch", str(short), "runs", "--runs", "3", "--to", "mcap", "-q", *words]) == 0
+    whole = 0
+    for number in range(3):
+        single = tmp_path / f"single{number}.mcap"
+        capsys.readouterr()
+        assert run([str(short), str(single), "--run", str(number), "-v", *words]) == 0
+        whole += "the whole path is one of 64" in capsys.readouterr().err
+        assert single.read_bytes() == (tmp_path / "runs" / f"run_{number:06d}.mcap").read_bytes()
+    assert whole > 0
+    assert run([str(short), "plain.mcap", "--effect", "wheel_scale:e=0", "-q"]) == 0
+    feed(monkeypatch, tmp_path / "plain.mcap")
+    assert run(["-", "piped.mcap", "--run", "1", "-q", *words]) == 0
+    moved = [read_drive(tmp_path / name, "/odom").xyt for name in ("piped.mcap", "single1.mcap")]
+    np.testing.assert_array_equal(*moved)

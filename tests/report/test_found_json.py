@@ -80,7 +80,7 @@ def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence
     assert confidence(Evidence(50.0, (49.5,))) == pytest.approx(1.0 / (2.0 - 0.393 + 0.005), abs=0.02)
     assert confidence(Evidence(50.0, (49.0, 20.0))) > confidence(Evidence(50.0, (49.9, 20.0)))
     assert confidence(Evidence(50.0, (), 100.0)) < 0.4
-    assert plain > confidence(Evidence(50.0, wandering=50.0)) > confidence(Evidence(50.0, left=50.0))
+    assert plain > confidence(Evidence(50.0, correlated=50.0)) > confidence(Evidence(50.0, left=50.0))
     assert confidence(Evidence(1.0)) < 0.75
     assert confidence(Evidence(-1.0)) == 0.0
 

@@ -26,7 +26,7 @@ from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
 from odomcorrupt.report.text.fit import fit_text, laws_table
 from odomcorrupt.report.text.lack_of_fit import rejection
 from odomcorrupt.report.text.tables import clock_lines, value_text
-from odomcorrupt.study.design.advise import Advice, Choice, Limit, Untestable
+from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of
 from odomcorrupt.study.estimate.calibrate import fit_robot
@@ -38,27 +38,27 @@ from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
-from odomcorrupt.study.validate.model_sequence import ladder_comparison
+from odomcorrupt.study.validate.model_sequence import sequence_comparison
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
 SPINS = next(plan for plan in PLANS.values() if plan.fastest_mps == 0.0)
 CHOICES = (
-    Choice(("side_slip", "turn_asymmetry"), "it never turned to the left", PLAN, 12.0),
-    Choice(("gyro_bias", "scale_drift"), "", SPINS, 3.0),
-    Choice(("wheel_scale", "speed_scale"), "", None, 0.0, "measure a wheel"),
-    Choice(("lever_arm", "mount_yaw"), "", None, 0.0),
+    Ambiguity(("side_slip", "turn_asymmetry"), "it never turned to the left", PLAN, 12.0),
+    Ambiguity(("gyro_bias", "scale_drift"), "", SPINS, 3.0),
+    Ambiguity(("wheel_scale", "speed_scale"), "", None, 0.0, "measure a wheel"),
+    Ambiguity(("lever_arm", "mount_yaw"), "", None, 0.0),
 )
 UNTESTABLE = (
-    Untestable("backlash", "never reversed", PLAN),
-    Untestable("accel_slip", "never reversed", PLAN),
-    Untestable("slope", "no map", None, "give a map"),
-    Untestable("time_offset", "it stood still", None),
+    UntestableEffect("backlash", "never reversed", PLAN),
+    UntestableEffect("accel_slip", "never reversed", PLAN),
+    UntestableEffect("slope", "no map", None, "give a map"),
+    UntestableEffect("time_offset", "it stood still", None),
 )
 LIMITS = (
-    Limit("wheel_scale", "e", 0.0012, ""),
-    Limit("lever_arm", "x", 0.0034, "m"),
-    Limit("lever_arm", "y", 0.005, "m"),
+    DetectionLimit("wheel_scale", "e", 0.0012, ""),
+    DetectionLimit("lever_arm", "x", 0.0034, "m"),
+    DetectionLimit("lever_arm", "y", 0.005, "m"),
 )
 ADVICE = Advice(CHOICES, UNTESTABLE, LIMITS, PLAN)
 NONE = Advice((), (), (), None)
@@ -121,8 +121,8 @@ def searched(case):
 
 
 @pytest.fixture(scope="session")
-def ladder(searched, case):
-    return ladder_comparison(searched, [case.recording])
+def sequence(searched, case):
+    return sequence_comparison(searched, [case.recording])
 
 
 @pytest.fixture(scope="session")
@@ -181,8 +181,8 @@ def test_advice_is_a_sentence_for_each_choice_and_one_for_all_that_share_a_drive
 
 
 @pytest.mark.slow
-def test_the_page_shows_everything_at_once_and_stays_whole(rich, ladder):
-    page = found_html(Story(rich, ladder, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
+def test_the_page_shows_everything_at_once_and_stays_whole(rich, sequence):
+    page = found_html(Story(rich, sequence, ADVICE, "odomcorrupt fit run.mcap -o robot.toml"), version="0")
     parsed = Balanced()
     parsed.feed(page)
     assert not parsed.open
@@ -197,8 +197,8 @@ def test_the_page_shows_everything_at_once_and_stays_whole(rich, ladder):
     assert "odomcorrupt fit run.mcap -o robot.toml" in text
 
 
-def test_the_page_of_a_search_that_found_nothing_is_whole(poor, ladder):
-    good = replace(ladder, judgements=(kept(ladder.judgements[0]),))
+def test_the_page_of_a_search_that_found_nothing_is_whole(poor, sequence):
+    good = replace(sequence, judgements=(kept(sequence.judgements[0]),))
     page = found_html(Story(poor, good, NONE, ""), version="0")
     parsed = Balanced()
     parsed.feed(page)
@@ -209,11 +209,11 @@ def test_the_page_of_a_search_that_found_nothing_is_whole(poor, ladder):
 
 def kept(judgement):
     """Return a judgement that rejects nothing."""
-    return replace(judgement, verdict=replace(judgement.verdict, looks=()))
+    return replace(judgement, verdict=replace(judgement.verdict, checks=()))
 
 
-def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, ladder):
-    first = ladder.judgements[0]
+def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
+    first = sequence.judgements[0]
     text = found_text(poor, NONE, judged=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
@@ -221,14 +221,14 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, ladder
     assert found_text(poor, NONE, judged=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, judged=first)
     assert "no further known effect is missing, but" in beside
-    page = found_html(Story(poor, replace(ladder, judgements=(first,)), NONE, ""), version="0")
+    page = found_html(Story(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
-    told = [learned_json(poor, ladder.judgements[:1], NONE, judged=one)["rejected"] for one in (first, kept(first))]
+    told = [learned_json(poor, sequence.judgements[:1], NONE, judged=one)["rejected"] for one in (first, kept(first))]
     assert told == [rejection(first), None]
 
 
-def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(ladder):
-    first = ladder.judgements[0]
+def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):
+    first = sequence.judgements[0]
     small = tuple(replace(h, nees=0.25, nees_bounds=(0.5, 1.5)) for h in first.horizons)
     assert "0.5 times the predicted ones (NEES 0.25): it predicts more noise" in rejection(
         replace(first, horizons=small)
@@ -258,20 +258,20 @@ def test_a_clock_is_no_reason_to_say_that_nothing_is_missing(poor):
     assert NOTHING not in text
 
 
-def test_names_too_long_for_their_column_stand_above_their_row(ladder):
-    long = replace(ladder.judgements[-1], name="with mount_yaw, region_slip and one more")
-    lines = comparison_text(replace(ladder, judgements=(ladder.judgements[0], long))).splitlines()
+def test_names_too_long_for_their_column_stand_above_their_row(sequence):
+    long = replace(sequence.judgements[-1], name="with mount_yaw, region_slip and one more")
+    lines = comparison_text(replace(sequence, judgements=(sequence.judgements[0], long))).splitlines()
     assert lines.count(f"  {long.name}") == 2
     assert len({line.index("ATE") for line in lines if "RPE over" in line}) == 1
     assert len({line.index(" mm  #") for line in lines if " mm  #" in line}) == 1
 
 
-def test_json_has_no_number_that_is_none(rich, poor, ladder):
-    told = learned_json(rich, ladder.judgements, ADVICE)
+def test_json_has_no_number_that_is_none(rich, poor, sequence):
+    told = learned_json(rich, sequence.judgements, ADVICE)
     assert json.loads(json.dumps(told, allow_nan=False))["verdict"] == "unknown"
     assert len(told["unknown"]) == len(UNKNOWNS)
     assert [one["effect"] for one in told["not_testable"]] == [one.effect for one in UNTESTABLE]
-    assert learned_json(poor, ladder.judgements[:1], NONE)["verdict"] == "complete"
+    assert learned_json(poor, sequence.judgements[:1], NONE)["verdict"] == "complete"
 
 
 @pytest.mark.parametrize(
@@ -291,12 +291,12 @@ def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
     assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
 
 
-def test_the_fall_of_the_error_is_told_for_ladders_alone(ladder):
-    text = shares_text(ladder.judgements)
+def test_the_fall_of_the_error_is_told_for_ladders_alone(sequence):
+    text = shares_text(sequence.judgements)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
     assert "10 s: " in text
     assert "-" in text.partition("10 m: ")[2]
-    assert shares_text(ladder.judgements[:1]) == ""
+    assert shares_text(sequence.judgements[:1]) == ""
 
 
 def test_values_have_units_that_a_person_thinks_in():
@@ -386,11 +386,13 @@ def test_what_cannot_be_meant_is_refused_before_any_work(words, said, case, caps
     assert err.count("\n") == 1
 
 
-def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, fitted, tmp_path, capsys, monkeypatch):
+def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
+    found, case, sequence, fitted, tmp_path, capsys, monkeypatch
+):
     asked = []
     monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
-    monkeypatch.setattr("odomcorrupt.study.pipeline.compare", lambda _runs, models: asked.append(models) or ladder)
-    monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: ladder)
+    monkeypatch.setattr("odomcorrupt.study.pipeline.compare", lambda _runs, models: asked.append(models) or sequence)
+    monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: sequence)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)
     words = ["learn", "-v", str(case.bag), "--track", str(case.recording.track_m)]
@@ -404,7 +406,7 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(found, case, ladder, 
     assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json", "--force"]) == 0
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert told["comparison"]["models"][0]["name"] == ladder.judgements[0].name
+    assert told["comparison"]["models"][0]["name"] == sequence.judgements[0].name
 
 
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):

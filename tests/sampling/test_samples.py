@@ -155,3 +155,27 @@ def test_velocity_law_drives_the_exact_arc_of_the_book():
     small = Variances(*(1e-6 * np.concatenate([[9.0], [4.0], [0.0], [1.0]])[:, None]))
     drawn = sample_moments(move_sampled(move, small, 400_000, np.random.default_rng(1))).covariance
     np.testing.assert_allclose(linearised_moments(move, small).covariance, drawn, atol=1e-7)
+
+
+@pytest.mark.parametrize("alphas", [(0.05, 0.01, 0.02, 0.05, 0.0, 0.0), (0.02, 0.01, 0.1, 0.05, 0.01, 0.0)])
+def test_variances_on_an_arc_of_60_degrees_are_those_of_the_book_and_not_of_its_chord(alphas):
+    """Moments of table 5.3's sampling by Gauss-Hermite quadrature over the errors of v and omega, one metre of arc."""
+    turn, way = np.radians(60.0), 1.0
+    end = np.array([way * np.sin(turn) / turn, way * (1.0 - np.cos(turn)) / turn, turn])
+    move = move_between(np.zeros(3), end, arc=True)
+    variances = move_variances(Noise("velocity", law_named("velocity").coefficients(alphas)), move)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(24)
+    weights = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    v_hat = (way + math.sqrt(alphas[0] * way**2 + alphas[1] * turn**2) * nodes)[:, None]
+    omega_hat = (turn + math.sqrt(alphas[2] * way**2 + alphas[3] * turn**2) * nodes)[None, :]
+    book = np.stack((v_hat / omega_hat * np.sin(omega_hat), v_hat / omega_hat * (1.0 - np.cos(omega_hat))), axis=-1)
+    chord_m = way * 2.0 * math.sin(turn / 2.0) / turn
+    half = (omega_hat / 2.0)[..., None]
+    chord = (v_hat * chord_m / way)[..., None] * np.concatenate((np.cos(half), np.sin(half)), axis=-1)
+    expected, straight = (
+        np.average((xy.reshape(-1, 2) - np.average(xy.reshape(-1, 2), axis=0, weights=weights)) ** 2, axis=0,
+                   weights=weights) for xy in (book, chord)
+    )  # fmt: skip
+    drawn = move_sampled(move, variances, 400_000, np.random.default_rng(5))[:, :2].var(axis=0)
+    np.testing.assert_allclose(drawn, expected, rtol=0.01)
+    assert (np.abs(drawn / straight - 1.0) > 0.03).any()

@@ -159,6 +159,18 @@ def test_wrong_words_are_refused_in_one_line(batch, estimates, tmp_path, capsys,
     assert error.count("\n") == 1
 
 
+def test_a_score_is_eight_lines_and_begins_with_what_failed(batch, estimates, capsys):
+    words = ["score", str(batch / "trajectories"), "--outputs", str(estimates), "--align", "none"]
+    for label, code, gate in (("HELD", 0, []), ("FAILED", 1, ["--fail-if", "ate_median > 0"])):
+        assert run([*words, *gate]) == code
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0].startswith(label)
+        assert len(lines) <= 8
+        assert max(map(len, lines)) <= 80
+        assert any(line.startswith("next") for line in lines)
+        assert any(line.startswith("gate") for line in lines) == bool(gate)
+
+
 def test_the_json_page_names_every_key(batch, estimates, capsys):
     spoil(estimates / "run_000005.tum", shift_m=3.0)
     assert run(["score", str(batch / "trajectories"), "--outputs", str(estimates), "--json"]) == 0

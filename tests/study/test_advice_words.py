@@ -9,12 +9,15 @@ import pytest
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.study.design.ambiguities import open_choices
 from odomcorrupt.study.design.identifiability import untried
+from odomcorrupt.study.terms.drive_type import DriveType
 
 
 def learned(*effects, track_m=None):
     problem = SimpleNamespace(recordings=(SimpleNamespace(track_m=track_m),))
     return SimpleNamespace(
-        fit=SimpleNamespace(effects=effects, problem=problem), rounds=(SimpleNamespace(candidates=()),)
+        fit=SimpleNamespace(effects=effects, problem=problem),
+        rounds=(SimpleNamespace(candidates=()),),
+        drive_type=DriveType("differential"),
     )
 
 
@@ -41,9 +44,26 @@ def test_twins_that_are_both_the_robots_need_no_such_words(monkeypatch):
     assert "mends it" not in twin_hint("wheelbase", {"e": 0.01}, monkeypatch)
 
 
+class Loose(registry()["wheel_scale"]):
+    """An effect of single wheels that brings no track of its own."""
+
+    name = "loose"
+    needs_track = True
+    __slots__ = ()
+
+
 @pytest.mark.parametrize(("track_m", "said"), [(None, True), (0.4, False)])
-def test_a_track_is_asked_for_only_of_robots_that_have_one(track_m, said):
+def test_a_track_is_asked_for_where_an_effect_cannot_be_tried_without(track_m, said, monkeypatch):
+    both = {"loose": Loose, "backlash": registry()["backlash"]}
+    monkeypatch.setattr("odomcorrupt.study.design.identifiability.registry", lambda: both)
     why = {one.effect: one.why for one in untried(learned(track_m=track_m))}
-    wheeled = [name for name, kind in registry().items() if kind.needs_track and kind.kind != "noise"]
-    assert wheeled
-    assert all(("give --track where the robot has two" in why[name]) is said for name in wheeled)
+    assert ("give --track where the robot has two" in why["loose"]) is said
+    assert "--track" not in why["backlash"]
+
+
+def test_of_a_car_no_effect_of_two_wheels_is_open():
+    steered = learned()
+    steered.drive_type = DriveType("car", gyro=False)
+    names = {one.effect for one in untried(steered)}
+    assert "steering_offset" in names
+    assert names.isdisjoint({"unequal_wheels", "wheelbase", "gyro_bias", "backlash", "flat_spot"})

@@ -17,7 +17,7 @@ from odomcorrupt.study.estimate.windows import WindowErrors
 from odomcorrupt.study.validate.calibration import horizon_of
 from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
 from odomcorrupt.study.validate.goodness_of_fit import (
-    Look,
+    Check,
     Verdict,
     ljung_box,
     pit_of,
@@ -158,7 +158,7 @@ def test_ljung_box_is_the_textbook_sum_and_knows_no_pairs_across_breaks():
 
 
 def test_a_verdict_is_one_level_for_all_looks_together():
-    looks = tuple(Look(f"look {i}", p) for i, p in enumerate((0.006, 0.2, 0.3, 0.9, 0.01)))
+    looks = tuple(Check(f"look {i}", p) for i, p in enumerate((0.006, 0.2, 0.3, 0.9, 0.01)))
     verdict = Verdict(0.05, looks)
     assert verdict.threshold == pytest.approx(0.01)
     assert [look.question for look in verdict.against] == ["look 0"]

@@ -15,7 +15,7 @@ from odomcorrupt.study.select.decisions import DECISIONS, PriorOdds
 from odomcorrupt.study.select.stepwise import learn
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
-EVIDENCE = Evidence(own=9.0, rivals=(4.0, 6.5), left=3.0, wandering=7.0, margin=2.5)
+EVIDENCE = Evidence(own=9.0, rivals=(4.0, 6.5), left=3.0, correlated=7.0, margin=2.5)
 
 
 def test_the_page_prints_the_formula_of_the_decisions():
@@ -24,7 +24,7 @@ def test_the_page_prints_the_formula_of_the_decisions():
 
 @pytest.mark.parametrize("prior", [DECISIONS.prior, PriorOdds(temper=0.7, unexplained=0.5, dependence_nats=-1.0)])
 def test_the_printed_formula_is_what_is_computed(prior):
-    numbers = {"g": EVIDENCE.own, "m": EVIDENCE.margin, "u": EVIDENCE.left, "w": EVIDENCE.wandering}
+    numbers = {"g": EVIDENCE.own, "m": EVIDENCE.margin, "u": EVIDENCE.left, "w": EVIDENCE.correlated}
     named = {**numbers, "rivals": EVIDENCE.rivals, "exp": exp, "sum": sum, "__builtins__": {}}
     printed = eval(odds_formula(prior), named)  # noqa: S307 - our own formula
     assert odds_against(EVIDENCE, prior) == pytest.approx(printed)

@@ -15,7 +15,7 @@ from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.testing import contract_drive
 
-OF_WHEELS = ["accel_slip", "backlash", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]
+OF_WHEELS = ["accel_slip", "backlash", "battery_sag", "region_slip", "scale_drift", "speed_scale", "wheel_scale"]
 
 
 def test_effects_of_the_wheels_know_where_a_heading_comes_from():
@@ -27,7 +27,14 @@ def test_effects_of_the_wheels_know_where_a_heading_comes_from():
 @pytest.mark.parametrize("name", OF_WHEELS)
 def test_with_a_gyro_the_error_along_is_the_same_and_none_is_in_the_heading(name):
     kind, motion = registry()[name], contract_drive().motion
-    size = {"accel_slip": "k", "backlash": "travel", "region_slip": "slip", "scale_drift": "rate", "wheel_scale": "e"}
+    size = {
+        "accel_slip": "k",
+        "backlash": "travel",
+        "battery_sag": "rate",
+        "region_slip": "slip",
+        "scale_drift": "rate",
+        "wheel_scale": "e",
+    }
     sized = kind(**{size.get(name, "k"): 1e-4})
     each = replace(sized, contact="wheels") if "contact" in choices(kind) else sized
     wheels, gyro = (error_of(replace(each, heading=h), motion) for h in ("wheels", "gyro"))

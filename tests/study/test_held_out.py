@@ -82,6 +82,14 @@ def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
     assert evidence_of(step, told).own == pytest.approx(7.0)
 
 
+def test_what_held_out_data_take_from_an_effect_they_take_from_its_rivals():
+    learned = believed(with_truth(drive(4), 5), "wheelbase")
+    candidates = tuple(SimpleNamespace(gain=gain, refused="", name=str(gain)) for gain in (83.0, 61.0))
+    (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
+    assert confidence(evidence_of(step, replace(learned, held_out={"wheelbase": (30.0, 4.0)}))) > 0.9
+    assert confidence(evidence_of(step, replace(learned, held_out={"wheelbase": (-9.0, 4.0)}))) == 0.0
+
+
 def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
     run = with_truth(drive(8, wide=0.25), 9)
     late = replace(run, odometry=Trajectory(run.odometry.stamps_ns + 300_000_000, run.odometry.xyt))
@@ -97,6 +105,16 @@ def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
     open_ = replace(learned, clocks=replace(learned.clocks, ambiguous_nats=38.0))
     assert clear > 0.9
     assert confidence(evidence_of(step, open_)) < 0.9
+
+
+def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
+    learned = believed(with_truth(drive(4), 5), "wheel_scale")
+    candidates = (SimpleNamespace(gain=40.0, refused="", name="wheel_scale"),)
+    (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
+    (run,) = learned.fit.problem.recordings
+    pulled = replace(learned.fit.problem, recordings=(replace(run, pulled_per_s=0.2),))
+    assert confidence(evidence_of(step, learned)) > 0.9
+    assert confidence(evidence_of(step, replace(learned, fit=replace(learned.fit, problem=pulled)))) < 0.6
 
 
 def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():

@@ -51,3 +51,22 @@ def test_a_truth_that_jumps_and_comes_back_is_no_event():
     truth = run.truth.xyt.copy()
     truth[5000:5400, :2] += 0.3
     assert events_of(replace(run, truth=Trajectory(run.truth.stamps_ns, truth))) == []
+
+
+def hidden_from_the_truth(run, begin_s=99.0, end_s=104.0):
+    """Return a recording whose truth saw nothing of a stretch."""
+    t_s = run.truth.seconds_since(run.origin_ns)
+    seen = (t_s < begin_s) | (t_s > end_s)
+    return replace(run, truth=Trajectory(run.truth.stamps_ns[seen], run.truth.xyt[seen]))
+
+
+def test_a_push_while_the_truth_saw_nothing_is_told_by_the_gap():
+    (event,) = events_of(hidden_from_the_truth(pushed(3, yaw_deg=16.0)))
+    assert 98.0 < event.start_s < 99.1
+    assert 103.9 < event.end_s < 105.0
+    assert np.degrees(event.yaw_rad) == pytest.approx(-16.0, abs=3.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gap_of_the_truth_by_itself_is_no_event(seed):
+    assert events_of(hidden_from_the_truth(pushed(seed))) == []

@@ -29,7 +29,7 @@ def test_euler_is_within_two_centimetres_of_the_truth(tmp_path, capsys):
 @needs_gazebo
 def test_hundred_noisy_runs_surround_the_truth(tmp_path, capsys):
     arguments = ["--twist-noise", "0.2", "0.04", "--runs", "100", "--seed", "1", "--plot", str(tmp_path / "runs.png")]
-    assert run(["integrate", str(GAZEBO), "--integrate", "euler", *arguments]) == 0
+    assert run(["integrate", "-v", str(GAZEBO), "--integrate", "euler", *arguments]) == 0
     said = capsys.readouterr().out
     # white noise of 0.04 rad/s over 12956 intervals of 10 or 20 ms
     heading = float(re.search(r"([\d.]+) rad away", said)[1])

@@ -7,9 +7,10 @@ import sqlite3
 import struct
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
+from odomcorrupt.bags import magic
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.errors import BagError
 
@@ -17,7 +18,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-__all__ = ["Topic", "columns", "count_messages", "harden", "has_log", "read_only", "read_topics", "reported"]
+__all__ = [
+    "Topic",
+    "columns",
+    "count_messages",
+    "harden",
+    "has_log",
+    "has_packed_messages",
+    "read_only",
+    "read_topics",
+    "reported",
+]
 
 _LEAST_BYTES = 1 << 20
 _MOST_BYTES = (1 << 31) - 1
@@ -36,7 +47,6 @@ _SWITCHES = {
     "SQLITE_DBCONFIG_DEFENSIVE": True,
 }
 """What SQLite advises for files of strangers (https://sqlite.org/security.html); Python sets them from 3.12 on."""
-ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +180,7 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     Raises
     ------
     BagError
-        If the tables are not those of rosbag2, or messages are compressed one by one.
+        If the tables are not those of rosbag2.
 
     """
     tables = {str(name) for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
@@ -179,9 +189,6 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     if not (known and _COLUMNS.keys() <= tables):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
     require_plain(connection, path)
-    first = connection.execute("SELECT data FROM messages LIMIT 1").fetchone()
-    if first and isinstance(first[0], bytes) and first[0].startswith(ZSTD_MAGIC):
-        raise BagError(f"{path}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that")
     definitions: dict[str, tuple[str, str]] = {}
     if columns(connection, "message_definitions"):
         query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
@@ -195,6 +202,12 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
         if not isinstance(topic.id, int) or not all(isinstance(text, str) for text in (*texts, *defined)):
             raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is no topic; the bag is damaged")
     return topics
+
+
+def has_packed_messages(connection: sqlite3.Connection) -> bool:
+    """Return whether messages are compressed one by one, as the first one shows: no CDR message begins as zstd does."""
+    first = connection.execute("SELECT substr(data, 1, 4) FROM messages LIMIT 1").fetchone()
+    return first is not None and first[0] == magic.ZSTD
 
 
 def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topic:

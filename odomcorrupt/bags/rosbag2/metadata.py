@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from odomcorrupt.bags.block import PartContents
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info"]
+__all__ = ["Addition", "TopicInfo", "add_provenance", "added", "edited", "generated", "read_info", "set_compression"]
 
 _ROOT = "rosbag2_bagfile_information"
 
@@ -105,15 +105,30 @@ def added(info: dict[str, Any], additions: list[Addition], topics: Mapping[str, 
                 _extend(span, addition.start_ns, addition.end_ns)
 
 
-def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], distro: str) -> str:
-    """Return a new metadata.yaml for a bag that had none."""
+def set_compression(info: dict[str, Any], mode: str, names: list[str]) -> None:
+    """State what of a bag is compressed, and the names of its files."""
+    info["compression_mode"] = "" if mode == "none" else mode.upper()
+    info["compression_format"] = "" if mode == "none" else "zstd"
+    info["relative_file_paths"] = names
+    for file, name in zip(info.get("files") or [], names, strict=False):
+        file["path"] = name
+
+
+def generated(
+    storage: str, parts: list[PartContents], topics: list[TopicInfo], distro: str, *, root: bool = True
+) -> str:
+    """Return a new metadata.yaml for a bag that had none.
+
+    root : whether the information is under its key, as in the file; the metadata table of sqlite3 has it bare
+    """
     counts: dict[str, int] = {}
     for part in parts:
         for topic, count in part.counts.items():
             counts[topic] = counts.get(topic, 0) + count
     filled = [part for part in parts if part.counts]
     start_ns = min((part.start_ns for part in filled), default=0)
-    entries = [_topic_entry(topic, hashed=True) for topic in topics]
+    once = {(topic.name, topic.definition.name): topic for topic in reversed(topics)}
+    entries = [_topic_entry(topic, hashed=True) for topic in reversed(once.values())]
     for entry in entries:
         entry["message_count"] = counts.get(entry["topic_metadata"]["name"], 0)
     named = any(isinstance(entry["topic_metadata"]["offered_qos_profiles"], list) for entry in entries)
@@ -143,7 +158,7 @@ def generated(storage: str, parts: list[PartContents], topics: list[TopicInfo], 
     yaml.default_flow_style = False
     yaml.sort_base_mapping_type_on_output = False
     out = StringIO()
-    yaml.dump({_ROOT: info}, out)
+    yaml.dump({_ROOT: info} if root else info, out)
     return out.getvalue()
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from pathlib import Path
+from typing import TYPE_CHECKING, Self, cast, get_args
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from odomcorrupt.bags.block import Block, Channel, Kind, PartFraming
 from odomcorrupt.bags.coalesce import joined
 from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.rosbag2.bounded_yaml import read_text
+from odomcorrupt.bags.rosbag2.compression import SUFFIXES, Mode, UnpackedFiles, UnpackedMessages
 from odomcorrupt.bags.rosbag2.metadata import read_info
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.source import Source
@@ -21,12 +23,13 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator, Mapping
-    from pathlib import Path
     from types import TracebackType
 
     from odomcorrupt.bags.definition import Definition
 
-__all__ = ["BagFiles", "Rosbag2Reader", "find_files", "open_part"]
+__all__ = ["BagFiles", "Part", "Rosbag2Reader", "find_files", "open_part"]
+
+Part = SqliteReader | McapReader | UnpackedMessages
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +38,12 @@ class BagFiles:
 
     files : in the order of recording
     metadata : text of metadata.yaml, or None without one
+    mode : what of the bag is compressed
     """
 
     files: list[Path]
     metadata: str | None
+    mode: Mode = "none"
 
 
 def find_files(directory: Path) -> BagFiles:
@@ -47,12 +52,12 @@ def find_files(directory: Path) -> BagFiles:
     Raises
     ------
     BagError
-        If there are none, they are compressed as files or message by message, one is listed twice, or they do not
-        belong to one recording.
+        If there are none, they are compressed in an unknown way, one is listed twice, or they do not belong to one
+        recording.
 
     """
     metadata = directory / "metadata.yaml"
-    found = _listed(directory, metadata) if metadata.exists() else BagFiles(_named(directory), None)
+    found = _listed(directory, metadata) if metadata.exists() else _named(directory)
     seen: dict[tuple[int, int], str] = {}
     for file in found.files:
         if not file.is_file():
@@ -71,24 +76,32 @@ def _listed(directory: Path, metadata: Path) -> BagFiles:
     """Return the files that a metadata.yaml lists."""
     info = read_info(metadata)
     mode = str(info.get("compression_mode") or "none").lower()
-    if mode != "none":
+    mode = "none" if mode == "storage" else mode
+    packed = str(info.get("compression_format") or "zstd").lower()
+    if mode not in get_args(Mode) or (mode != "none" and packed != "zstd"):
         raise BagError(
-            f"{directory}: is compressed {mode} by {mode} ({info.get('compression_format')}); `ros2 bag convert` "
-            "can undo that"
+            f"{directory}: is compressed {mode} by {mode} ({packed}), zstd is known; `ros2 bag convert` can undo that"
         )
     # Old versions put the directory's own name before the files'.
     files = [directory / str(name).replace("\\", "/").rsplit("/", 1)[-1] for name in info["relative_file_paths"]]
     missing = [file.name for file in files if not file.exists()]
     if missing or not files:
         raise BagError(f"{metadata}: lists {', '.join(missing) or 'no file'}, which is not there; restore it")
-    return BagFiles(files, read_text(metadata))
+    return BagFiles(files, read_text(metadata), cast("Mode", mode))
 
 
-def _named(directory: Path) -> list[Path]:
+def _named(directory: Path) -> BagFiles:
     """Return the files of a directory without metadata.yaml, whose names must be those of one recording."""
     visible = [path for path in directory.iterdir() if not path.name.startswith(".")]
     names = sorted(visible, key=lambda path: [int(x) if x.isdecimal() else x for x in _PARTS.split(path.name)])
     files = [path for path in names if path.suffix in (".db3", ".mcap")]
+    packed = [path for path in names if path.suffix in SUFFIXES and Path(path.stem).suffix in (".db3", ".mcap")]
+    if files and packed:
+        raise BagError(
+            f"{directory}: has no metadata.yaml, and holds {files[0].name} beside {packed[0].name}; name one of them"
+        )
+    if packed:
+        files = packed
     if files:
         if not _is_one_recording(files):
             held = ", ".join(path.name for path in files[:_SHOWN]) + (", ..." if len(files) > _SHOWN else "")
@@ -96,10 +109,7 @@ def _named(directory: Path) -> list[Path]:
                 f"{directory}: has no metadata.yaml, and holds {len(files)} bags that are not evidently parts of one "
                 f"recording ({held}); name one of them"
             )
-        return files
-    packed = [path.name for path in names if path.suffix in (".zstd", ".zst")]
-    if packed:
-        raise BagError(f"{directory}: {packed[0]} is compressed as a whole; decompress it first (`zstd -d`)")
+        return BagFiles(files, None, "file" if packed else "none")
     ros1 = [path.name for path in names if path.suffix == ".bag"]
     more = f"; it holds {ros1[0]}, name that" if ros1 else ""
     raise BagError(f"{directory}: is a directory without a bag in it (metadata.yaml, .db3 or .mcap files){more}")
@@ -109,7 +119,7 @@ def _is_one_recording(files: list[Path]) -> bool:
     """Return whether names differ only in their last, consecutive number, as in a bag split by rosbag2."""
     if len(files) == 1:
         return True
-    parts = [_COUNTED.fullmatch(path.name) for path in files]
+    parts = [_COUNTED.fullmatch(path.stem if path.suffix in SUFFIXES else path.name) for path in files]
     names = {(part["stem"], part["suffix"]) for part in parts if part}
     numbers = [int(part["number"]) for part in parts if part]
     return all(parts) and len(names) == 1 and numbers == list(range(numbers[0], numbers[0] + len(files)))
@@ -124,6 +134,7 @@ class Rosbag2Reader:
     """A directory, or a single sqlite3 file.
 
     metadata : text of metadata.yaml, or None without one
+    mode : what of the bag is compressed; `parts` read it decompressed
     parts : readers of the files
     numbers : for each file, the bag's channel id by the file's channel id
     """
@@ -132,23 +143,33 @@ class Rosbag2Reader:
 
     def __init__(self, path: Path, *, recover: bool = False, threads: int = 1) -> None:
         self.name = str(path)
-        found = find_files(path) if path.is_dir() else BagFiles([path], None)
+        found = find_files(path) if path.is_dir() else BagFiles([path], None, _mode_of(path))
         self.directory = path if path.is_dir() else None
         self.metadata = found.metadata
+        self.mode = found.mode
         self.paths = [path, *found.files]
-        self.parts: list[SqliteReader | McapReader] = []
+        self.parts: list[Part] = []
+        self._unpacked: UnpackedFiles | None = None
         with ExitStack() as opened:
-            for file in found.files:
-                self.parts.append(open_part(file, recover=recover, threads=threads))
-                opened.push(self.parts[-1])
+            files = found.files
+            if self.mode == "file":
+                self._unpacked = UnpackedFiles(files, recover=recover)
+                opened.callback(self._unpacked.close)
+                files = self._unpacked.files
+            for file in files:
+                part: Part = open_part(file, recover=recover, threads=threads)
+                opened.push(part)
+                if self.mode == "none" and isinstance(part, SqliteReader) and part.packed:
+                    self.mode = "message"
+                self.parts.append(UnpackedMessages(part, recover=recover) if self.mode == "message" else part)
             self.kind: Kind = self.parts[0].kind
             if any(part.kind != self.kind for part in self.parts):
                 raise BagError(f"{path}: mixes sqlite3 and MCAP files; name one of them")
-            opened.pop_all()
+            self._opened = opened.pop_all()
         self._reading = 0
         self.channels: Mapping[int, Channel] = self.parts[0].channels
         self.numbers: list[dict[int, int]] = []
-        self._origins: dict[int, tuple[SqliteReader | McapReader, Channel]] = {}
+        self._origins: dict[int, tuple[Part, Channel]] = {}
         self._number()
 
     def definition(self, channel: Channel) -> Definition:
@@ -159,7 +180,8 @@ class Rosbag2Reader:
     @property
     def losses(self) -> list[str]:
         """Parts of the files that could not be read, one sentence each."""
-        return [loss for part in self.parts for loss in part.losses]
+        packed = [] if self._unpacked is None else self._unpacked.losses
+        return [*packed, *(loss for part in self.parts for loss in part.losses)]
 
     @property
     def count(self) -> int:
@@ -170,7 +192,7 @@ class Rosbag2Reader:
     def part_read(self) -> float | None:
         """Part of the files read in this pass, 0 to 1, with equal weights; None where unknown."""
         now = self.parts[self._reading]
-        part = now.part_read if isinstance(now, McapReader) else None
+        part = None if isinstance(now, SqliteReader) else now.part_read
         return None if part is None else (self._reading + part) / len(self.parts)
 
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
@@ -212,8 +234,13 @@ class Rosbag2Reader:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for part in self.parts:
-            part.__exit__(kind, error, trace)
+        self._opened.close()
+
+
+def _mode_of(path: Path) -> Mode:
+    """Return how a single file is compressed, by its first bytes."""
+    with Source.of_file(path) as source:
+        return "file" if source.sniff(len(magic.ZSTD)) == magic.ZSTD else "none"
 
 
 def open_part(path: Path, *, recover: bool = False, threads: int = 1) -> SqliteReader | McapReader:

@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
-from odomcorrupt.bags.rosbag2.database import Topic, columns, read_only, read_topics, reported
+from odomcorrupt.bags.rosbag2.database import (
+    Topic,
+    columns,
+    has_packed_messages,
+    read_only,
+    read_topics,
+    reported,
+)
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -153,6 +160,7 @@ class SqliteReader:
 
     readable : the file, or the whole pages of a truncated one
     damaged : whether sqlite3's integrity check fails; with recovery only
+    packed : whether messages are compressed one by one
     losses : parts that could not be read, one sentence each, with recovery
     lost_rows : row ids of messages reported as lost
     count : number of messages of the last pass
@@ -174,6 +182,7 @@ class SqliteReader:
         try:
             with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
                 topics = read_topics(connection, path)
+                self.packed = has_packed_messages(connection)
                 self.damaged = recover and not _sound(connection)
         except BaseException:
             self.__exit__(None, None, None)

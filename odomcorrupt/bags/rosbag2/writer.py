@@ -7,7 +7,7 @@ import shutil
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from odomcorrupt.bags.block import Block, Channel, PartFraming
 from odomcorrupt.bags.definition import retyped
@@ -15,7 +15,18 @@ from odomcorrupt.bags.mcap.reader import McapReader
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.placement import beside, place, sweep
-from odomcorrupt.bags.rosbag2.metadata import Addition, TopicInfo, add_provenance, added, edited, generated
+from odomcorrupt.bags.rosbag2.compression import SUFFIXES, compress_file, compressed_block
+from odomcorrupt.bags.rosbag2.metadata import (
+    Addition,
+    TopicInfo,
+    add_provenance,
+    added,
+    edited,
+    generated,
+    set_compression,
+)
+from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
+from odomcorrupt.bags.rosbag2.sqlite_creator import NewSqliteWriter
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteReader
 from odomcorrupt.bags.rosbag2.sqlite_writer import SqliteWriter
 from odomcorrupt.errors import BagError
@@ -24,28 +35,40 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from types import TracebackType
 
+    from odomcorrupt.bags.block import BagReader, Kind
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.pipeline import Workers
-    from odomcorrupt.bags.rosbag2.reader import Rosbag2Reader
+    from odomcorrupt.bags.rosbag2.compression import Mode
 
 __all__ = ["Rosbag2Writer"]
 
 
+PartWriter = SqliteWriter | NewSqliteWriter | McapWriter
+
+
 class Rosbag2Writer:
-    """A directory being written under a temporary name, with the files of the reader's bag."""
+    """A directory being written under a temporary name, with the files of the reader's bag or a single new one.
+
+    kind : storage of the files; None is that of the input
+    codec : compression of the chunks of MCAP files; None keeps each chunk's own
+    mode : what else is compressed; None is what the input had
+    level : compression level; None is the default of the codec
+    """
 
     def __init__(
         self,
         path: Path,
-        reader: Rosbag2Reader,
+        reader: BagReader,
         codec: str | None = None,
         level: int | None = None,
         *,
+        kind: Kind | None = None,
+        mode: Mode | None = None,
         overwrite: bool = False,
         workers: Workers | None = None,
     ) -> None:
         self._workers = workers
-        self.keeps_rest = all(isinstance(part, SqliteReader) and not part.damaged for part in reader.parts)
+        self._kind: Kind = reader.kind if kind is None else kind
         self._path = Path(os.path.realpath(path))
         self._partial = beside(self._path)
         self._overwrite = overwrite
@@ -53,14 +76,24 @@ class Rosbag2Writer:
         self._codec = codec
         self._level = level
         self._stack = ExitStack()
-        self._writers: list[SqliteWriter | McapWriter] = []
-        self._additions = [Addition() for _ in reader.parts]
+        self._writers: list[PartWriter] = []
         self._fresh: dict[int, tuple[Channel, Definition]] = {}
-        self._own = [{number: own for own, number in reversed(numbers.items())} for numbers in reader.numbers]
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
+        self._old = reader if isinstance(reader, Rosbag2Reader) else None
+        self._mode: Mode = (self._old.mode if self._old else "none") if mode is None else mode
+        self._parts: list[BagReader] = [reader]
+        self._own: list[dict[int, int]] = [{}]
+        if self._old is not None:
+            self._parts = [*self._old.parts]
+            self._own = [{number: own for own, number in reversed(numbers.items())} for numbers in self._old.numbers]
+        self._additions = [Addition() for _ in self._parts]
+        self._native = self._mode != "message" and reader.kind == self._kind
+        self.keeps_rest = self._native and all(
+            isinstance(part, SqliteReader) and not part.damaged for part in self._parts
+        )
 
     @property
-    def files(self) -> list[SqliteWriter | McapWriter]:
+    def files(self) -> list[PartWriter]:
         """The writers of the files, once the bag is open."""
         return self._writers
 
@@ -84,7 +117,10 @@ class Rosbag2Writer:
         messages = [replace(one, channel=self._written_id(part, one.channel)) for one in block.added]
         for one in block.added:
             self._additions[part].note(self._described(one.channel).name, one.log_ns)
-        self._writers[part].write(Block(block.data, own.table, own.raw, messages, own.ends))
+        written = Block(block.data, own.table, own.raw, messages, own.ends)
+        if self._mode == "message" and (len(own.table) or messages):
+            written = compressed_block(written, self._level)
+        self._writers[part].write(written)
 
     def settle(self) -> None:
         """Wait until all blocks passed to `write` are written and may change."""
@@ -103,6 +139,8 @@ class Rosbag2Writer:
 
     def _written_id(self, part: int, channel: int) -> int:
         """Return a channel's id in a file; the channel is added at its first use."""
+        if self._old is None and channel not in self._fresh:
+            return channel
         if channel not in self._own[part]:
             info = self._described(channel)
             msgtype = (self._fresh[channel][0] if channel in self._fresh else self._reader.channels[channel]).msgtype
@@ -112,14 +150,19 @@ class Rosbag2Writer:
 
     def _metadata(self) -> str:
         """Return the text of metadata.yaml: the input's where nothing was added."""
-        text = self._reader.metadata
+        text = self._old.metadata if self._old is not None and self._kind == self._old.kind else None
+        stated: Mode = self._old.mode if self._old is not None and text is not None else "none"
         if text is None or self._reader.losses:
+            stated = "none"
             topics = [self._described(one) for one in [*self._reader.channels, *self._fresh]]
             parts = [writer.contents() for writer in self._writers]
-            text = generated(self._reader.kind, parts, topics, "")
+            text = generated(self._kind, parts, topics, "")
         elif any(addition.counts for addition in self._additions):
             topics_by_name = {info.name: info for info in map(self._described, [*self._reader.channels, *self._fresh])}
             text = edited(text, lambda info: added(info, self._additions, topics_by_name))
+        if self._mode != stated:
+            names = [f"{name}{SUFFIXES[0]}" if self._mode == "file" else name for name in self._names()]
+            text = edited(text, lambda info: set_compression(info, self._mode, names))
         for name, items in self._provenance:
             text = edited(text, lambda info, name=name, items=items: add_provenance(info, name, items))  # type: ignore[misc]
         return text
@@ -132,8 +175,8 @@ class Rosbag2Writer:
             raise BagError(f"{self._path}: cannot be written: {error.strerror}") from error
         try:
             with ExitStack() as stack:
-                for part in self._reader.parts:
-                    writer = self._writer(part)
+                for part, name in zip(self._parts, self._names(), strict=True):
+                    writer = self._writer(part, self._partial / name)
                     stack.enter_context(writer)
                     self._writers.append(writer)
                 self._stack = stack.pop_all()
@@ -142,12 +185,24 @@ class Rosbag2Writer:
             raise
         return self
 
-    def _writer(self, part: McapReader | SqliteReader) -> SqliteWriter | McapWriter:
-        target = self._partial / part.paths[0].name
-        if isinstance(part, McapReader):
-            return McapWriter(Output(target), part, self._codec, self._level, workers=self._workers)
-        alone = len(self._reader.parts) == 1 and self._workers is not None and self._workers.threads > 1
-        return SqliteWriter(target, part, copying_thread=alone)
+    def _names(self) -> list[str]:
+        """Return the names of the files, uncompressed: those of the input's, or a new one."""
+        suffix = ".mcap" if self._kind == "mcap" else ".db3"
+        if self._old is None:
+            return [f"{self._path.name}_0{suffix}"]
+        return [_uncompressed(path).with_suffix(suffix).name for path in self._old.paths[1:]]
+
+    def _writer(self, part: BagReader, target: Path) -> PartWriter:
+        if self._kind == "mcap":
+            # another file's bytes are taken over only by a writer that knows their reader
+            source: Any = Foreign(part) if isinstance(part, McapReader) and not self._native else part
+            codec = "none" if self._codec is None and self._mode != "none" and not self._native else self._codec
+            level = self._level if self._mode == "none" else None
+            return McapWriter(Output(target), source, codec, level, workers=self._workers)
+        if self._native and isinstance(part, SqliteReader):
+            beside = len(self._names()) == 1 and self._workers is not None and self._workers.threads > 1
+            return SqliteWriter(target, part, copying_thread=beside)
+        return NewSqliteWriter(target, part)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -158,7 +213,37 @@ class Rosbag2Writer:
                 return
             with self._stack:
                 (self._partial / "metadata.yaml").write_text(self._metadata(), encoding="utf8")
+            if self._mode == "file":
+                for name in self._names():
+                    compress_file(self._partial / name, self._level)
             place(self._partial, self._path, overwrite=self._overwrite)
         finally:
             if self._partial.exists():
                 shutil.rmtree(self._partial)
+
+
+def _uncompressed(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix.lower() in SUFFIXES else path
+
+
+class Foreign:
+    """A reader of an MCAP presented as one of another format, so that a writer frames its messages itself."""
+
+    complete = True
+
+    def __init__(self, reader: BagReader) -> None:
+        ros1 = all(channel.encoding == "ros1" for channel in reader.channels.values())
+        self.kind: Kind = "ros1" if ros1 else "sqlite3"
+        self.name, self.paths, self.channels = reader.name, reader.paths, reader.channels
+        self.definition, self.blocks = reader.definition, reader.blocks
+        self._reader = reader
+
+    @property
+    def count(self) -> int:
+        """Number of messages of the last pass."""
+        return self._reader.count
+
+    @property
+    def losses(self) -> list[str]:
+        """Parts that could not be read, one sentence each."""
+        return self._reader.losses

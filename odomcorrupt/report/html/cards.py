@@ -12,11 +12,11 @@ from odomcorrupt.report.text.confidence import (
     law_numbers,
     noise_confidence,
     step_confidence,
-    twins_of,
 )
 from odomcorrupt.report.text.diagnosis import dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.tables import clock_lines, noise_text, numbers_text, words_text
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,16 +30,16 @@ if TYPE_CHECKING:
 __all__ = ["cards"]
 
 
-def cards(learned: Learned, ladder: Comparison) -> list[str]:
+def cards(learned: Learned, sequence: Comparison) -> list[str]:
     """Return a card for everything that was found; nothing where nothing was.
 
-    ladder : the models before and after each addition, judged on held-out data
+    sequence : the models before and after each addition, judged on held-out data
     """
     errors = iter(learned.fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
     names = [recording.name for recording in learned.fit.problem.recordings]
     found = [_clock(line) for line in clock_lines(names, learned.clocks)]
-    found += [_effect(step, learned, *own[step.added], ladder) for step in learned.steps if step.added in own]
+    found += [_effect(step, learned, *own[step.added], sequence) for step in learned.steps if step.added in own]
     found += [_noise(gain, learned) for gain in learned.noise]
     found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
     return [f'<div class="cards">{"".join(found)}</div>'] if found else []
@@ -56,19 +56,19 @@ def _clock(line: str) -> str:
     )
 
 
-def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], ladder: Comparison) -> str:
+def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], sequence: Comparison) -> str:
     sure = step_confidence(step, learned)
     values = [f'<p class="value">{escape(number)}</p>' for number in numbers_text(effect, errors)]
     lines = [*values, f"<p>{escape(effect.summary)}</p>"]
-    if twins := twins_of(effect.name):
+    if twins := readings_of(effect, learned.drive_type):
         lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
     if rivals := [name for name in step.alternatives if name not in twins]:
         lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")
     lines += _meter(sure, step.candidates[0].gain)
-    names = [judgement.name for judgement in ladder.judgements]
+    names = [judgement.name for judgement in sequence.judgements]
     place = names.index(f"+ {step.added}") if f"+ {step.added}" in names else 0
     if place:
-        before, after = (ladder.judgements[i].ten_second_error_m for i in (place - 1, place))
+        before, after = (sequence.judgements[i].ten_second_error_m for i in (place - 1, place))
         if isfinite(before) and isfinite(after):
             lines.append(
                 f"<p>10 s error {size('along', before)} → <strong>{size('along', after)}</strong>, held out</p>"

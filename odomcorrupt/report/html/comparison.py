@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.comparison import PICTURES
-from odomcorrupt.report.text.comparison import falls_sentence, ladder_steps, share_of_worst
+from odomcorrupt.report.text.comparison import falls_sentence, sequence_steps, share_of_worst
 from odomcorrupt.report.text.lack_of_fit import MOST, SIGNS, judgement_sentence, size
 
 if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["ladder_table", "report_html"]
+__all__ = ["report_html", "sequence_table"]
 
 
 def report_html(comparison: Comparison, *, version: str) -> str:
@@ -28,7 +28,7 @@ def report_html(comparison: Comparison, *, version: str) -> str:
         "<h2>In words</h2>",
         *_words(comparison),
         "<h2>Side by side</h2>",
-        ladder_table(comparison),
+        sequence_table(comparison),
         explorer(comparison),
         *(picture(name, p.title, p.caption, p.draw(comparison)) for name, p in PICTURES.items()),
         "<h2>Numbers</h2>",
@@ -69,9 +69,9 @@ def _words(comparison: Comparison) -> list[str]:
     return parts
 
 
-def ladder_table(comparison: Comparison) -> str:
+def sequence_table(comparison: Comparison) -> str:
     """Return the errors, nats and verdict of every model on the way, with bars for the errors."""
-    steps = ladder_steps(comparison)
+    steps = sequence_steps(comparison)
     rows = []
     for name, error, judgement in steps:
         width = 6.0 * share_of_worst(steps, error)

@@ -6,16 +6,16 @@ from html import escape
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.report.html.cards import cards
-from odomcorrupt.report.html.comparison import ladder_table
+from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
-from odomcorrupt.report.text.confidence import twins_of
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
 from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection
+from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
@@ -31,34 +31,34 @@ __all__ = ["Story", "found_html"]
 class Story(NamedTuple):
     """A search from its beginning to its advice.
 
-    ladder : the models on the way judged on held-out halves, or what a search is judged by instead
+    sequence : the models on the way judged on held-out halves, or what a search is judged by instead
     next_command : what to type next, or ""
     """
 
     learned: Learned
-    ladder: Comparison
+    sequence: Comparison
     advice: Advice
     next_command: str
 
 
 def found_html(story: Story, *, version: str) -> str:
     """Return the page."""
-    learned, ladder, advice, _ = story
+    learned, sequence, advice, _ = story
     names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
     title = f"What is missing: {names}"
     body = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(story))}.</p>',
-        *cards(learned, ladder),
+        *cards(learned, sequence),
         "<h2>What to do next</h2>",
         _next(story),
-        f"<h2>{'The error falls' if _falls(ladder) else 'The error'}</h2>",
-        ladder_table(ladder),
-        *_left(ladder),
-        explorer(ladder),
-        picture("error", "Error against distance", _ERROR, draw_errors(ladder)),
+        f"<h2>{'The error falls' if _falls(sequence) else 'The error'}</h2>",
+        sequence_table(sequence),
+        *_left(sequence),
+        explorer(sequence),
+        picture("error", "Error against distance", _ERROR, draw_errors(sequence)),
         picture("candidates", "Candidates", _CANDIDATES, draw_candidates(learned)),
-        picture("residuals", "What the error depends on", _RESIDUALS, draw_residuals(ladder)),
+        picture("residuals", "What the error depends on", _RESIDUALS, draw_residuals(sequence)),
     ]
     if learned.unknown:
         body.append(picture("unknown", "What no known effect explains", _UNKNOWN, draw_unknown(learned.unknown)))
@@ -92,21 +92,22 @@ def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
         named = [step for step in learned.steps if step.added is not None]
-        names = [_named(str(step.added), step.alternatives) for step in named]
+        names = [_named(str(step.added), step.alternatives, learned) for step in named]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
-    # a ladder knows nothing of noise: what it rejects may be what was named
-    why = rejection(story.ladder.judgements[-1]) if not (learned.unknown or learned.noise) else ""
+    # a sequence knows nothing of noise: what it rejects may be what was named
+    why = rejection(story.sequence.judgements[-1]) if not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return text[0].upper() + text[1:]
 
 
-def _named(name: str, alternatives: Sequence[str]) -> str:
+def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
     """Return a name with its twins as readings of it, and its rivals after "or"."""
-    twins = twins_of(name)
+    own = next((effect for effect in learned.fit.effects if effect.name == name), name)
+    twins = readings_of(own, learned.drive_type)
     rivals = [other for other in alternatives if other not in twins]
     return " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
 
@@ -117,22 +118,22 @@ def _next(story: Story) -> str:
     listed = f"<ul>{_items(items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
-    if story.ladder.judgements[-1].verdict.rejected and not story.learned.unknown:
+    if story.sequence.judgements[-1].verdict.rejected and not story.learned.unknown:
         nothing += f"<p>{_REJECTED}</p>"
     return f'<div class="next">{command}{listed}{nothing}</div>'
 
 
-def _left(ladder: Comparison) -> list[str]:
+def _left(sequence: Comparison) -> list[str]:
     """Return where the last model still does not fit."""
-    last = len(ladder.judgements) - 1
-    if not ladder.judgements[last].failures:
+    last = len(sequence.judgements) - 1
+    if not sequence.judgements[last].failures:
         return []
-    return ["<h2>Where the last model still does not fit</h2>", failure_items(ladder.judgements[last], last),
+    return ["<h2>Where the last model still does not fit</h2>", failure_items(sequence.judgements[last], last),
             f'<p class="quiet">{escape(SIGNS)}</p>']  # fmt: skip
 
 
-def _falls(ladder: Comparison) -> bool:
-    return agreement_of(ladder).verdict == "better"
+def _falls(sequence: Comparison) -> bool:
+    return agreement_of(sequence).verdict == "better"
 
 
 def _items(sentences: Iterable[str]) -> str:

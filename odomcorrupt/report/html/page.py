@@ -194,7 +194,8 @@ def table(heads: Sequence[str], rows: Sequence[Sequence[str]], caption: str = ""
 def embedded(figure: Figure) -> str:
     """Return a drawing as an address that carries all of it, as vectors where these are not too many."""
     kind, data = "svg+xml", rendered(figure, "svg")
-    if len(data) > _HEAVY:
+    # what is heavy because of pixels of its own would not be lighter
+    if len(data) > _HEAVY and b"data:image/png" not in data:
         pixels = rendered(figure, "png")
         kind, data = ("png", pixels) if len(pixels) < len(data) else (kind, data)
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

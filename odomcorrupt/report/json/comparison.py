@@ -54,7 +54,7 @@ def _judgement(j: Judgement) -> dict[str, Any]:
         "verdict": {
             "rejected": j.verdict.rejected,
             "level": j.verdict.level,
-            "looks": [{"question": test.question, "p": test.p} for test in j.verdict.looks],
+            "looks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },

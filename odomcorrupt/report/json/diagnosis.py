@@ -41,7 +41,7 @@ SCHEMA = 2
 
 def learned_json(
     learned: Learned,
-    ladder: Sequence[Judgement],
+    sequence: Sequence[Judgement],
     advice: Advice,
     *,
     judged: Judgement | None = None,
@@ -49,7 +49,7 @@ def learned_json(
 ) -> dict[str, Any]:
     """Return what a search found, in the order it was found: clocks first, then effects, then noise.
 
-    ladder : the models on the way judged on held-out halves, as `study.judge.ladder` gives them
+    sequence : the models on the way judged on held-out halves, as `study.validate.model_sequence` gives them
     judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
     fit : the fit of the final model, where it is not the search's own
     """
@@ -60,7 +60,7 @@ def learned_json(
         if step.added is not None:
             effect, spread = own[step.added]
             sure = step_confidence(step, learned)
-            held_out = _held_out(ladder[place], ladder[place + 1])
+            held_out = _held_out(sequence[place], sequence[place + 1])
             found.append(_entry(effect, spread, step.alternatives, sure) | {"held_out": held_out})
     found += [_noise(gain, learned) for gain in learned.noise]
     values: dict[str, Any] = finite(
@@ -68,6 +68,7 @@ def learned_json(
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
             "rejected": (judged and rejection(judged)) or None,
+            "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
             "unknown": [_unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws) for u in learned.unknown],
@@ -101,7 +102,8 @@ def learned_json(
                 }
                 for one in learned.disagreements
             ],
-            "ladder": [_step(judgement) for judgement in ladder],
+            "contradictions": [{"effect": one.name, "why": one.refused} for one in learned.contradictions],
+            "ladder": [_step(judgement) for judgement in sequence],
             **_advice(advice),
         }
     )

@@ -58,7 +58,7 @@ def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
                 }
                 for recording, clock, spread in pairs
             ],
-            "truth_noise": {"xy_m": truth.xy_m, "yaw_rad": truth.yaw_rad, "wander": truth.wander},
+            "truth_noise": {"xy_m": truth.xy_m, "yaw_rad": truth.yaw_rad, "wander": truth.random_walk},
             "log_likelihood_nats": fit.log_likelihood,
             "rmse_10s": result.ten_second_error_m,
             "laws": {name: {"nats_behind": best - one.information_nats} for name, one in laws.items()},

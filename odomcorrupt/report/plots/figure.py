@@ -7,6 +7,8 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ _STYLE: dict[Any, Any] = {
 
 
 _MOST_PANELS = 4
+_DPI = 150
 _T = TypeVar("_T")
 
 
@@ -68,7 +71,20 @@ def rendered(figure: Figure, kind: str) -> bytes:
     }
     out = BytesIO()
     with drawing():
-        figure.savefig(out, format=kind, dpi=150, metadata=nothing[kind])
+        engine = figure.get_layout_engine()
+        if engine is not None:
+            # savefig would lay it out twice, and draw it once more for that
+            engine.execute(figure)
+            figure.set_layout_engine("none")
+        figure.dpi = _DPI
+        if kind == "svg":
+            svg: Any = FigureCanvasSVG(figure)
+            svg.print_svg(out, metadata=nothing[kind])
+        elif kind == "png":
+            png: Any = FigureCanvasAgg(figure)
+            png.print_png(out, metadata=nothing[kind])
+        else:
+            figure.savefig(out, format=kind, dpi=_DPI, metadata=nothing[kind])
     return out.getvalue()
 
 

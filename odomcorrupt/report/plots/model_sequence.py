@@ -10,7 +10,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.stats import chi2
 
 from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered, short_name
-from odomcorrupt.report.text.comparison import ladder_steps
+from odomcorrupt.report.text.comparison import sequence_steps
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_ladder", "rms_interval"]
+__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_sequence", "rms_interval"]
 
 COLOURS = (RED, BLUE, GREEN, ORANGE, "#CC79A7", SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """A shape for each model besides its colour: a grey print tells them apart, too."""
 
 
-def draw_ladder(comparison: Comparison, path: Path) -> None:
+def draw_sequence(comparison: Comparison, path: Path) -> None:
     """Write the picture of errors against distance."""
     path.write_bytes(rendered(draw_errors(comparison), path.suffix.lstrip(".") or "png"))
 
@@ -109,7 +109,7 @@ def _counts(axes: Axes, judgement: Judgement) -> None:
 
 def _bars(axes: Axes, comparison: Comparison) -> None:
     # too short a recording has no window of 10 s
-    steps = [step for step in ladder_steps(comparison) if isfinite(step[1])]
+    steps = [step for step in sequence_steps(comparison) if isfinite(step[1])]
     if not steps:
         axes.set_axis_off()
         return

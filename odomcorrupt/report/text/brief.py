@@ -14,22 +14,24 @@ from odomcorrupt.report.text.confidence import (
     law_numbers,
     noise_confidence,
     step_confidence,
-    twins_of,
 )
-from odomcorrupt.report.text.diagnosis import dependence
+from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.lack_of_fit import size
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
+from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.summary import Tone
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.terms.drive_type import DriveType
     from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
@@ -38,10 +40,10 @@ _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
 
 
-def readings(name: str) -> str:
+def readings(effect: Effect, drive: DriveType) -> str:
     """Return an effect's name with its alias: two names for the same error, which no recording can separate."""
-    twins = twins_of(name)
-    return f"{name} (= {', '.join(twins)})" if twins else name
+    twins = readings_of(effect, drive)
+    return f"{effect.name} (= {', '.join(twins)})" if twins else effect.name
 
 
 def findings_brief(
@@ -67,7 +69,7 @@ def findings_brief(
     verdict, tone = _verdict(search, comparison)
     first = lines[0].text if lines else "no known effect explains more than chance"
     lines = [Line(verdict, first, tone), *lines[1:]]
-    lines += _open_lines(advice)
+    lines += _drive_lines(search) + _open_lines(advice)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
@@ -103,11 +105,13 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
     errors = iter(fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
     lines = []
+    drive = search.drive_type
     for step in search.steps:
         if step.added is not None and step.added in own:
+            effect, _ = own[step.added]
             values = ", ".join(numbers_text(*own[step.added]))
-            said = f"{readings(step.added)}  {values}  {confidence_words(step_confidence(step, search))}"
-            lines.append(Line("", said + _rivals(step)))
+            said = f"{readings(effect, drive)}  {values}  {confidence_words(step_confidence(step, search))}"
+            lines.append(Line("", said + _rivals(step, readings_of(effect, drive))))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         lines.append(Line("", f"{dependence(unknown)}: {expression}"))
@@ -127,18 +131,24 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
+    lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
     return lines
 
 
-def _rivals(step: Step) -> str:
-    twins = twins_of(step.added or "")
+def _rivals(step: Step, twins: Sequence[str]) -> str:
     rivals = [name for name in step.alternatives if name not in twins]
     return f", or {', '.join(rivals)}" if rivals else ""
 
 
+def _drive_lines(search: Learned) -> list[Line]:
+    """Return the drive type, where the names depend on a guess."""
+    drive = search.drive_type
+    return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
+
+
 def _open_lines(advice: Advice) -> list[Line]:
     # twins are one error with two readings, and nothing is open between them
-    rivals = [c for c in advice.choices if set(c.names[1:]) - set(twins_of(c.names[0]))]
+    rivals = [c for c in advice.choices if set(c.names[1:]) - set(readings_of(c.names[0]))]
     if not rivals:
         return []
     names = "; ".join(" or ".join(choice.names) for choice in rivals)

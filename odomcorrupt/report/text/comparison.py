@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Comparison, Judgement
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
-__all__ = ["comparison_text", "falls_sentence", "ladder_steps", "measures_words", "share_of_worst"]
+__all__ = ["comparison_text", "falls_sentence", "measures_words", "sequence_steps", "share_of_worst"]
 
 _BAR = 30
 _NAME = 24
@@ -23,7 +23,7 @@ _NAME = 24
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return horizons and verdict of every model, the ladder, and where each model fails."""
+    """Return horizons and verdict of every model, the sequence, and where each model fails."""
     lines: list[str] = []
     for judgement in comparison.judgements:
         how = (
@@ -32,7 +32,7 @@ def comparison_text(comparison: Comparison) -> str:
         lines += [f"{judgement.name} ({how})", *_horizon_lines(judgement.horizons)]
         lines += [f"  note: {note}" for note in judgement.notes]
         lines.append("")
-    lines += [*_ladder_lines(comparison), "", *_trajectory_lines(comparison)]
+    lines += [*_sequence_lines(comparison), "", *_trajectory_lines(comparison)]
     for judgement in comparison.judgements:
         lines += ["", *failure_lines(judgement)]
     if any(j.failures for j in comparison.judgements):
@@ -90,7 +90,7 @@ def _length(metres: float) -> str:
     return f"{metres * 1e3:.1f} mm" if metres < 1.0 else f"{metres:.2f} m"
 
 
-def ladder_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | None]]:
+def sequence_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | None]]:
     """Return names and 10 s errors (m), from the measured odometry to the last model."""
     steps: list[tuple[str, float, Judgement | None]] = [("measured odometry", comparison.raw_error_m, None)]
     if comparison.clock_error_m != comparison.raw_error_m:
@@ -99,13 +99,13 @@ def ladder_steps(comparison: Comparison) -> list[tuple[str, float, Judgement | N
 
 
 def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: float) -> float:
-    """Return an error over the largest of the ladder; 0 where it is not known."""
+    """Return an error over the largest of the sequence; 0 where it is not known."""
     worst = max((e for _, e, _ in steps if isfinite(e)), default=0.0)
     return error / worst if isfinite(error) and worst > 0.0 else 0.0
 
 
-def _ladder_lines(comparison: Comparison) -> list[str]:
-    steps = ladder_steps(comparison)
+def _sequence_lines(comparison: Comparison) -> list[str]:
+    steps = sequence_steps(comparison)
     lines = [f"{_held(comparison)} position error (RMS) after 10 s, and log likelihood:"]
     for name, error, judgement in steps:
         bar = "#" * round(_BAR * share_of_worst(steps, error))

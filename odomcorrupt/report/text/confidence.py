@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.random_process import WANDERING
-from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, held_out_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -27,7 +25,6 @@ __all__ = [
     "law_numbers",
     "noise_confidence",
     "step_confidence",
-    "twins_of",
 ]
 
 _CLOCKS = ("time_offset", "clock_skew")
@@ -55,14 +52,6 @@ class LawNumber(NamedTuple):
     unit: str
 
 
-def twins_of(name: str) -> list[str]:
-    """Return the effects with the very same error as a named one: aliases of it, not alternatives."""
-    kinds = registry()
-    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
-    own = kinds[name].twin_of if name in kinds else None
-    return [*twins, *([own] if own is not None else [])]
-
-
 def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
     """Yield what is really there: a skew makes an offset free, too, which need not be."""
     for position, name in enumerate(_CLOCKS):
@@ -72,7 +61,8 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
                 own = 0.5 * (value / error) ** 2
                 # what could not be tried, play in gears of which no track is known, may do as much
                 alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
-                sure = confidence(Evidence(own, alike))
+                rivals = tuple(min(nats, own) for nats in clocks.rival_nats) if name == "time_offset" else ()
+                sure = confidence(Evidence(own, (*alike, *rivals)))
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 
@@ -82,10 +72,9 @@ def step_confidence(step: Step, learned: Learned) -> float:
 
 
 def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
-    """Return the confidence in the name of a random effect; any dependence resembles a slow gain."""
-    like_anything = gain.effect.name in WANDERING
-    left = max((u.nats for u in learned.unknown), default=0.0) if like_anything else 0.0
-    return confidence(Evidence(gain.nats, left=left))
+    """Return the confidence in the name of a random effect; any dependence resembles a slow gain, or heavy tails."""
+    left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
+    return confidence(Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left))
 
 
 def confidence_words(sure: float) -> str:

@@ -10,7 +10,7 @@ from odomcorrupt.report.text.tables import value_text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from odomcorrupt.study.design.advise import Advice, Choice, Limit, Untestable
+    from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
     from odomcorrupt.study.design.plan import Plan
 
 __all__ = [
@@ -31,13 +31,13 @@ def advice_text(advice: Advice) -> str:
 
 def advice_sentences(advice: Advice) -> list[str]:
     """Return a sentence for every choice, and one for all effects that share reason and drive."""
-    groups: dict[tuple[str, str], list[Untestable]] = {}
+    groups: dict[tuple[str, str], list[UntestableEffect]] = {}
     for one in advice.untestable:
         groups.setdefault((one.why, drive_words(one.plan, one.hint)), []).append(one)
     return [*map(choice_sentence, advice.choices), *map(untestable_sentence, groups.values())]
 
 
-def choice_sentence(choice: Choice) -> str:
+def choice_sentence(choice: Ambiguity) -> str:
     """Return "A or B: these data do not separate them; drive X"."""
     names = " or ".join(choice.names)
     if choice.plan is None:
@@ -51,7 +51,7 @@ def choice_sentence(choice: Choice) -> str:
     )
 
 
-def untestable_sentence(group: Sequence[Untestable]) -> str:
+def untestable_sentence(group: Sequence[UntestableEffect]) -> str:
     """Return "A, B: not testable here: never reversed; drive X" of effects that share reason and drive."""
     names = ", ".join(one.effect for one in group)
     words = drive_words(group[0].plan, group[0].hint)
@@ -72,7 +72,7 @@ def drive_sentence(plan: Plan) -> str:
     return f"{plan.manoeuvre.sentence}, for {plan.duration_s / 60.0:.0f} minutes ({moving})"
 
 
-def limits_sentence(limits: Sequence[Limit]) -> str:
+def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
     """Return the smallest detectable sizes in common units; "" where there are none."""
     if not limits:
         return ""
@@ -83,12 +83,12 @@ def limits_sentence(limits: Sequence[Limit]) -> str:
     return f"smallest detectable sizes: {sizes}"
 
 
-def limit_name(limit: Limit, *, alone: bool) -> str:
+def limit_name(limit: DetectionLimit, *, alone: bool) -> str:
     """Return the effect's name, with the parameter's where the effect has several."""
     return limit.effect if alone else f"{limit.effect} {limit.parameter}"
 
 
-def limit_size(limit: Limit) -> str:
+def limit_size(limit: DetectionLimit) -> str:
     """Return a size in two figures and a common unit."""
     number, _, unit = value_text(limit.size, None, limit.unit).partition(" ")
     return f"{float(f'{float(number):.2g}'):g} {unit}".strip()

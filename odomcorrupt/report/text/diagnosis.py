@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from odomcorrupt.report.text.confidence import confidence_words, fitted_expression, law_numbers, noise_confidence
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.lack_of_fit import rejection, size
-from odomcorrupt.report.text.tables import clock_lines, ladder_text, noise_text, value_text
+from odomcorrupt.report.text.tables import clock_lines, noise_text, sequence_text, value_text
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.outliers import single_events
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
 
 if TYPE_CHECKING:
@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.outliers import Event
+    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
-    from odomcorrupt.study.select.heterogeneity import Disagreement
+    from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = ["NOTHING", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
+__all__ = ["NOTHING", "contradiction", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
@@ -41,7 +42,7 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
-        lines += ["missing, in the order of evidence, each on top of the ones before:", ladder_text(learned)]
+        lines += ["missing, in the order of evidence, each on top of the ones before:", sequence_text(learned)]
     for gain in learned.noise:
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
@@ -58,6 +59,7 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
             "hard at two speeds, with turns on the spot between"
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
+    lines += [contradiction(one) for one in learned.contradictions]
     why = rejection(judged) if judged is not None and not learned.unknown else ""
     if why:
         lines.append(unnamed(why, found=bool(lines)))
@@ -101,16 +103,24 @@ def _event_line(one: Event) -> str:
     )
 
 
-def _disagreement_line(one: Disagreement, learned: Learned) -> str:
+def _disagreement_line(one: ParameterDifference, learned: Learned) -> str:
     says = ", ".join(
         f"{value_text(value, error, one.unit)} in {name}"
         for name, value, error in zip(one.recordings, one.values, one.standard_errors, strict=True)
     )
-    slow = [gain.effect.name for gain in learned.noise if gain.effect.name in WANDERING]
+    slow = [gain.effect.name for gain in learned.noise if gain.effect.name in CORRELATED_NOISE]
     noise = f" ({slow[0]} may be caused by that)" if slow else ""
     return (
         f"the recordings disagree about {one.effect}: {says}. The robot changed between them{noise}: "
         "learn from recordings of one state"
+    )
+
+
+def contradiction(one: Candidate) -> str:
+    """Return that the data ask for what physics does not allow, and what to check."""
+    return (
+        f"the data contradict physics: {one.name} would explain {one.score.nats:.0f} nats, but {one.refused}. Look at "
+        "how odometry and truth are stamped and integrated, which point the truth follows, and the signs of the axes"
     )
 
 
@@ -141,14 +151,14 @@ def dependence(unknown: Dependence) -> str:
     return f"the {unknown.channel} error{per} depends on {regressor}"
 
 
-def shares_text(ladder: Sequence[Judgement]) -> str:
+def shares_text(sequence: Sequence[Judgement]) -> str:
     """Return what each step takes off the held-out error, 10 s, 10 m and 50 m after the truth; "" with one model."""
     lines = ["held-out position error (RMS):"]
-    for before, after in pairwise(ladder):
+    for before, after in pairwise(sequence):
         parts = [_fall("10 s", before.ten_second_error_m, after.ten_second_error_m)]
         parts += [_fall(f"{d:g} m", position_error(before, d), position_error(after, d)) for d in (10.0, 50.0)]
         lines.append(f"  {after.name:<18}{'   '.join(part for part in parts if part)}")
-    return "\n".join(lines) if len(ladder) > 1 else ""
+    return "\n".join(lines) if len(sequence) > 1 else ""
 
 
 def position_error(judgement: Judgement, distance_m: float) -> float:

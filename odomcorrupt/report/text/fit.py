@@ -32,7 +32,7 @@ def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
     errors = iter(result.fit.standard_errors)
     lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
     lines += clock_lines(names, result.clocks) if clocks else []
-    wander = f", wandering {truth.wander * 1e3:.2g} mm per sqrt(s)" if truth.wander else ""
+    wander = f", wandering {truth.random_walk * 1e3:.2g} mm per sqrt(s)" if truth.random_walk else ""
     heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
     lines.append(f"the truth's own noise: {truth.xy_m * 1e3:.2g} mm, {heading}{wander}")
     lines += _event_lines(events(result.fit))

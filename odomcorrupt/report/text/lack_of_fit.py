@@ -74,7 +74,7 @@ def sentence(failure: Failure) -> str:
 def judgement_sentence(judgement: Judgement) -> str:
     """Return the verdict on a model."""
     verdict = judgement.verdict
-    count = len(verdict.looks)
+    count = len(verdict.checks)
     level = f"{100.0 * verdict.level:g} % level, {count} tests together"
     if not verdict.rejected:
         return f"{judgement.name} is not rejected ({level}): errors of this size and kind are as predicted"

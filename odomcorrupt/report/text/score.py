@@ -6,13 +6,17 @@ from collections import Counter
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.scoring.errors import RPE_M, WINDOW_S
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.scoring.gate import Verdict
     from odomcorrupt.scoring.run import RunScore, ScoreReport, Status
     from odomcorrupt.scoring.statistics import Quantile
 
-__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_text", "sentences"]
+__all__ = ["METRIC_WORDS", "metric_text", "run_cells", "run_heads", "score_brief", "score_text", "sentences"]
 
 METRIC_WORDS = {
     "ate_m": "ATE, position", "ate_rad": "ATE, heading", "max_m": "largest position error",
@@ -62,6 +66,48 @@ def score_text(report: ScoreReport, *, every: bool = False) -> str:
             lines.append(f"and {len(shown) - _WORST} more; --each and --json have them all")
     lines += [f"Note: {note}." for note in report.notes]
     return "\n".join(lines)
+
+
+def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: Sequence[object]) -> Summary:
+    """Return how many runs failed, the gate's verdicts, the errors, the break-down point and the covariances.
+
+    Parameters
+    ----------
+    report : scores of the runs
+    verdicts : of the gate's rules
+    following : words of the command to type next
+    """
+    counts = Counter(run.status for run in report.runs)
+    failed = sum(report.failed(run) for run in report.runs)
+    parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
+    said = f"{failed} of {len(report.counted)} counted runs failed{f' ({parts})' if parts else ''}"
+    gate = [verdict for verdict in verdicts if verdict.failed]
+    lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
+    # a gate's verdict is what a script is asked for: failed rules come first
+    lines += [
+        Line("gate", verdict.sentence, "bad" if verdict.failed else "good")
+        for verdict in sorted(verdicts, key=lambda verdict: not verdict.failed)
+    ]
+    for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
+        s = report.summary(name)
+        if s.n:
+            values = (metric_text(name, value) for value in (s.median.value, s.p90.value, s.max))
+            lines.append(Line(label, "median {}, p90 {}, max {}".format(*values)))
+    lines.append(Line("breaks", _breakdown_brief(report)))
+    nees = report.summary("nees")
+    if nees.n:
+        lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
+    lines += [Line("note", note, "warning") for note in report.notes]
+    return Summary((*lines, command_line(following)))
+
+
+def _breakdown_brief(report: ScoreReport) -> str:
+    found = report.breakdown
+    drifts = [run.drift for run in report.counted if isfinite(run.drift)]
+    if not drifts:
+        return "unknown: the drift of these runs is not known"
+    span = f"drifts {_percent(min(drifts))} to {_percent(max(drifts))} per 10 m"
+    return f"5 % fail at a drift of {_percent(found.drift)}; {span}" if found.drift is not None else f"no point; {span}"
 
 
 def sentences(report: ScoreReport) -> list[str]:

@@ -6,7 +6,8 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.report.text.confidence import clocks_found, confidence_words, step_confidence, twins_of
+from odomcorrupt.report.text.confidence import clocks_found, confidence_words, step_confidence
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["candidates_table", "clock_lines", "ladder_text", "noise_text", "numbers_text", "value_text"]
+__all__ = ["candidates_table", "clock_lines", "noise_text", "numbers_text", "sequence_text", "value_text"]
 
 
 def value_text(value: float, error: float | None, unit: str) -> str:
@@ -95,13 +96,13 @@ def words_text(effect: Effect) -> str:
     return f" ({', '.join(said)})" if said else ""
 
 
-def ladder_text(learned: Learned) -> str:
+def sequence_text(learned: Learned) -> str:
     """Return how the 10 s error of the fitted data fell, step by step."""
     lines, own = [], {effect.name: effect for effect in learned.fit.effects}
     for step in learned.steps:
         if step.added is not None:
             before, after = step.candidates[0].rmse
-            twins = twins_of(step.added)
+            twins = readings_of(own[step.added], learned.drive_type)
             others = [name for name in step.alternatives if name not in twins]
             rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
             rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""

@@ -1,1 +1,1 @@
-"""Experiment design: what the data cannot tell, and which drive would."""
+"""Experiment design: what the data do not determine, and which drive would."""

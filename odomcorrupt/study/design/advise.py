@@ -1,16 +1,16 @@
-"""What to do next: which pairs the data cannot tell apart, what they cannot show, and the drive that would."""
+"""What to do next: pairs of names that the data do not separate, effects they cannot show, and the drive that would."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from odomcorrupt.study.design.ambiguities import Choice, open_choices
+from odomcorrupt.study.design.ambiguities import Ambiguity, open_choices
 from odomcorrupt.study.design.clocks import clock_choices, unseen_clocks
 from odomcorrupt.study.design.drives import Drives, most_useful
 from odomcorrupt.study.design.identifiability import (
-    Limit,
-    Untestable,
+    DetectionLimit,
+    UntestableEffect,
     is_untestable,
     limits,
     shows,
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.plan import Plan
     from odomcorrupt.study.select.stepwise import Learned
 
-__all__ = ["Advice", "Choice", "Limit", "Untestable", "advise"]
+__all__ = ["Advice", "Ambiguity", "DetectionLimit", "UntestableEffect", "advise"]
 
 
 @dataclass(frozen=True, slots=True)
 class Advice:
     """All that is open after a search; `best` is the plan that settles most of it, choices before the rest."""
 
-    choices: tuple[Choice, ...]
-    untestable: tuple[Untestable, ...]
-    limits: tuple[Limit, ...]
+    choices: tuple[Ambiguity, ...]
+    untestable: tuple[UntestableEffect, ...]
+    limits: tuple[DetectionLimit, ...]
     best: Plan | None
 
 
@@ -41,16 +41,16 @@ def advise(learned: Learned) -> Advice:
     choices, gains = [], []
     for look in learned.steps:
         for asked in (open_choices, clock_choices):
-            found, told = asked(drives, look)
+            found, gains_found = asked(drives, look)
             choices += found
-            gains += told
+            gains += gains_found
     last = learned.rounds[-1]
     named = {name for choice in choices for name in choice.names}
     refused = [c for c in last.candidates if is_untestable(c) and c.score.effect.name not in named]
     hidden = [untestable(drives, c) for c in refused]
     shown = [shows(drives, c) for c, u in zip(refused, hidden, strict=True) if u.plan is not None]
-    clocks = [one for one in unseen_clocks(drives) if one.told.effect not in named]
-    hidden += [one.told for one in clocks] + untried(learned)
-    shown += [one.shows for one in clocks if one.told.plan is not None]
+    clocks = [one for one in unseen_clocks(drives) if one.untestable.effect not in named]
+    hidden += [one.untestable for one in clocks] + untried(learned)
+    shown += [one.shows for one in clocks if one.untestable.plan is not None]
     best = most_useful(drives, gains, shown) if gains or shown else None
     return Advice(tuple(choices), tuple(hidden), tuple(limits(last)), best)

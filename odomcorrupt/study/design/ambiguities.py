@@ -1,4 +1,4 @@
-"""A or B: pairs of names that the data cannot tell apart, and the drive that would."""
+"""A or B: pairs of names that the data do not separate, and the drive that would."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.design.drives import ENOUGH_NATS, best_plan, missing_motion
 from odomcorrupt.study.design.information import separation
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Step
 
-__all__ = ["TOO_FEW_NATS", "Choice", "open_choices"]
+__all__ = ["TOO_FEW_NATS", "Ambiguity", "open_choices"]
 
 TOO_FEW_NATS = 3.0
 """Less than this from ten minutes of the best drive: no drive is worth it."""
@@ -30,13 +31,13 @@ _OUTDONE = "others explain it better"
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """One of several names, and these data cannot tell which.
+class Ambiguity:
+    """Several names that these data do not separate.
 
     why : what the drive lacked, in words; "" where it lacked nothing
-    plan : the drive that would tell, or None where no drive can
+    plan : the drive that would separate them, or None where no drive can
     nats : by how much it is expected to favour the right one
-    hint : where the two are the very same to every drive: what else can tell; "" where they are only too small
+    hint : where no drive separates them: what else does; "" where they are only too small
     """
 
     names: tuple[str, ...]
@@ -46,31 +47,32 @@ class Choice:
     hint: str = ""
 
 
-def open_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]:
-    """Return the choices that a look left open, and what a drive would tell of each that a drive can settle."""
+def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain]]:
+    """Return the ambiguities that a step left open, and the information of a drive on each that it can resolve."""
     if look.added is None:
         return [], []
     kinds = registry()
     rivals = {c.score.effect.name: c for c in look.candidates}
     names = [n for n in look.alternatives if n in rivals]
     dearer = [c.score.effect.name for c in _lookalikes(drives, look) if c.score.effect.name not in names]
-    found, told = [], []
+    found, gains_found = [], []
     for name in (*names, *dearer):
         gain = _telling(drives, rivals[look.added], rivals[name])
         plan, nats = best_plan(drives, gain)
         if nats < TOO_FEW_NATS and name in dearer:
             continue
         if nats < TOO_FEW_NATS:
-            found.append(Choice((look.added, name), "", None, nats))
+            found.append(Ambiguity((look.added, name), "", None, nats))
             continue
-        found.append(Choice((look.added, name), missing_motion(drives, gain, nats), plan, nats))
-        told.append(gain)
+        found.append(Ambiguity((look.added, name), missing_motion(drives, gain, nats), plan, nats))
+        gains_found.append(gain)
     said = {look.added, *(name for choice in found for name in choice.names)}
+    drive = drives.learned.drive_type
     for twin, kind in kinds.items():
-        if kind.twin_of in said:
+        if kind.twin_of in said and twin not in said and twin in readings_of(str(kind.twin_of), drive):
             hint = "; ".join(filter(None, (kind.about.drive if kind.about else "", _mends(drives, kind))))
-            found.append(Choice((str(kind.twin_of), twin), "", None, 0.0, hint))
-    return found, told
+            found.append(Ambiguity((str(kind.twin_of), twin), "", None, 0.0, hint))
+    return found, gains_found
 
 
 def _mends(drives: Drives, twin: type[Effect]) -> str:
@@ -88,7 +90,7 @@ def _mends(drives: Drives, twin: type[Effect]) -> str:
 def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
     """Return what would explain this very effect on these drives, and is no alternative for its price alone.
 
-    Of two that do the same, the one with fewer numbers is the likelier; but no data have told them apart. What needs a
+    Of two that do the same, the one with fewer numbers is the likelier; but the data do not separate them. What needs a
     shape to do the same, a patch as large as the floor, is the same thing in more words.
     """
     added = look.candidates[0]
@@ -105,7 +107,7 @@ def _lookalikes(drives: Drives, look: Step) -> list[Candidate]:
 
 
 def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
-    """Return what tells how many nats a drive adds to the choice between two, whichever of them is true."""
+    """Return a function: expected nats that a drive adds between two names, whichever of them is true."""
     a, b = (_as_fitted(c) for c in (one, other))
     beside = [e for e in drives.learned.fit.effects if e.name not in {a.name, b.name}]
     inflation = max(one.score.inflation, other.score.inflation)
@@ -122,7 +124,7 @@ def _telling(drives: Drives, one: Candidate, other: Candidate) -> Gain:
 def _guises(drives: Drives, effect: Effect, beside: Sequence[Effect]) -> list[Effect]:
     """Return an effect with every source of the heading that these data leave open, its own first.
 
-    A straight does not say whether the wheels or a gyro give the heading; what a turn would tell hangs on it.
+    A straight does not say whether the wheels or a gyro give the heading; the information of a turn depends on it.
     """
     words = choices(effect).get("heading", ())
     others = [replace(effect, heading=word) for word in words if word != getattr(effect, "heading", word)]  # type: ignore[type-var]

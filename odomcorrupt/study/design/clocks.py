@@ -1,7 +1,7 @@
-"""Clocks that these data cannot show, and effects that a clock would explain as well: what drive would tell.
+"""Clocks that these data do not determine, and effects that a clock would explain as well: which drive would.
 
-A clock is looked for before anything else and beside what resembles it, so it is among no candidates; what can be known
-of it is asked here in the same terms. It belongs to one drive: the next one tells of its own clock.
+A clock is estimated before anything else and beside effects that resemble it, so it is no candidate; what a
+drive would show of it is computed here in the same terms. It belongs to one drive: the next one has a clock of its own.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.design.ambiguities import TOO_FEW_NATS, Choice
+from odomcorrupt.study.design.ambiguities import TOO_FEW_NATS, Ambiguity
 from odomcorrupt.study.design.drives import best_plan, missing_motion
-from odomcorrupt.study.design.identifiability import HIDDEN, SEEN, Untestable
+from odomcorrupt.study.design.identifiability import HIDDEN, SEEN, UntestableEffect
 from odomcorrupt.study.design.information import clock_errors, separation
 from odomcorrupt.study.estimate.clocks import RIVALS
 
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.information import Field
     from odomcorrupt.study.select.stepwise import Step
 
-__all__ = ["CLOCKS", "Unseen", "clock_choices", "unseen_clocks"]
+__all__ = ["CLOCKS", "UntestableClock", "clock_choices", "unseen_clocks"]
 
 CLOCKS = ("time_offset", "clock_skew")
 """In the order of the two numbers of a clock."""
 
 
-class Unseen(NamedTuple):
-    """A clock that was not put to the test, and what tells how much of it a drive would show."""
+class UntestableClock(NamedTuple):
+    """A clock that was not tested, and the expected information of a drive on it."""
 
-    told: Untestable
+    untestable: UntestableEffect
     shows: Gain
 
 
-def unseen_clocks(drives: Drives) -> list[Unseen]:
+def unseen_clocks(drives: Drives) -> list[UntestableClock]:
     """Return what no recording would show of a clock, were it off by its typical size."""
     beside = _beside_clocks(drives)
     found = []
@@ -61,12 +61,12 @@ def unseen_clocks(drives: Drives) -> list[Unseen]:
         why += f", and here it looks like {' and '.join(masks)}" if masks else ""
         about = kind.about
         seen = nats >= 0.5 * SEEN**2
-        told = Untestable(name, why, plan if seen else None, "" if seen or about is None else about.drive)
-        found.append(Unseen(told, shows))
+        untestable = UntestableEffect(name, why, plan if seen else None, "" if seen or about is None else about.drive)
+        found.append(UntestableClock(untestable, shows))
     return found
 
 
-def clock_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]:
+def clock_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain]]:
     """Return the choice between what was added and a clock that is off by a constant, if these data leave it open."""
     if look.added not in RIVALS or any(free[0] for free in drives.learned.clocks.free):
         return [], []
@@ -85,12 +85,12 @@ def clock_choices(drives: Drives, look: Step) -> tuple[list[Choice], list[Gain]]
     names = (look.added, CLOCKS[0])
     plan, nats = best_plan(drives, telling)
     if nats < TOO_FEW_NATS:
-        return [Choice(names, "", None, nats)], []
-    return [Choice(names, missing_motion(drives, telling, nats), plan, nats)], [telling]
+        return [Ambiguity(names, "", None, nats)], []
+    return [Ambiguity(names, missing_motion(drives, telling, nats), plan, nats)], [telling]
 
 
 def _beside_clocks(drives: Drives) -> Sequence[Effect]:
-    """Return what is free beside a clock: what is believed, and what must not be mistaken for one."""
+    """Return the terms that are free beside a clock: the included ones, and those that resemble a clock."""
     own = drives.learned.fit.effects
     track = all(r.track_m is not None for r in drives.learned.fit.problem.recordings)
     kinds = [registry()[name] for name in RIVALS if track or not registry()[name].needs_track]

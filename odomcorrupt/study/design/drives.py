@@ -27,8 +27,8 @@ Gain: TypeAlias = "Callable[[Field], float]"
 ENOUGH_NATS = 10.0
 """A drive that is expected to favour the right one by this much settles the matter."""
 _SHORT_S, _LONG_S = 180.0, 600.0
-_TELLING = 0.3
-"""A lack is a reason if filling it tells at least this part of what the best drive tells."""
+_SUFFICIENT_SHARE = 0.3
+"""A missing excitation is given as reason if adding it yields at least this share of the best drive's information."""
 _BESIDE = 0.2
 """What questions that come second weigh together, where those that come first weigh 1."""
 
@@ -60,12 +60,12 @@ class Drives:
 
 
 def best_plan(drives: Drives, gain: Gain) -> tuple[Plan, float]:
-    """Return the manoeuvre that tells most in a few minutes, or where that is not enough, in more."""
+    """Return the most informative manoeuvre of a few minutes, or where that is not enough, of more."""
     plan, drive = _worthiest(drives, gain)
     nats = gain(drive)
     if nats < ENOUGH_NATS:
-        told = [(gain(field_), longer) for longer, field_ in _longer(drives, plan)]
-        nats, plan = max([(nats, plan), *told], key=itemgetter(0))
+        gains = [(gain(field_), longer) for longer, field_ in _longer(drives, plan)]
+        nats, plan = max([(nats, plan), *gains], key=itemgetter(0))
     return plan, nats
 
 
@@ -88,8 +88,8 @@ def most_useful(drives: Drives, first: Sequence[Gain], beside: Sequence[Gain] = 
     plan, drive = _worthiest(drives, settled)
     if answered(drive) >= (len(first) or 1):
         return plan
-    told = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
-    return max([(answered(drive), plan), *told], key=itemgetter(0))[1]
+    gains = [(answered(field_), longer) for longer, field_ in _longer(drives, plan)]
+    return max([(answered(drive), plan), *gains], key=itemgetter(0))[1]
 
 
 def _share(nats: float) -> float:
@@ -110,10 +110,10 @@ def _longer(drives: Drives, plan: Plan) -> list[tuple[Plan, Field]]:
 
 
 def missing_motion(drives: Drives, gain: Gain, best_nats: float) -> str:
-    """Return what the drives lacked that would have told, the most telling first; "" if nothing of that kind."""
+    """Return the missing excitations that would have been informative, most informative first; "" if none."""
     found = []
     for why, names in lacks_of(excitation(drives.learned.fit.problem.motions)):
-        told = max(gain(drives.planned(name, _SHORT_S)[1]) for name in names)
-        if told >= _TELLING * best_nats:
-            found.append((told, why))
+        gains = max(gain(drives.planned(name, _SHORT_S)[1]) for name in names)
+        if gains >= _SUFFICIENT_SHARE * best_nats:
+            found.append((gains, why))
     return ", ".join(why for _, why in sorted(found, key=lambda pair: pair[0], reverse=True)[:2])

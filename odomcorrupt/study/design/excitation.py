@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Motion
 
-__all__ = ["LACKS", "Excitation", "Lack", "excitation", "lacks_of"]
+__all__ = ["LACKS", "Excitation", "MissingExcitation", "excitation", "lacks_of"]
 
 _MOVING_MPS = 0.05
 _TURNING_RADPS = 0.1
@@ -28,7 +28,7 @@ class Excitation:
 
     forward_m, reverse_m : way made
     left_rad, right_rad, spot_rad : turned to either side, and on the spot
-    standing_s, minutes : time stood still, and in all
+    standing_s, minutes : time at rest, and in all
     speeds, turning_speeds : 10 % and 90 % of the speed, m/s, by distance, and by angle while it turned
     hard_s : time at more than 0.25 m/s^2
     headings : how many of eight sectors hold more than a fiftieth of the way
@@ -48,8 +48,8 @@ class Excitation:
 
 
 @dataclass(frozen=True, slots=True)
-class Lack:
-    """Something that a drive did not do.
+class MissingExcitation:
+    """An excitation that a drive lacks.
 
     why : in words, or "" where it was done
     primitives : names of the manoeuvres that do it, and as little else as possible
@@ -118,16 +118,18 @@ def _moved(e: Excitation) -> str:
     return "hardly drove" if e.forward_m + e.reverse_m < 5.0 else ""
 
 
-LACKS: tuple[Lack, ...] = (
-    Lack(_moved, ("squares",)),
-    Lack(lambda e: "never reversed" if e.reverse_m < 0.01 * e.forward_m + 0.1 else "", ("there_and_back",)),
-    Lack(_turned, ("spins", "eights")),
-    Lack(lambda e: "hardly stood still" if e.standing_s < 10.0 else "", ("stands",)),
-    Lack(_speed, ("two_speeds", "eights_at_two_speeds")),
-    Lack(_turning_speed, ("turns_apart", "eights_at_two_speeds")),
-    Lack(lambda e: "never turned on the spot" if e.spot_rad < 1.0 else "", ("spins",)),
-    Lack(lambda e: "hardly sped up or braked" if e.hard_s < 5.0 else "", ("hard",)),
-    Lack(lambda e: "hardly more than one heading" if e.headings <= 2 else "", ("star",)),
+LACKS: tuple[MissingExcitation, ...] = (
+    MissingExcitation(_moved, ("squares",)),
+    MissingExcitation(
+        lambda e: "never reversed" if e.reverse_m < 0.01 * e.forward_m + 0.1 else "", ("there_and_back",)
+    ),
+    MissingExcitation(_turned, ("spins", "eights")),
+    MissingExcitation(lambda e: "hardly at rest" if e.standing_s < 10.0 else "", ("stands",)),
+    MissingExcitation(_speed, ("two_speeds", "eights_at_two_speeds")),
+    MissingExcitation(_turning_speed, ("turns_apart", "eights_at_two_speeds")),
+    MissingExcitation(lambda e: "never turned on the spot" if e.spot_rad < 1.0 else "", ("spins",)),
+    MissingExcitation(lambda e: "hardly sped up or braked" if e.hard_s < 5.0 else "", ("hard",)),
+    MissingExcitation(lambda e: "hardly more than one heading" if e.headings <= 2 else "", ("star",)),
 )
 """In the order in which they are looked at: the more telling first."""
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import best_plan, missing_motion
 from odomcorrupt.study.design.information import sizes
 
@@ -20,7 +21,17 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["HIDDEN", "SEEN", "Limit", "Untestable", "is_untestable", "limits", "shows", "untestable", "untried"]
+__all__ = [
+    "HIDDEN",
+    "SEEN",
+    "DetectionLimit",
+    "UntestableEffect",
+    "is_untestable",
+    "limits",
+    "shows",
+    "untestable",
+    "untried",
+]
 
 SEEN = 4.2
 """An effect this many standard errors large is found nearly always."""
@@ -30,13 +41,13 @@ _NO_TRACK = (
     "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
     "drive and steer it"
 )
-_REFUSALS = ("not testable", "cannot be told")
+_REFUSALS = ("not testable", "not separable")
 """How refusals begin that say something of the drive, and nothing of the effect."""
 
 
 @dataclass(frozen=True, slots=True)
-class Untestable:
-    """An effect that these data cannot show, even if it were there.
+class UntestableEffect:
+    """An effect that these data would not show.
 
     why : in words
     plan : the drive that would show its typical size, or None
@@ -50,8 +61,8 @@ class Untestable:
 
 
 @dataclass(frozen=True, slots=True)
-class Limit:
-    """The least size of an effect's parameter that these data would have shown, in its unit."""
+class DetectionLimit:
+    """The smallest detectable size of an effect's parameter, in its unit."""
 
     effect: str
     parameter: str
@@ -67,7 +78,7 @@ def is_untestable(candidate: Candidate) -> bool:
     return bool(candidate.refused) and any(SEEN * error > p.typical for p, error in sizes_of)
 
 
-def untestable(drives: Drives, candidate: Candidate) -> Untestable:
+def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     """Return why a candidate cannot be judged on these drives, and the drive on which it could."""
     effect = candidate.score.effect
     gain = shows(drives, candidate)
@@ -77,12 +88,12 @@ def untestable(drives: Drives, candidate: Candidate) -> Untestable:
         why += f", and here it looks like {' and '.join(masks)}"
     if nats < 0.5 * SEEN**2:
         about = effect.about
-        return Untestable(effect.name, why, None, about.drive if about else "")
-    return Untestable(effect.name, why, plan)
+        return UntestableEffect(effect.name, why, None, about.drive if about else "")
+    return UntestableEffect(effect.name, why, plan)
 
 
 def shows(drives: Drives, candidate: Candidate) -> Gain:
-    """Return what tells how many nats the typical size of an effect is worth after a drive."""
+    """Return a function: expected nats of the typical size of an effect after a drive."""
     effect = candidate.score.effect
     beside = _beside(drives, effect)
     typical = np.array([p.typical for p in amplitudes(effect)])
@@ -94,7 +105,7 @@ def shows(drives: Drives, candidate: Candidate) -> Gain:
 
 
 def _masks(drives: Drives, effect: Effect) -> list[str]:
-    """Return what is believed already and hides an effect: without it, the effect would be known far better."""
+    """Return the included terms that mask an effect: without them, it would be determined far better."""
     beside = _beside(drives, effect)
     now = float(np.max(sizes(effect, beside, [drives.recorded])))
     found = []
@@ -122,13 +133,14 @@ def _short_of(candidate: Candidate) -> str:
     return f"too little motion that shows it: {p.name} is known to {float(error):.2g}{unit} only"
 
 
-def untried(learned: Learned) -> list[Untestable]:
+def untried(learned: Learned) -> list[UntestableEffect]:
     """Return effects that never became candidates: single wheels without a track, places never visited twice.
 
     Not those of robots that drive sideways: this one does not.
     """
     have = {e.name for e in learned.fit.effects} | {c.score.effect.name for c in learned.rounds[-1].candidates}
     track = all(r.track_m is not None for r in learned.fit.problem.recordings)
+    drive = learned.drive_type
     found = []
     for name, kind in registry().items():
         if (
@@ -137,22 +149,24 @@ def untried(learned: Learned) -> list[Untestable]:
             or kind.clock
             or kind.twin_of is not None
             or kind.needs_sideways
+            or not drive.admits(kind)
+            or (drive.steered and kind.needs_track)
         ):
             continue
         hint = kind.about.drive if kind.about else ""
-        if kind.needs_track and not track:
-            found.append(Untestable(name, _NO_TRACK, None, hint))
+        if kind.needs_track and not (track or brings_track(kind)):
+            found.append(UntestableEffect(name, _NO_TRACK, None, hint))
         else:
-            found.append(Untestable(name, "nothing on this drive to try it on", None, hint))
+            found.append(UntestableEffect(name, "nothing on this drive to try it on", None, hint))
     return found
 
 
-def limits(look: Step) -> list[Limit]:
+def limits(look: Step) -> list[DetectionLimit]:
     """Return the least sizes that would have been seen, of all that could be."""
     found = []
     for candidate in look.candidates:
         score = candidate.score
         if not is_untestable(candidate):
             sizes_of = zip(amplitudes(score.effect), score.standard_error, strict=True)
-            found += [Limit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
+            found += [DetectionLimit(score.effect.name, p.name, SEEN * float(error), p.unit) for p, error in sizes_of]
     return found

@@ -1,8 +1,8 @@
-"""How much a drive would tell: regressor columns of manoeuvres never driven, whitened with the noise of the fit.
+"""Expected information of a drive: regressor columns of planned manoeuvres, whitened with the noise of the fit.
 
 The expected log likelihood ratio between "A" and "anything that B can do" is half the squared length of what A adds
 to the whitened residuals, less its projection on the columns of B and of all that is free beside them (clocks, and
-effects that are believed). Columns of the recorded drives and of the planned one are stacked: what is known already
+effects that are included). Columns of the recorded drives and of the planned one are stacked: what is known already
 stays known, and a clock belongs to one drive alone.
 """
 

@@ -12,7 +12,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.model.motion_model import MotionModel, Noise, Setup
 from odomcorrupt.model.noise_laws import LAWS
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, levelled
 from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -21,6 +21,7 @@ from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.parameter_correlation import fit_correlation
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import restore_lost
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Container, Sequence
@@ -91,6 +92,7 @@ def fit_robot(
         clocks = find_clocks(recordings, approach)
         effects = [*effects, *find_setup(recordings, effects, clocks, approach)]
         start_noise = clocks.noise
+    recordings = levelled(recordings, clocks)
     fitted = fit(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
@@ -131,6 +133,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
     """Return the model that a fit stands for; random effects go along as they are."""
     names = [f"{effect.name}.{p.name}" for effect in fitted.effects for p in amplitudes(effect)]
     problem = fitted.problem
+    drive = drive_type_of(problem.recordings)
     clocks = zip(problem.recordings, problem.clocks, strict=True)
     return MotionModel(
         noise=Noise(problem.approach.law_name, fitted.noise.coefficients),
@@ -140,6 +143,8 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
             effects=tuple(e for e in fitted.effects if e.kind == "setup"),
             truth=fitted.noise.truth,
             clocks={r.name: (c.offset_s, c.rate) for r, c in clocks},
+            drive_type=drive.name if drive.known else "",
+            origin=next((r.geodetic_origin for r in problem.recordings if r.geodetic_origin is not None), None),
         ),
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={

@@ -2,45 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.effects import effect_from_values, registry
-from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.effects.wheels import brings_track
+from odomcorrupt.study.estimate.gauss_newton import carried, fit
+from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "find_clocks"]
+__all__ = ["Clocks", "find_clocks", "levelled", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
 """A clock that makes the 10 s error larger than by chance is none, whatever the likelihood says."""
+_PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
+"""By how much truths differ where that is no accident of an estimate, and at most."""
+_LEAST_M, _LEAST_RAD = 1e-4, 1e-4
+"""Noise of a truth below which an estimate of it is nothing to compare with."""
 NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
 """Free beside the clocks while these are estimated, and then forgotten."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
 """What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
+_TRACKS_M = (0.2, 0.6)
+"""Tracks on which play is tried beside a clock where the robot's is not known."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
     """Clocks of R recordings, which of their two numbers are really there, and their standard errors (R, 2).
 
+    Rounded stamps hide an offset, which its error counts.
+
     noise, beside : noise and nuisance effects of the last fit: starting values for others, no result
-    ambiguous_nats : what the offset of a clock gains that was left at zero because it is significant only without its
-        rivals: what they are given then may as well be the clock's
+    ambiguous_nats : what the offset of a clock gains that was left at zero, because it is significant only without its
+        rivals and one of them explains more: what they are given then may as well be the clock's
+    rival_nats : what each rival of a clock gains in its place, where the clock explains more than any of them but is
+        not significant beside all
     untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
+    truths : noise of the truth of each recording, of the fits of their clocks
     """
 
     clocks: tuple[Clock, ...]
@@ -49,7 +64,9 @@ class Clocks:
     noise: Array | None = None
     beside: tuple[Effect, ...] = ()
     ambiguous_nats: float = 0.0
+    rival_nats: tuple[float, ...] = ()
     untested: tuple[str, ...] = ()
+    truths: tuple[TruthNoise, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +78,7 @@ class _Found:
     errors: tuple[float, float]
     fit: Fit
     ambiguous_nats: float = 0.0
+    rival_nats: tuple[float, ...] = ()
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
@@ -76,22 +94,67 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     return Clocks(
         tuple(f.clock for f in each),
         tuple(f.free for f in each),
-        tuple(f.errors for f in each),
+        with_rounding([f.errors for f in each], [f.free for f in each], recordings),
         longest.noise.free,
         tuple(e for e in longest.onward.effects if e.name in NUISANCE),
         max(f.ambiguous_nats for f in each),
-        tuple(n for n in RIVALS if registry()[n].needs_track and any(r.track_m is None for r in recordings)),
+        max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
+        tuple(n for n in RIVALS if _untested(registry()[n]) and any(r.track_m is None for r in recordings)),
+        tuple(f.fit.noise.truth for f in each),
     )
 
 
-def _rivals(*, wheels: bool) -> list[Effect]:
+def with_rounding(
+    errors: Sequence[Sequence[float]], free: Sequence[tuple[bool, bool]], recordings: Sequence[Recording]
+) -> tuple[tuple[float, float], ...]:
+    """Return the standard errors (R, 2) of clocks, those of free offsets with what rounded stamps hide."""
+    return tuple(
+        (float(np.hypot(own[0], r.stamp_error_s)) if moves[0] else float(own[0]), float(own[1]))
+        for own, moves, r in zip(errors, free, recordings, strict=True)
+    )
+
+
+def levelled(recordings: Sequence[Recording], clocks: Clocks) -> list[Recording]:
+    """Return recordings that know how noisy their truths are beside that of the first one, where that is plain.
+
+    Runs of one robot share its effects and its noise; one may be seen by motion capture and another by a localisation.
+    """
+    if len(clocks.truths) != len(recordings) or len(recordings) < 2:
+        return list(recordings)
+    first = clocks.truths[0]
+    found = []
+    for recording, truth in zip(recordings, clocks.truths, strict=True):
+        both = recording.headed and recordings[0].headed
+        ratio = (
+            truth.xy_m / max(first.xy_m, _LEAST_M),
+            truth.yaw_rad / max(first.yaw_rad, _LEAST_RAD) if both else 1.0,
+        )
+        level = tuple(float(np.clip(r, 1.0 / _MOST_LEVEL, _MOST_LEVEL)) if _differs(r) else 1.0 for r in ratio)
+        found.append(replace(recording, truth_level=(level[0], level[1])))
+    return found
+
+
+def _differs(ratio: float) -> bool:
+    return not 1.0 / _PLAIN_LEVEL < ratio < _PLAIN_LEVEL
+
+
+def _untested(kind: type[Effect]) -> bool:
+    """Tell whether a rival cannot be tried without the track."""
+    return kind.needs_track and not brings_track(kind)
+
+
+def _rivals(*, wheels: bool, steered: bool) -> list[Effect]:
     """Return the rivals as they are tried: of wheels that slip, all that lies between two kinds of contact.
 
-    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest.
+    They feel the body's acceleration and some of their own; a kind that does not fit would leave a clock the rest. On
+    straights no track matters, and what a turn on the spot shows of play lies between that on two tracks.
     """
     kinds = [registry()[name] for name in RIVALS]
     if not wheels:
-        return [kind() for kind in kinds if not kind.needs_track]
+        anyhow: list[Effect] = [kind() for kind in kinds if not kind.needs_track]
+        wheeled = [kind for kind in kinds if kind.needs_track and brings_track(kind) and not steered]
+        on_tracks = [effect_from_values(kind.name, {"track": track}) for kind in wheeled for track in _TRACKS_M]
+        return [*anyhow, *on_tracks, *([registry()["steering_lag"]()] if steered else [])]
     slips = [effect_from_values("accel_slip", {"contact": contact}) for contact in ("axle", "wheels")]
     return [*slips, *(kind() for kind in kinds if kind.name != "accel_slip")]
 
@@ -99,10 +162,10 @@ def _rivals(*, wheels: bool) -> list[Effect]:
 def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
-    rivals = _rivals(wheels=runs[0].track_m is not None)
+    rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
     nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
-    noise, alone_nats = None, 0.0
+    noise, alone = None, None
     for free in ((True, True), (True, False)):
         clock = Clock(clock.offset_s, clock.rate if free[1] else 0.0)
         for beside in ((), rivals):
@@ -122,10 +185,40 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
             if not abs(last) > _CLOCK_LIMIT * error > 0.0:
                 break
             if not beside and not free[1]:
-                alone_nats = 0.5 * (last / error) ** 2
+                alone = _Found(clock, free, errors, best)
             nuisance = best.onward.effects[: len(nuisance)]
         else:
             before, after = (phased_rmse([aligned(run, c) for run in runs]) for c in (Clock(), clock))
             if after < _CLOCK_HARM * before:
                 return _Found(clock, free, errors, best)
-    return _Found(Clock(), (False, False), (0.0, 0.0), best, alone_nats)
+    nothing = _Found(Clock(), (False, False), (0.0, 0.0), best)
+    return nothing if alone is None else _preferred(runs, alone, nothing, rivals)
+
+
+def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals: Sequence[Effect]) -> _Found:
+    """Return a clock that is plain only without its rivals where it explains more than each of them; else no clock.
+
+    One alone may do what it takes all of them to imitate.
+    """
+    nuisance, approach = nothing.fit.onward.effects[: len(NUISANCE)], clock.fit.problem.approach
+
+    def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
+        clocks, effects = [Clock(offset_s)] * len(runs), (*nuisance, *effects)
+        return fit(
+            runs,
+            effects,
+            clocks=clocks,
+            free_clocks=[(offset_s != 0.0, False)] * len(runs),
+            approach=approach,
+            start=clock.fit.noise.free,
+            weights=carried(
+                clock.fit.noise.weights, clock.fit.problem, pose_problem(runs, effects, clocks, approach=approach)
+            ),
+        ).log_likelihood
+
+    without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)
+    own = with_it - without
+    gains = tuple(likelihood((rival,)) - without for rival in rivals)
+    if own > max(gains, default=0.0):
+        return replace(clock, rival_nats=gains)
+    return replace(nothing, ambiguous_nats=max(own, 0.0))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.model.noise_laws import law_named
+from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
 from odomcorrupt.study.terms.regressors import choose_side, truth_noise
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ NODE_S = 0.5
 """Spacing of nodes for a good truth, seconds."""
 _COARSE_NODE_S = 1.0
 _COARSE_TRUTH_M = 0.008
-"""A truth noisier than this per sample has coloured noise (RTK, SLAM): nodes lie farther apart than its correlation."""
+"""A truth noisier than this per sample has correlated noise (AMCL, SLAM): nodes lie farther apart than that reaches."""
 _BLIND_NODE_S = 2.0
 """Positions alone show a turn by where it leads to; at closer nodes their filter's jitter passes for noise of turns."""
 
@@ -50,8 +51,10 @@ class Approach:
 def choose_approach(recordings: Sequence[Recording], law_name: str = "diffusion") -> Approach:
     """Return what suits the worst of the recordings."""
     noise_m = max(float(np.hypot(*truth_noise(r.truth)[:2])) / np.sqrt(2.0) for r in recordings)
-    spacing_s = _COARSE_NODE_S if noise_m > _COARSE_TRUTH_M else NODE_S
+    spacing_s = NODE_S
     if not all(r.headed for r in recordings):
         spacing_s = _BLIND_NODE_S
+    elif noise_m > _COARSE_TRUTH_M or any(r.localised for r in recordings):
+        spacing_s = max([_COARSE_NODE_S, *(independent_spacing_s(r) for r in recordings if r.localised)])
     sides = {choose_side(r, spacing_s) for r in recordings}
     return Approach("truth" if "truth" in sides else "odometry", spacing_s, law_named(law_name).name)

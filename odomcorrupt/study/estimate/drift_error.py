@@ -9,7 +9,7 @@ import numpy as np
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -55,7 +55,7 @@ def drift(fitted: Fit) -> Drift:
     """Return how far odometry drifts in 10 s, a fit's effects taken out, on the fitted recordings themselves."""
     problem = fitted.problem
     left = [
-        headed_anew(undo(aligned(recording, clock), problem.effects))
+        with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
         for recording, clock in zip(problem.recordings, problem.clocks, strict=True)
     ]
     return Drift(tuple(phased_misses(left)))

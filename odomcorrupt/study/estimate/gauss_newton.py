@@ -15,7 +15,7 @@ import numpy as np
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.noise_fit import NoiseStart, fit_noise_beside
 from odomcorrupt.study.estimate.problem import pose_problem
-from odomcorrupt.study.estimate.random_process import WANDERING, with_random
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, with_random
 from odomcorrupt.study.estimate.truth_bias import SHARED, bias_roots, has_bias
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.io.clock import Clock, clock_leaders, led
@@ -30,15 +30,15 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "design_matrix", "fit"]
+__all__ = ["Fit", "carried", "design_matrix", "fit"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
 """Steps within so many standard errors leave robust weights as they are, and end the search."""
 
 
-class Onward(NamedTuple):
-    """Where the last step of a fit leads: a next look would start there."""
+class NextStart(NamedTuple):
+    """Parameters after the last step of a fit: the start of the next one."""
 
     effects: tuple[Effect, ...]
     clocks: tuple[Clock, ...]
@@ -65,7 +65,7 @@ class Fit:
     standard_errors: Array
     clock_errors: Array
     free_clocks: tuple[tuple[bool, bool], ...]
-    onward: Onward
+    onward: NextStart
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -144,7 +144,7 @@ def fit(
     nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
     """
     # a random effect is included or left out, never estimated here
-    random = [*random, *(e for e in effects if e.name in WANDERING)]
+    random = [*random, *(e for e in effects if e.name in CORRELATED_NOISE)]
     bursts = any(e.name == "slip_burst" for e in effects)
     effects = [e for e in effects if e.kind != "noise"]
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
@@ -155,7 +155,7 @@ def fit(
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, approach=approach)
         if before is not None and weights is not None:
-            weights = _carried(weights, before, problem)
+            weights = carried(weights, before, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.nodes, problem.steps)
         begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
@@ -187,7 +187,7 @@ def fit(
         standard_errors=errors[:own],
         clock_errors=clock_errors,
         free_clocks=tuple((bool(offset), bool(rate)) for offset, rate in free),
-        onward=Onward(effects, clocks),
+        onward=NextStart(effects, clocks),
     )
 
 
@@ -200,7 +200,7 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
 
 
-def _carried(weights: Array, before: Problem, now: Problem) -> Array:
+def carried(weights: Array, before: Problem, now: Problem) -> Array:
     """Return the weights (K,) that nodes had on those of now: a clock that moves may win or lose one, or shift them."""
     if np.array_equal(before.nodes.start_s, now.nodes.start_s):
         return weights

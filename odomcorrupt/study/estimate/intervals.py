@@ -28,10 +28,22 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
     from odomcorrupt.study.io.recording import Recording, Trajectory
 
-__all__ = ["LEAST_NODES", "Cut", "Intervals", "count_nodes", "cut_at", "intervals", "join", "lay_nodes", "pick_nodes"]
+__all__ = [
+    "LEAST_NODES",
+    "Cut",
+    "Intervals",
+    "count_nodes",
+    "cut_at",
+    "intervals",
+    "join",
+    "lay_nodes",
+    "pick_nodes",
+]
 
 GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
+TURN_M = 0.3
+"""Way of which a turn by one radian changes what a localisation sees as much, metres."""
 LEAST_NODES = 20
 """Fewer intervals than this cannot carry a fit of anything."""
 
@@ -70,6 +82,7 @@ class Intervals:
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
         position's part is near the identity, the heading's near one
+    random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
 
@@ -89,6 +102,7 @@ class Intervals:
     lever1: Array
     start_shape: Array
     end_shape: Array
+    random_walk_level: Array
     start_unseen: Array
     end_unseen: Array
 
@@ -163,9 +177,9 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
         Where odometry and truth do not overlap, or too little of them does.
 
     """
-    odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
+    truth_s = recording.truth.seconds_since(recording.origin_ns)
     try:
-        picked = pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)
+        picked = _nodes_of(recording, truth_s, spacing_s)
     except RecordingError as error:
         raise RecordingError(f"{recording.name}: {error}") from error
     kept = np.flatnonzero(np.diff(truth_s[picked]) < GAP_S * spacing_s)
@@ -177,12 +191,28 @@ def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:
     return intervals(recording, picked, kept)
 
 
+def _nodes_of(recording: Recording, truth_s: Array, spacing_s: float) -> NDArray[np.int64]:
+    """Return indices of the nodes: `spacing_s` apart, or what is usually driven in that time for a localised truth.
+
+    Errors of a localisation depend on what it sees: while the robot stands or creeps they stay the same. The way is the
+    truth's, so that nodes are the same for all models.
+    """
+    first_s, last_s = recording.odometry_s[[0, -1]]
+    if not recording.localised:
+        return pick_nodes(truth_s, first_s, last_s, spacing_s)
+    steps = np.diff(np.nan_to_num(recording.truth.xyt), axis=0)
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]) + TURN_M * np.abs(steps[:, 2]))))
+    pace = gone * (float(truth_s[-1] - truth_s[0]) / max(float(gone[-1]), 1e-9))
+    usable = (truth_s >= first_s) & (truth_s <= last_s)
+    return pick_nodes(pace, 0.0, float(pace[-1]), spacing_s, usable)
+
+
 def count_nodes(recording: Recording, spacing_s: float) -> int:
     """Return how many intervals `lay_nodes` would find."""
     odo_s, truth_s = recording.odometry_s, recording.truth.seconds_since(recording.origin_ns)
     if np.count_nonzero((truth_s >= odo_s[0]) & (truth_s <= odo_s[-1])) < 2:
         return 0
-    between_them = np.diff(truth_s[pick_nodes(truth_s, odo_s[0], odo_s[-1], spacing_s)])
+    between_them = np.diff(truth_s[_nodes_of(recording, truth_s, spacing_s)])
     return int(np.count_nonzero(between_them < GAP_S * spacing_s))
 
 
@@ -217,6 +247,9 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     middle = (start[:, 2] + end[:, 2]) / 2.0 - heading
     truth_step = between(node_xyt[kept], node_xyt[kept + 1])
     shape, unseen = (part[picked] for part in _noise_shape(truth.covariance, len(truth)))
+    in_position, in_heading = recording.truth_level
+    level = np.array([in_position, in_position, in_heading])
+    shape = shape * np.outer(level, level)
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
     return Intervals(
         start_s=node_s[kept],
@@ -235,6 +268,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever1=lever1,
         start_shape=shape[kept],
         end_shape=shape[kept + 1],
+        random_walk_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
         end_unseen=unseen[kept + 1],
     )

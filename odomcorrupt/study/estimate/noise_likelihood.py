@@ -45,7 +45,7 @@ HIGHEST = 10.0
 _LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
 _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
-_NO_WANDER = 2e-6
+_NO_RANDOM_WALK = 2e-6
 _STEP = 1e-4
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
 """The iteration ends where its next step would gain less."""
@@ -270,8 +270,10 @@ class NoiseLikelihood:
         coefficients = np.zeros(len(NAMES))
         log_k = free[: len(active)]
         coefficients[active] = np.where(log_k > _LOW + 0.1, np.exp(log_k), 0.0)
-        xy, yaw, wander = np.exp(free[len(active) :])
-        return coefficients, TruthNoise(float(xy), float(yaw), float(wander) if wander > _NO_WANDER else 0.0)
+        xy, yaw, random_walk = np.exp(free[len(active) :])
+        return coefficients, TruthNoise(
+            float(xy), float(yaw), float(random_walk) if random_walk > _NO_RANDOM_WALK else 0.0
+        )
 
 
 def _best_step(slope: Array, information: Array, low: Array, high: Array) -> Array:

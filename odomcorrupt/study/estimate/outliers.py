@@ -11,7 +11,10 @@ from scipy.stats import binomtest, chi2
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.effects.wheels import rims_of
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import between, compose, rotate, wrap
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,15 +83,56 @@ def events(fit: Fit) -> list[Event]:
 def single_events(fit: Fit) -> list[Event]:
     """Return what happened once and is no noise: a push, a lift, a bump; nothing where there are many of the kind.
 
-    They are left out of the fit, which weighs them less the farther they stand out.
+    They are left out of the fit, which weighs them less the farther they stand out. Who lifts a robot often hides it
+    from the truth as well, so gaps of the truth are looked at, too.
     """
     flagged, run = _standing_out(fit), fit.problem.run
     parted = (np.diff(flagged) > _SAME_EVENT) | (np.diff(run[flagged]) != 0)
     groups = np.split(flagged, np.flatnonzero(parted) + 1) if len(flagged) else []
     # between two moments of a push are others that stand out less
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
-    found = [event for event in _described(fit, whole) if event.lasting and event.plain > _PLAINLY_ODD]
+    found = [event for event in _described(fit, whole) if event.lasting]
+    found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
+    found.sort(key=lambda event: (event.recording, event.start_s))
     return found if len(found) <= _MOST_SINGLE else []
+
+
+def _across_gaps(fit: Fit) -> list[Event]:
+    """Return every gap of the truth as an event: how far odometry and truth part from its one end to the other."""
+    problem, nodes, found = fit.problem, fit.problem.nodes, []
+    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
+        own = np.flatnonzero(problem.run == r)
+        gaps = own[1:][~nodes.linked[own[1:]]]
+        if not len(gaps):
+            continue
+        left = with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
+        begin, end = nodes.end_s[gaps - 1], nodes.start_s[gaps]
+        truth_xyt = compose(nodes.truth_xyt[gaps - 1], nodes.truth_step[gaps - 1])
+        true = between(truth_xyt, nodes.truth_xyt[gaps])
+        said = between(left.odometry.at(begin, left.origin_ns), left.odometry.at(end, left.origin_ns))
+        apart = np.column_stack((rotate(said[:, :2] - true[:, :2], -true[:, 2]), wrap(said[:, 2] - true[:, 2])))
+        # noise grows with the root of time, and that of the heading swings the way since the gap began
+        spread = usual * np.sqrt(np.maximum((end - begin) / problem.approach.spacing_s, 1.0))[:, None]
+        spread[:, :2] += (spread[:, 2] * np.hypot(said[:, 0], said[:, 1]))[:, None]
+        plain = np.linalg.norm((apart / spread)[:, : 3 if problem.headings else 2], axis=1)
+        found += [
+            Event(
+                recording=recording.name,
+                start_s=float(begin[i]),
+                end_s=float(end[i]),
+                along_m=float(apart[i, 0]),
+                across_m=float(apart[i, 1]),
+                yaw_rad=float(apart[i, 2]),
+                slip=0.0,
+                turn_rad=float(said[i, 2]),
+                lasting=True,
+                place_xy=(float(truth_xyt[i, 0]), float(truth_xyt[i, 1])),
+                plain=float(plain[i]),
+            )
+            for i in range(len(gaps))
+        ]
+    return found
 
 
 def odd_steps(fit: Fit) -> list[Event]:
@@ -205,7 +249,7 @@ def slip_bursts(fit: Fit) -> Effect | None:
     duration = 0.5 * spacing
     slip = float(np.median(slips[slips > 0.0])) * spacing / duration
     seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
-    # a stretch in which the truth stood still or went back asks for more than a burst can lose
+    # a stretch in which the truth rested or reversed asks for more than a burst can lose
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
     words = _words([event for event in lasting if event.slip > 0.0], fit.problem.recordings[0].track_m)

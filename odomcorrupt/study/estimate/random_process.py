@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.whitener import Whitener
 
 __all__ = [
+    "CORRELATED_NOISE",
     "FINELY",
-    "WANDERING",
     "Process",
     "bias_of",
     "processes",
@@ -37,13 +37,13 @@ __all__ = [
     "without_random",
 ]
 
-WANDERING = ("gauss_markov", "gyro_bias_walk")
+CORRELATED_NOISE = ("gauss_markov", "gyro_bias_walk")
 """Random coefficients: effects that a fit can have in its covariance."""
 _TAUS_S = (2.0, 5.0, 15.0, 40.0)
 _LADDER_S, _STEP = (1.0, 1.5, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0), 1.7
 """Correlation times between which one that is there is measured, and how far apart neighbours are at most."""
 _QUICKEST_S = 3.0
-"""A bias that reverted sooner could hardly be told from noise of every step."""
+"""A bias that reverted sooner would hardly be separable from noise of every step."""
 _MOST_KNOTS = 400
 _COARSELY, FINELY = 2.0, 8.0
 """Knots to a correlation time: a few show that a process is there, more show how rough it is."""
@@ -123,7 +123,7 @@ def root_of(effect: Effect, problem: Problem) -> Array:
 
 
 def processes() -> list[Process]:
-    """Return the processes to try; a bias that reverts very soon is hardly told from noise of every step."""
+    """Return the processes to try; a bias that reverts very soon is hardly separable from noise of every step."""
     return _processes(_TAUS_S, _TAUS_S[1:])
 
 

@@ -13,7 +13,9 @@ import numpy as np
 from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.study.estimate.config import NODE_S
 from odomcorrupt.study.estimate.outliers import odd_steps
+from odomcorrupt.study.estimate.whitener import interval_covariance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -38,14 +40,22 @@ _RANGE, _SIZE = 120.0, 1 << 14
 
 def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     """Return heavy tails and the nats by which they beat normal noise, where events lie on both sides; or None."""
+    if (
+        fit.problem.approach.spacing_s > NODE_S
+    ):  # a truth good to centimetres jumps and floats, and has tails of its own
+        return None
     odd_ones = odd_steps(fit)
     lasting = sum(event.lasting for event in odd_ones)
     # where most of what stands out comes back, it is the truth that errs
     if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
         return None
+    driven = _driven(fit)
+    channels = _of_odometry(fit, driven)
+    if not channels:
+        return None
     # what a robust fit took as wider is shown as it was
     odd = fit.noise.innovations.reshape(-1, 3) * np.sqrt(fit.noise.weights)[:, None]
-    used = odd[_driven(fit)][:, [0, 1, 2] if fit.problem.headings else [0, 1]]
+    used = odd[driven][:, channels]
     draws = max(round(len(fit.problem.nodes.source) / len(fit.problem.nodes)), 1)
     nats = np.array([_likelihood(used, inverse_dof, draws) for inverse_dof in _INVERSE_DOFS])
     variance = used.var(axis=0)
@@ -55,6 +65,15 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     if gain < _NAMED_NATS:
         return None
     return effect_from_values("heavy_tails", {"inverse_dof": float(_INVERSE_DOFS[best])}), gain
+
+
+def _of_odometry(fit: Fit, driven: NDArray[np.bool_]) -> list[int]:
+    """Return the channels in which most of the noise is odometry's: of the others' tails the truth's are as likely."""
+    nodes = fit.problem.nodes
+    q = nodes.covariance(fit.problem.approach.law, fit.noise.coefficients, fit.problem.steps)
+    share = np.einsum("kii->ki", q) / np.einsum("kii->ki", interval_covariance(nodes, q, fit.noise.truth))
+    usual = np.median(share[driven], axis=0) if driven.any() else np.zeros(3)
+    return [c for c in range(3 if fit.problem.headings else 2) if usual[c] > _MOSTLY]
 
 
 def _driven(fit: Fit) -> NDArray[np.bool_]:

@@ -98,11 +98,11 @@ def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
 
 def truth_weights(truth: TruthNoise) -> tuple[float, float, float]:
     """Return the weights of `truth_pieces`."""
-    return truth.xy_m**2, truth.yaw_rad**2, truth.wander**2
+    return truth.xy_m**2, truth.yaw_rad**2, truth.random_walk**2
 
 
 def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
-    """Return what unit noise of the truth adds, for its position, its heading and its wander.
+    """Return what unit noise of the truth adds, for its position, its heading and its random walk.
 
     Each is a pair: added to the residuals' own covariances (K, 3, 3), and to those with the one before (K - 1, 3, 3).
     """
@@ -111,9 +111,9 @@ def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
         _at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept)
         for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
     ]
-    wander = np.zeros_like(a)
-    wander[:, [0, 1], [0, 1]] = (nodes.end_s - nodes.start_s)[:, None]
-    pieces.append((wander, np.zeros_like(a[1:])))
+    random_walk = np.zeros_like(a)
+    random_walk[:, [0, 1], [0, 1]] = (nodes.random_walk_level**2 * (nodes.end_s - nodes.start_s))[:, None]
+    pieces.append((random_walk, np.zeros_like(a[1:])))
     return pieces
 
 

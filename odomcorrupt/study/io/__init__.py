@@ -1,4 +1,4 @@
-"""Where recordings come from: bags, TF, TUM and CSV files, made clean, and checked before anybody believes them."""
+"""Where recordings come from: bags, TF, TUM and CSV files, cleaned and checked for plausibility."""
 
 from odomcorrupt.study.io.reader import Source, read_runs
 

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
+from odomcorrupt.bags.messages import gather, gather_stamps_ns, gather_status, locate
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import TopicError
 from odomcorrupt.study.io.address import plain
-from odomcorrupt.study.io.geodesy import east_north_up
+from odomcorrupt.study.io.fixes import Fixes, resolved
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import headings
 from odomcorrupt.study.io.tf import EdgeReader
@@ -24,17 +24,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.block import Block, Channel
-    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.topic_selection import Role
 
 __all__ = ["read_bag"]
 
 _ENCODINGS = ("cdr", "ros1")
-_FLOAT_TIMES = 5.0
-"""A fix whose deviation is so many times that of the best ones is not one of them."""
-_BEST, _ENOUGH = 0.1, 0.3
-"""Quantile of the best fixes; part of all fixes that has to be left."""
 _MOST_M2 = 1e12
 
 
@@ -108,7 +103,7 @@ class _PoseReader:
                 n = len(layout.rows)
                 names = (item.frame_id, item.child_frame_id)
                 self.frames[names] = self.frames.get(names, 0) + n
-                values = np.full((n, 5), np.nan)
+                values = np.full((n, 6), np.nan)
                 where = "lla" if "lla" in item.fields else "position"
                 values[:, :3] = gather(block, layout, item, where)
                 if "orientation" in item.fields:
@@ -119,6 +114,7 @@ class _PoseReader:
                 if "covariance" in item.fields:  # of a fix; 0 where the receiver does not know
                     covariance = gather(block, layout, item, "covariance")
                     values[:, 4] = covariance[:, [0, 4]].clip(0.0, _MOST_M2).sum(axis=1)
+                    values[:, 5] = gather_status(block, layout, item)
                 self.parts.append(
                     (gather_stamps_ns(block, layout, item), block.table["log_ns"][layout.rows].astype(np.int64), values)
                 )
@@ -130,27 +126,18 @@ class _PoseReader:
         if len(children) > 1 and self.channels[0].msgtype == TRANSFORM:
             edges = ", ".join(f"{topic}:{plain(f)}.{plain(c)}" for f, c in sorted(self.frames))
             raise TopicError(f"{self.place} holds transforms of {len(children)} frames; name one of {edges}")
-        empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 5)))
+        empty = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)))
         stamps, logs, values = (np.concatenate(part) for part in zip(empty, *self.parts, strict=True))
         # layouts of one block come one after the other: back to the order of arrival
         arrived = np.argsort(logs, kind="stable")
         stamps, logs, values = stamps[arrived], logs[arrived], values[arrived]
-        notes = []
+        notes, origin = [], None
         if self.channels[0].msgtype.endswith("NavSatFix"):
-            fixed = np.isfinite(values[:, :2]).all(axis=1) & (values[:, :2] != 0.0).any(axis=1)
-            if not fixed.all():
-                notes.append(f"{topic}: {np.sum(~fixed)} messages without a fix left out")
-            stamps, logs, values = stamps[fixed], logs[fixed], values[fixed]
-            resolved = _resolved(values[:, 4])
-            if not resolved.all():
-                notes.append(
-                    f"{topic}: {np.sum(~resolved)} of {len(resolved)} fixes left out, which claim to be "
-                    f"{_FLOAT_TIMES:g} and more times as uncertain as its best ones (float or single, not fixed)"
-                )
-            stamps, logs, values = stamps[resolved], logs[resolved], values[resolved]
-            if len(values):
-                values[:, :3] = east_north_up(values[:, :3])
-                notes.append(f"{topic}: metres east and north of its first fix")
+            at_ns = stamps if stamps.any() else logs
+            good = resolved(Fixes(at_ns, values[:, :3], values[:, 5].astype(np.int8), values[:, 4]))
+            stamps, logs, values, origin = stamps[good.rows], logs[good.rows], values[good.rows], good.origin
+            values[:, :3] = good.xyz
+            notes += [f"{topic}: {note}" for note in good.notes]
         if len(self.frames) > 1 and len(children) == 1:
             named_frames = ", ".join(repr(f) for f, _ in sorted(self.frames))
             notes.append(f"{topic}: frames {named_frames} mixed; taken as one")
@@ -167,16 +154,5 @@ class _PoseReader:
             claimed if np.isfinite(claimed).all() else claimed[:0],
             tuple(notes),
             child=plain(child),
+            geodetic_origin=origin,
         )
-
-
-def _resolved(variance_m2: Array) -> NDArray[np.bool_]:
-    """Return which fixes (n,) are about as good as the best ones, by the variance that they claim; all if none is.
-
-    A receiver that loses its ambiguities goes on with fixes that are decimetres off and wander back as they settle.
-    """
-    claimed = variance_m2[np.isfinite(variance_m2) & (variance_m2 > 0.0)]
-    if not len(claimed):
-        return np.ones(len(variance_m2), dtype=bool)
-    good: NDArray[np.bool_] = ~(variance_m2 > _FLOAT_TIMES**2 * np.quantile(claimed, _BEST))
-    return good if good.mean() > _ENOUGH else np.ones(len(variance_m2), dtype=bool)

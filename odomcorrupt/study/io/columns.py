@@ -47,7 +47,7 @@ class Columns:
     delimiter : None for blanks
     count : how many cells a line has
     time, nanoseconds : the stamp, and the part of it that a second column adds (None)
-    tick_ns : the unit of the stamp; None where the numbers must tell
+    tick_ns : the unit of the stamp; None where it follows from the numbers
     xyz : places of x, y and, or None, z; metre is what one of their units is
     yaw : place of the heading, or None; radian is what one of its units is
     quat : places of x, y, z, w, or None

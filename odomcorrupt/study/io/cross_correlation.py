@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["Likeness", "Spread", "likeness"]
+__all__ = ["CrossCorrelation", "Spread", "likeness"]
 
 _SMOOTHING_S = 0.5
 _MOST = 200_000
@@ -31,7 +31,7 @@ class Spread(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
+class CrossCorrelation:
     """Correlations of speed and of yaw rate.
 
     lag_s : (k,) by how much the truth is shifted to later, seconds
@@ -47,12 +47,12 @@ class Likeness:
 
     @property
     def both(self) -> Array:
-        """Likeness (k,) of a motion."""
+        """Correlation (k,) of a motion."""
         return (self.turn + self.speed) / 2.0
 
     @property
     def mirrored(self) -> Array:
-        """Likeness (k,) of a motion seen in a mirror."""
+        """Correlation (k,) of a motion seen in a mirror."""
         return (self.speed - self.turn) / 2.0
 
 
@@ -63,7 +63,7 @@ def likeness(
     *,
     from_start: bool = False,
     smoothing_s: float = _SMOOTHING_S,
-) -> Likeness:
+) -> CrossCorrelation:
     """Return correlations at lags up to +- reach_s.
 
     from_start : count both times from their own first stamps instead of taking them as they are
@@ -85,7 +85,7 @@ def likeness(
     )
     count = min(round(reach_s / step), len(grid) - 1)
     turn, speed = (_correlation(one[:, i], other[:, i], count) for i in (0, 1))
-    return Likeness(
+    return CrossCorrelation(
         lag_s=np.arange(-count, count + 1) * step,
         speed=speed,
         turn=turn,

@@ -25,7 +25,7 @@ __all__ = ["encoder_effects", "restore_lost"]
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
-"""Ticks finer than a millimetre bound the error to less than the truth can tell."""
+"""Ticks finer than a millimetre bound the error to less than the truth resolves."""
 _LATTICE = 0.9
 _RESTLESS = 0.05
 _STILL_M = 1e-6
@@ -58,7 +58,7 @@ def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
 def _tick(recording: Recording) -> float | None:
     """Return the wheel travel of a tick, where the increments lie on a lattice.
 
-    Those of both wheels, where they tell the heading, too; or those of the robot, which goes half a tick with each.
+    Those of both wheels, where these give the heading, too; or those of the robot, which goes half a tick with each.
     """
     steps = increments(recording.odometry.xyt)
     found = None

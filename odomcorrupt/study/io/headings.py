@@ -21,7 +21,7 @@ from odomcorrupt.study.io.recording import Trajectory
 if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["UNKNOWN_RAD", "headed_anew", "with_headings"]
+__all__ = ["UNKNOWN_RAD", "with_headings", "with_recomputed_headings"]
 
 UNKNOWN_RAD = 0.5
 _REACH_M = 4.0
@@ -32,8 +32,8 @@ def with_headings(recording: Recording) -> Recording:
     return _headed(recording) if np.isnan(recording.truth.xyt[:, 2]).all() else recording
 
 
-def headed_anew(recording: Recording) -> Recording:
-    """Return the recording with the headings that its odometry, as it is now, gives to a truth of positions alone."""
+def with_recomputed_headings(recording: Recording) -> Recording:
+    """Return the recording with headings recomputed from its present odometry, for a truth of positions alone."""
     return recording if recording.heading_error_rad is None else _headed(recording)
 
 

@@ -68,11 +68,11 @@ def only_scan(path: Path) -> str | None:
 
 
 def laser_run(
-    path: Path, place: str, odom: Address | None, scan: str | None, told: Callable[[str, float], None] | None = None
+    path: Path, place: str, odom: Address | None, scan: str | None, progress: Callable[[str, float], None] | None = None
 ) -> LaserRun:
     """Read odometry and scans of one run, and return its trajectory by the laser.
 
-    told : called with what is being done and which part of it is done
+    progress : called with the stage and its share that is done
 
     Raises
     ------
@@ -83,10 +83,10 @@ def laser_run(
 
     """
     odometry = in_order(read_bag(path, place, {"odometry": odom})["odometry"])
-    return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), told)
+    return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), progress)
 
 
-def match_run(odometry: Samples, sweeps: Sweeps, told: Callable[[str, float], None] | None = None) -> LaserRun:
+def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float], None] | None = None) -> LaserRun:
     """Return the laser's trajectory of a run from its odometry and its sweeps; see `laser_run`."""
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
@@ -96,8 +96,8 @@ def match_run(odometry: Samples, sweeps: Sweeps, told: Callable[[str, float], No
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)
     calibration = calibrate(sweeps, guide, origin_ns)
-    tracked = make_map(sweeps, calibration, _part(told, "matching scans"))
-    found = relocalised(sweeps, calibration, tracked, _part(told, "placing scans in the map"))
+    tracked = make_map(sweeps, calibration, _part(progress, "matching scans"))
+    found = relocalised(sweeps, calibration, tracked, _part(progress, "placing scans in the map"))
     if len(found) < _FEWEST:
         raise RecordingError(
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
@@ -193,5 +193,5 @@ def _check_overlap(sweeps: Sweeps, odometry: Samples) -> None:
         )
 
 
-def _part(told: Callable[[str, float], None] | None, what: str) -> Callable[[float], None] | None:
-    return None if told is None else lambda share: told(what, share)
+def _part(progress: Callable[[str, float], None] | None, what: str) -> Callable[[float], None] | None:
+    return None if progress is None else lambda share: progress(what, share)

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Origin
 
 __all__ = ["Samples"]
 
@@ -35,6 +36,8 @@ class Samples:
     covariance : (n, 3, 3) of each pose in its own axes, where its source measured it
     child : the frame that moves, "" where nobody says
     notes : what was noticed or left out so far, in words
+    geodetic_origin : of its frame, where it was satellite fixes
+    localised : whether it is the corrections of a localisation, whose errors are alike over some length of path
     """
 
     place: str
@@ -48,6 +51,8 @@ class Samples:
     notes: tuple[str, ...] = ()
     covariance: Array | None = None
     child: str = ""
+    geodetic_origin: Origin | None = None
+    localised: bool = False
 
     def __len__(self) -> int:
         return len(self.stamps_ns)

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.drive_types import AUTO, STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
 from odomcorrupt.study.io.self_consistency import check_itself
+from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolution_s
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS
@@ -43,6 +48,7 @@ class Source:
     truth_shift_s : what is added to the stamps of the truth, seconds
     track_m : nominal distance between the wheels, where it is known
     name : what to call the run, where not by its path
+    drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
     scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
     truth_scale_error : standard deviation of the laser's own scale error
     """
@@ -56,12 +62,20 @@ class Source:
     name: str = ""
     scan: str | None = None
     truth_scale_error: float = SCALE_ACCURACY
+    drive_type: str = AUTO
 
 
-def read_runs(source: Source, told: Callable[[str, float], None] | None = None) -> list[Recording]:
+def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:
+    """Read one run, as `_read_runs`, of a robot of this drive type."""
+    if source.drive_type in STEERED:
+        source = replace(source, track_m=None)
+    return [replace(run, drive_type=source.drive_type) for run in _read_runs(source, progress)]
+
+
+def _read_runs(source: Source, progress: Callable[[str, float], None] | None) -> list[Recording]:
     """Read one run: one recording, or several where resets cut it into independent stretches.
 
-    told : called with what takes long, and which part of it is done
+    progress : called with the stage and its share that is done
 
     Raises
     ------
@@ -73,12 +87,11 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     """
     scan = source.scan or automatic_scan(source)
     if scan is None:
-        odometry, truth = _read(source)
-        return recordings_of(source.name or source.path.name, odometry, truth, source.track_m, source.truth_shift_s)
+        return _between_clock_steps(source, *_read(source))
     if source.truth is not None or source.truth_path is not None:
         raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
     odom = parse_address(source.odom) if source.odom is not None else None
-    run = laser_run(source.path, _place(source), odom, scan, told)
+    run = laser_run(source.path, _place(source), odom, scan, progress)
     found: list[Recording] = []
     name = source.name or source.path.name
     parts = truth_of(run)
@@ -105,6 +118,23 @@ def read_runs(source: Source, told: Callable[[str, float], None] | None = None) 
     ]
 
 
+def _between_clock_steps(source: Source, odometry: Samples, truth: Samples) -> list[Recording]:
+    """Return the recordings of a run, those before and after a step of a clock apart."""
+    name = source.name or source.path.name
+    pairs = [(one, other) for one in between_steps(odometry) for other in between_steps(truth)]
+    found: list[Recording] = []
+    why: RecordingError | None = None
+    for one, other in pairs:
+        part = f"{name} clock {len(found) + 1}" if len(pairs) > 1 else name
+        try:
+            found += recordings_of(part, one, other, source.track_m, source.truth_shift_s)
+        except RecordingError as error:
+            why = error
+    if why is not None and not found:
+        raise why
+    return found
+
+
 def recordings_of(
     name: str, odometry: Samples, truth: Samples, track_m: float | None = None, truth_shift_s: float = 0.0
 ) -> list[Recording]:
@@ -117,12 +147,14 @@ def recordings_of(
 
     """
     odometry, truth = in_order(odometry), in_order(truth)
+    rounded_s = math.hypot(stamp_resolution_s(odometry), stamp_resolution_s(truth))
+    odometry, truth = even_stamps(odometry), even_stamps(truth)
     if truth_shift_s:
         shift = round(truth_shift_s * 1e9)
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_constant_heading(odometry, truth)
+    truth = corrections_alone(odometry, without_constant_heading(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
@@ -133,7 +165,16 @@ def recordings_of(
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
-    return [replace(r, notes=(opening, *r.notes, *said)) for r in recordings]
+    return [
+        replace(
+            r,
+            notes=(opening, *r.notes, *said),
+            stamp_error_s=rounded_s / math.sqrt(12.0),
+            localised=truth.localised,
+            pulled_per_s=max(pull_of(calm, real)),
+        )
+        for r in recordings
+    ]
 
 
 def automatic_scan(source: Source) -> str | None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.drive_types import AUTO
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import interpolate, wrap
 
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.model.motion_model import Origin
 
 __all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
 
@@ -82,10 +84,16 @@ class Recording:
 
     origin_ns : what float times count from: the odometry's first stamp as it was recorded
     track_m : the robot's nominal track where it is known
+    drive_type : how its wheels steer it, see `drive_types`; "auto" where nobody said it
     notes : what reading it left out or noticed, in words
     clock : names the clock, and with it the origin, that stretches of one run share; empty: one of its own
     heading_error_rad : where the truth has only positions, how far off the headings given to it may be
     truth_scale_error : standard deviation of a scale error that all lengths of the truth may share (a laser's)
+    geodetic_origin : of the truth's frame, where it was satellite fixes
+    localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
+    pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
+    truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
+    stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
     """
 
     name: str
@@ -97,6 +105,12 @@ class Recording:
     heading_error_rad: float | None = None
     clock: str = ""
     truth_scale_error: float = 0.0
+    geodetic_origin: Origin | None = None
+    truth_level: tuple[float, float] = (1.0, 1.0)
+    stamp_error_s: float = 0.0
+    localised: bool = False
+    pulled_per_s: float = 0.0
+    drive_type: str = AUTO
 
     @property
     def headed(self) -> bool:

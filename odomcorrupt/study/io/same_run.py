@@ -1,6 +1,6 @@
 """Whether odometry and truth are of one drive at all.
 
-Only what is plain is refused: wheels slip, satellites wander and platforms go sideways, but over two seconds even those
+Only what is plain is refused: wheels slip, fixes drift and platforms go sideways, but over two seconds even those
 move as fast, or turn as fast, as their odometry says. Of 19 recordings by other people the worst agrees by .6 in
 one of the two, of two drives of some minutes the best by .4.
 """
@@ -24,7 +24,7 @@ _WINDOW_S = 2.0
 _REACH_S = 60.0
 _NEAR_S = 3.0
 _STRANGE_NEAR, _STRANGE = 0.45, 0.5
-"""Likeness that one drive has in speed or in turning: as the clocks are, and at any shift."""
+"""Correlation that one drive has in speed or in turning: as the clocks are, and at any shift."""
 _TURNS_RADPS, _SPEEDS_MPS, _SPEEDS = 0.05, 0.03, 0.15
 """Deviation of yaw rates, of speeds, and of speeds over their root mean square, below which they may be noise."""
 

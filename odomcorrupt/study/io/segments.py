@@ -101,7 +101,18 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
         origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
         clock = f"{name} from {origin_ns}" if len(moved) > 1 else ""
         real = _beside(one, other) if len(moved) > 1 else other
-        recordings.append(Recording(part, own, real.trajectory(), origin_ns, track_m, said, clock=clock))
+        recordings.append(
+            Recording(
+                name=part,
+                odometry=own,
+                truth=real.trajectory(),
+                origin_ns=origin_ns,
+                track_m=track_m,
+                notes=said,
+                clock=clock,
+                geodetic_origin=truth.geodetic_origin,
+            )
+        )
     return recordings
 
 

@@ -2,7 +2,7 @@
 
 Markers that are swapped turn a pose by any angle, often by less than what would stand out as a jump: one side of it may
 pass for motion and the other not, so that all that follows seems to have jumped. Spikes are therefore taken out before
-jumps are looked for. Only where poses lie is asked, not when: stamps bunch, and who is late on his way is still on it.
+jumps are detected. Only positions are tested, not times: stamps bunch, and a late pose is still on the path.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def without_spikes(t_s: Array, xyt: Array, top: Array, limit: Array) -> NDArray[
         over = _apart(own_xyt[:-1], own_xyt[1:]) > limit + top * np.diff(own_s)[:, None]
         steps = over[:, 0] | over[:, 1]
         found = (_spikes(own_s, own_xyt, top, limit, steps, count) for count in range(1, LONGEST + 1) if steps.any())
-        # the shortest first: what lies beside them is judged anew without them
+        # the shortest first: their neighbours are tested again without them
         bad = next((rows for rows in found if len(rows)), None)
         if bad is None:
             break

@@ -1,4 +1,4 @@
-"""Read trajectories from text: TUM files and CSV files, told apart by their content.
+"""Read trajectories from text: TUM files and CSV files, distinguished by their content.
 
 TUM: `stamp x y z qx qy qz qw` in seconds and metres, separated by blanks; lines that begin with # are comments.
 CSV: a header names the columns, see `columns`.

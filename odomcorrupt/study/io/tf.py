@@ -19,6 +19,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import plain
+from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, ahead_s
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.tf_tree import Edge
@@ -38,11 +39,6 @@ __all__ = ["EdgeReader"]
 _FAR_M = 1e9
 _MOVES = np.array([1e-4, 1e-4])
 """Metres, radians: the others have to move by so much for a repeated correction to mean that there was no new one."""
-_REPEATED, _CORRECTIONS = 0.3, 20
-"""A localisation's edge repeats itself in at least this part of its messages while the robot moves.
-
-It takes so many corrections to learn from.
-"""
 _AHEAD_S = (0.02, 5.0)
 """By how much a localisation stamps its corrections ahead of the time at which they are sent."""
 
@@ -135,6 +131,7 @@ class EdgeReader:
             none.astype(np.int64),
             none,
             tuple(notes),
+            localised=found is not None,
         )
 
     def _edge(self, edge: Edge) -> _Ordered:
@@ -161,7 +158,7 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
     for edge, own in moving.items():
         others = [other for e, other in moving.items() if e != edge]
         new = np.any(np.diff(np.concatenate(own.poses, axis=1), axis=0) != 0.0, axis=1)
-        if not others or not _CORRECTIONS <= new.sum() < (1.0 - _REPEATED) * len(new):
+        if not others or not CORRECTIONS <= new.sum() < (1.0 - REPEATED) * len(new):
             continue
         went = np.zeros((len(new), 2))
         for other in others:
@@ -170,14 +167,15 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
             went[:, 0] += np.linalg.norm(np.diff(there.xyz, axis=0), axis=1)
             went[:, 1] += 2.0 * np.arccos(np.minimum(turned, 1.0))
         moves = (went > _MOVES).any(axis=1)
-        if np.mean(~new[moves]) < _REPEATED if moves.any() else True:
+        if np.mean(~new[moves]) < REPEATED if moves.any() else True:
             continue
         rows = np.flatnonzero(np.concatenate(([True], new)))
         stamps, said = own.stamps_ns[rows], ""
-        ahead_s = float(np.median(own.stamps_ns - own.logs_ns)) * 1e-9
-        if _AHEAD_S[0] < ahead_s < _AHEAD_S[1]:
-            stamps = stamps - round(ahead_s * 1e9)
-            said = f", their stamps {ahead_s:.2g} s ahead of when they were sent put back"
+        fastest = max(others, key=lambda other: len(other.stamps_ns))
+        ahead = ahead_s(own.stamps_ns, own.logs_ns, (fastest.stamps_ns, fastest.logs_ns))
+        if _AHEAD_S[0] < ahead < _AHEAD_S[1]:
+            stamps = stamps - round(ahead * 1e9)
+            said = f", their stamps {ahead:.2g} s ahead of when they were sent put back"
         note = (
             f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone{said}: "
             "between them it repeats the odometry"

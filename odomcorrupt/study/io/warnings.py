@@ -9,6 +9,7 @@ import numpy as np
 
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.study.io.feedback import pull_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -94,9 +95,17 @@ def filter_signs(odometry: Samples, truth: Samples) -> list[str]:
     jumps = _jumps_to_truth(odometry, truth)
     if jumps:
         signs.append(f"it jumps towards the truth {jumps} times")
+    fading = max(pull_of(odometry, truth))
+    if fading:
+        signs.append(f"its errors fade by {1.0 - np.exp(-fading):.0%} a second, as if it were given poses")
     if not signs:
         return []
     what = "a motion model describes what no other sensor has corrected"
+    if jumps or fading:
+        what += (
+            ": of scales, biases and noise only what outlives a correction can be seen, clocks and lags as ever; "
+            "record the wheels' own odometry for the rest"
+        )
     return [f"{odometry.name}: looks like a filter's output, not like wheel odometry ({', '.join(signs)}); {what}"]
 
 

@@ -14,26 +14,49 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.windows import WINDOW_S
-from odomcorrupt.study.select.closed_loop import acts_in_curves_only, hardly_turns, is_gain_of_turns, may_be_steering
+from odomcorrupt.study.select.closed_loop import (
+    acts_in_curves_only,
+    hardly_turns,
+    is_gain_of_turns,
+    may_be_steering,
+    of_pulls,
+)
 from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
-from odomcorrupt.study.terms.regressors import drives_sideways
+from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["Candidate", "include", "library", "library_candidates", "objection", "tried", "with_shape_refined"]
+__all__ = [
+    "FORBIDDEN",
+    "Candidate",
+    "channels_of",
+    "include",
+    "library",
+    "library_candidates",
+    "objection",
+    "tried",
+    "with_shape_refined",
+]
 
+FORBIDDEN = "of a sign that it cannot have"
+"""Why a cause is refused that explains the data by what physics does not allow: such data have another flaw."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_AT_BOUND = 1e-6
+"""Part of a parameter's range from its bound within which a fit has run into it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,26 +81,11 @@ class Candidate:
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
-    """Return every registered systematic effect that the model does not have, as a family of shapes worth trying.
-
-    Clocks are apart, a twin is named as an alternative of the one it cannot be told from, single wheels need a track,
-    and not every robot drives sideways.
-    """
+    """Return every systematic effect that the robot can have and the model does not, as a family of shapes."""
+    problem = fit.problem
     have = {effect.name for effect in fit.effects}
-    motions = fit.problem.motions
-    track, sideways = all(m.track_m is not None for m in motions), drives_sideways(motions)
-    kinds = [
-        kind
-        for name, kind in registry().items()
-        if name not in have
-        and kind.kind not in ("noise", "event")
-        and not kind.clock
-        and kind.twin_of is None
-        and (sideways or not kind.needs_sideways)
-        and (track or not kind.needs_track)
-    ]
-    families = [LibraryTerm.family(kind, motions) for kind in kinds]
-    return [family for family in families if family]
+    families = library_families(problem.recordings, problem.motions, have)
+    return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
 def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
@@ -125,20 +133,41 @@ def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
 def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
     """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
     if not score.separable:
-        return "cannot be told from what is in the model"
-    for p, value, error in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True):
-        room = p.high if value > 0.0 else -p.low
-        if error * decisions.testable_errors > 0.5 * max(p.high, -p.low):
+        return "not separable from what is in the model"
+    own = list(zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True))
+    for p, value, error in own:
+        least = 2.0 * error * decisions.testable_errors
+        bound = np.copysign(p.high if value > 0.0 else -p.low, value)
+        if max(p.high, -p.low) < least and _first_order_room(fit, score.effect, p, bound) < least:
             return "not testable on this drive"
-        if abs(value) > room:
-            why = "beyond what is physically possible" if room > 0.0 else "of a sign that it cannot have"
-            return f"{p.name} would be {value:.3g}, {why}"
     if not score.significant(decisions.level):
         return "no evidence" if score.p >= decisions.level else "does not gain on held-out blocks"
+    for p, value, _ in own:
+        room = p.high if value > 0.0 else -p.low
+        if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
+            why = "beyond what is physically possible" if room > 0.0 else FORBIDDEN
+            return f"{p.name} would be {value:.3g}, {why}"
+    if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
+        return "no larger than what a filter makes that is given poses and comes late"
     columns = score.term.columns(fit.problem)
     answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
     steered = answers or (still and acts_in_curves_only(fit, score.effect))
     return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
+
+
+def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> float:
+    """Return how large an estimate of first order may be of a parameter that reaches its bound.
+
+    A robot that turns four times as far as its odometry says has a track of a quarter: three times its odometry's turns
+    are missing, and a parameter of three would say so to first order.
+    """
+
+    def size(value: float) -> float:
+        acting = replace(effect, **{p.name: value})  # type: ignore[type-var]  # effects are dataclasses
+        return float(np.sqrt(sum(np.sum(error_of(acting, m) ** 2) for m in fit.problem.motions)))
+
+    slope = size(p.identity + np.copysign(p.step, bound)) / p.step
+    return size(bound) / slope if slope > 0.0 else 0.0
 
 
 def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
@@ -161,12 +190,33 @@ def tried(
     """
     if gain is None:
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty
+    beyond = _on_bounds(with_it, score)
+    if beyond:
+        return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
     before, after = drift(fit), drift(with_it)
     spoiled = after.worse_than(
         before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
     )
     refused = "gains nothing when everything is fitted together" if gain <= least else _SPOILS if spoiled else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
+
+
+def channels_of(fit: Fit, effect: Effect) -> list[str]:
+    """Return the channels that an effect acts on."""
+    changed = {p.name: p.identity + p.step for p in amplitudes(effect)}
+    acting = replace(effect, **changed)  # type: ignore[type-var]  # effects are dataclasses
+    acts = np.any([np.abs(error_of(acting, m)).max(axis=0) > 0.0 for m in fit.problem.motions], axis=0)
+    return [channel for channel, does in zip(CHANNELS, acts, strict=True) if does]
+
+
+def _on_bounds(fit: Fit, score: Score) -> str:
+    """Return why a fitted term is not possible, or nothing: a parameter that runs into its bound is no cause."""
+    effect = next((e for e in fit.onward.effects if e.name == score.term.name), None)
+    for p in amplitudes(effect) if effect is not None else ():
+        value = getattr(effect, p.name)
+        if value != p.identity and min(value - p.low, p.high - value) <= _AT_BOUND * (p.high - p.low):
+            return f"{p.name} would be {value:.3g} or more, beyond what is physically possible"
+    return ""
 
 
 def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:

@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["acts_in_curves_only", "hardly_turns", "is_gain_of_turns", "may_be_steering"]
+__all__ = ["acts_in_curves_only", "hardly_turns", "is_gain_of_turns", "is_pulled", "may_be_steering", "of_pulls"]
 
 _ACTIVE = 1e-3
 _MOSTLY = 0.95
+_LATE_S, _PULLED = 0.05, 2.0
+"""Odometry of a filter is late by so much even where its clock is right; and how much more than that pulls may do."""
 _PLAIN_TURNS = 4.0
 """Information of a drive's turns per interval: on the root of their mean square, two standard errors of the noise."""
 
@@ -87,6 +89,29 @@ def acts_in_curves_only(fit: Fit, effect: Effect) -> bool:
         if error_of(acting, straight).any() or error_of(acting, spot).any():
             return False
     return True
+
+
+def is_pulled(fit: Fit) -> bool:
+    """Tell whether a filter pulls the odometry of any recording towards poses, so that its noise fades."""
+    return any(recording.pulled_per_s > 0.0 for recording in fit.problem.recordings)
+
+
+def of_pulls(fit: Fit, effect: Effect) -> bool:
+    """Tell whether an effect is as small as what poses from outside make of odometry that comes late.
+
+    A filter that is given poses pulls odometry by a part of how far off it is every second, and odometry that is late
+    is off by what the robot moved meanwhile: together that is a gain of travel and of turns.
+    """
+    problem = fit.problem
+    filtered = sum(getattr(e, "tau", 0.0) for e in problem.effects if e.name == "channel_lag")
+    late_s = max(_LATE_S, filtered, *(abs(clock.offset_s) for clock in problem.clocks))
+    most = _PULLED * late_s * max(recording.pulled_per_s for recording in problem.recordings)
+    if not most > 0.0:
+        return False
+    moved = np.concatenate([np.stack((m.v, m.omega), axis=1) for m in problem.motions])
+    error = np.concatenate([error_of(effect, m)[:, [0, 2]] for m in problem.motions])
+    size, usual = (np.sqrt(np.mean(part**2, axis=0)) for part in (error, moved))
+    return bool(np.all(size <= most * usual))
 
 
 def _turned(fit: Fit) -> Array:

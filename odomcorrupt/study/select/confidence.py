@@ -18,14 +18,14 @@ from math import exp, inf, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import RIVALS
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.decisions import DECISIONS
 
 if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["Evidence", "confidence", "evidence_of", "odds_against", "odds_formula"]
+__all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "odds_against", "odds_formula"]
 
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
@@ -38,14 +38,14 @@ class Evidence:
     own : what it gains, less its penalty
     rivals : the same of every other candidate that was refitted and not refused; twins are no rivals
     left : what the plainest dependence still gains in the final model
-    wandering : what correlated noise in the final model gains
+    correlated : what correlated noise in the final model gains
     margin : by how much the final model prefers it to the best basis function in its place
     """
 
     own: float
     rivals: tuple[float, ...] = ()
     left: float = 0.0
-    wandering: float = 0.0
+    correlated: float = 0.0
     margin: float = inf
 
 
@@ -62,7 +62,7 @@ def odds_against(evidence: Evidence, prior: PriorOdds = DECISIONS.prior) -> floa
     rivals = sum(_exp(prior.temper * (g - evidence.own)) for g in evidence.rivals if isfinite(g))
     nothing = _exp(-prior.temper * evidence.own)
     dependence = _exp(prior.dependence_nats - prior.temper * evidence.margin)
-    rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.wandering, 0.0)
+    rest = prior.unexplained * max(evidence.left, 0.0) + prior.correlated * max(evidence.correlated, 0.0)
     return rivals + nothing + dependence + prior.elsewhere + rest / evidence.own
 
 
@@ -80,16 +80,25 @@ def _exp(nats: float) -> float:
     return exp(min(max(nats, -700.0), 700.0))
 
 
+def held_out_limit(name: str, nats: float, learned: Learned) -> float:
+    """Return the nats that a part of a model gains on the fitted data, no more than data that were not fitted allow."""
+    most, error = learned.held_out.get(name, (inf, 0.0))
+    return min(nats, max(most + HELD_OUT_ERRORS * error, 0.0))
+
+
 def evidence_of(step: Step, learned: Learned) -> Evidence:
     """Return the evidence for the effect that a step included, in the light of the final model."""
-    # what data say that were not fitted limits the gain on fitted ones
-    nats, error = learned.held_out.get(step.added or "", (inf, 0.0))
-    own = min(step.candidates[0].gain, max(nats + HELD_OUT_ERRORS * error, 0.0))
-    rivals = tuple(c.gain for c in step.candidates[1:] if not c.refused)
+    gain = step.candidates[0].gain
+    own = held_out_limit(step.added or "", gain, learned)
+    # what chance gave to the effect on the fitted data it gave to its rivals, too
+    rivals = tuple(c.gain - (gain - own) for c in step.candidates[1:] if not c.refused)
     if step.added in RIVALS and learned.clocks.ambiguous_nats > 0.0:
         # the clock that was left out is a rival like any other; it explains no more than all of what this one does
         rivals = (*rivals, min(own, learned.clocks.ambiguous_nats))
+    if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
+        # what a filter that is given poses takes out passes for gains and biases of any kind
+        rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
-    wandering = max((gain.nats for gain in learned.noise if gain.effect.name in WANDERING), default=0.0)
+    correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
-    return Evidence(own, rivals, left, wandering, margin)
+    return Evidence(own, rivals, left, correlated, margin)

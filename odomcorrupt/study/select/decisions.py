@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
+
 if TYPE_CHECKING:
     from odomcorrupt.study.terms.term import Term
 
@@ -60,7 +62,7 @@ class Decisions:
         more than the first factor, unless windows compared one by one show less than so many standard errors of it;
         by more than the second factor never. An effect that the drift hardly depends on moves it by about a hundredth
 
-    alternative_nats : effects within so much of the best one are alternatives, which the data cannot tell apart: odds
+    alternative_nats : effects within so much of the best one are alternatives, which the data do not separate: odds
         of 20 to 1
     replacement_nats : by how much a basis function has to explain more than an effect of the library to be included
         instead: a known cause is the likelier a priori
@@ -68,6 +70,8 @@ class Decisions:
         of it and no replacement; causes of their own shared at most 0.96
     form_share : part of the best form's gain that other forms of a dependence need to be fitted beside it
     reshape_nats : what a refined shape has to gain in the likelihood of a refit
+    common, rare_nats : causes that every robot has a little of, and by how many nats the others are the less likely a
+        priori: nominal radii and tracks are never exact (Borenstein & Feng 1996) and gyros have a bias; seven to one
     unusual_nats : what a heading from a gyro has to explain on top where a whole model, or a basis function, says so
     unusual_shape_nats : the same in a shape search of one effect, before it is refitted
     known_gyro_nats : the same where a gyro's bias is in the model, so that there is a gyro
@@ -104,6 +108,8 @@ class Decisions:
     copy_share: float = 0.985
     form_share: float = 0.7
     reshape_nats: float = 1.0
+    common: tuple[str, ...] = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
+    rare_nats: float = 2.0
     unusual_nats: float = 4.0
     unusual_shape_nats: float = 2.0
     known_gyro_nats: float = -1.0
@@ -126,8 +132,9 @@ DECISIONS = Decisions()
 def penalty(term: Term, count: int, decisions: Decisions) -> float:
     """Return the nats that a term must gain on `count` intervals to be no worse than nothing.
 
-    Half of the logarithm of the count for each number that is fitted (Schwarz 1978), and the logarithm of the size of
-    the family that it was selected from.
+    Half of the logarithm of the count for each number that is fitted (Schwarz 1978), the logarithm of the size of the
+    family that it was selected from, and what is the less likely a priori.
     """
     unusual = decisions.unusual_nats if term.unusual else 0.0
-    return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual
+    rare = decisions.rare_nats if term.name in registry() and term.name not in decisions.common else 0.0
+    return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare

@@ -45,7 +45,7 @@ _MOST_STARTS = 40
 class BasisScore:
     """The basis function of one regressor and channel that explains most, scored exactly.
 
-    others : other forms that do nearly as well, so that only a fit can tell
+    others : other forms with nearly the same score, between which a fit decides
     """
 
     score: Score

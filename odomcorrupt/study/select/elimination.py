@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import remeasured
+from odomcorrupt.study.select.score import score_terms
+from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Container
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import RandomCoefficient
 
-__all__ = ["backward_eliminate", "drop_term", "eliminate_random", "iterate", "one_heading"]
+__all__ = ["backward_eliminate", "drop_term", "eliminate_random", "eliminate_untested", "iterate", "one_heading"]
 
 _ITERATIONS, _ALIKE = 6, 0.03
 """Most iterations of a random coefficient beside the rest of the noise, and the relative change that ends them."""
@@ -50,6 +53,29 @@ def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> 
     return fit
 
 
+def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit whose effects of the library each explain more than their penalty beside all of the rest.
+
+    What came early was tested beside little, and may be nothing but what a later term, or the law of a cause without a
+    name, explains in full. Blocks of the drive say what a likelihood is worth, as they do at inclusion; but what was
+    plain once leaves only where nothing is left of it. The least goes first, and the others are tested again.
+
+    keep : names of effects that stay in any case
+    """
+    while True:
+        failing = []
+        for effect in fit.effects:
+            if effect.name in keep or effect.name not in registry():
+                continue
+            term = LibraryTerm.of(effect, fit.problem.motions)
+            (score,) = score_terms(drop_term(fit, effect), [term], decisions)
+            if not score.robust_nats > 0.0:
+                failing.append((score.robust_nats, effect.name))
+        if not failing:
+            return fit
+        fit = fit.refit([e for e in fit.effects if e.name != min(failing)[1]])
+
+
 def eliminate_random(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
@@ -60,7 +86,7 @@ def eliminate_random(
     least = decisions.drop_nats + decisions.correlated_nats * len(fit.random)
     if fit.log_likelihood - calm.log_likelihood >= least:
         return named, fit
-    return [one for one in named if one.effect.name not in WANDERING], calm
+    return [one for one in named if one.effect.name not in CORRELATED_NOISE], calm
 
 
 def iterate(fit: Fit, effect: Effect) -> tuple[Fit, Effect]:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["Disagreement", "disagreements"]
+__all__ = ["ParameterDifference", "disagreements"]
 
 _CHANGING = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
 """What loads, tyres, floors and a switch change between two drives."""
@@ -33,11 +33,11 @@ _KNOWN = 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Disagreement:
-    """A parameter that recordings disagree about.
+class ParameterDifference:
+    """A parameter that differs between recordings.
 
     effect, parameter, unit : which it is
-    recordings : names of those that can tell
+    recordings : names of those that determine it
     values, standard_errors : (R,) what each of them says
     p : probability of such a disagreement of one robot
     """
@@ -51,7 +51,7 @@ class Disagreement:
     p: float
 
 
-def disagreements(fit: Fit, level: float) -> tuple[Disagreement, ...]:
+def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     """Return the parameters that recordings disagree about, the plainest first; none where there is one recording.
 
     level : probability of any, where there is none
@@ -88,7 +88,7 @@ def disagreements(fit: Fit, level: float) -> tuple[Disagreement, ...]:
         square = float(np.sum(weight * (values - np.average(values, weights=weight)) ** 2))
         chance = min(1.0, len(_CHANGING) * float(chi2.sf(square, len(values) - 1)))
         if chance < level:
-            one = Disagreement(
+            one = ParameterDifference(
                 effect=effect.name,
                 parameter=p.name,
                 unit=p.unit,

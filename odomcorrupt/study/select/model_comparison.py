@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.select.candidates import tried, with_shape_refined
+from odomcorrupt.study.select.candidates import FORBIDDEN, Candidate, library, objection, tried, with_shape_refined
+from odomcorrupt.study.select.closed_loop import hardly_turns
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
-from odomcorrupt.study.select.score import project_out, score_columns
+from odomcorrupt.study.select.score import project_out, score_columns, score_terms
+from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -23,13 +25,12 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.select.screening import CoarseDesign
 
-__all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement", "compare_with_basis"]
+__all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement", "compare_with_basis", "name_for"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,35 @@ def compare_with_basis(fit: Fit, effect: Effect, decisions: Decisions, design: C
 
     scores = [one for one in basis_scores(bare, decisions, design) if not copies(one.score)]
     return ModelComparison(bare, nats, worth, scores)
+
+
+def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | None:
+    """Return the effect of the library that does in the place of an included law about what the law does, if any.
+
+    Other terms have joined the model since the law was included, and beside them a known effect may explain as much: a
+    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused.
+    """
+    effect = next((e for e in fit.effects if e.name == law.name), None)
+    if effect is None or law.best is None:
+        return None
+    bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
+    search, still = ShapeSearch(bare, decisions), hardly_turns(bare)
+    scores = score_terms(bare, [search.best(family) for family in library(bare)], decisions)
+    law_columns = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
+    least = 0.5 * law_columns.statistic - law.best.score.penalty - decisions.replacement_nats
+    near = sorted((s for s in scores if s.nats > max(least, 0.0)), key=lambda s: -s.nats)
+    for score in near[: decisions.shortlist]:
+        refused = objection(bare, score, decisions, still=still)
+        if FORBIDDEN in refused:
+            return Candidate(score=score, gain=score.nats, refused=refused)
+        if refused:
+            continue
+        with_it = fit.refit((*others, score.estimated), weights=fit.noise.weights)
+        gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + law.best.score.penalty
+        found = tried(fit, with_it, score, decisions, gain=gain, least=-decisions.replacement_nats)
+        if not found.refused:
+            return replace(found, fit=with_it.refit(), gain=score.nats)
+    return None
 
 
 def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions) -> Proposal | None:

@@ -7,16 +7,20 @@ wave (Lomb's periodogram on a grid).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.effects.flat_spot import FlatSpot
+from odomcorrupt.effects.wheels import TRACKS_M
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.screening import Screened
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
-from odomcorrupt.study.terms.term import BasisTerm
+from odomcorrupt.study.terms.drive_type import drive_type_of
+from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,9 +29,11 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["waves"]
+__all__ = ["flat_spots", "waves"]
 
 LONGEST_M, SHORTEST_M = 4.0, 0.15
+_LARGEST_TURN_M = 2.5
+"""A wheel that goes farther in a turn has a radius of 0.4 m."""
 _GRID_M = 0.02
 _TRIED = 3
 
@@ -44,6 +50,41 @@ def waves(fit: Fit) -> list[Screened]:
             term = BasisTerm(_wave(text, distance, wavelength_m), Action(channel, "v"))
             found.append(Screened(term, rest.gain(whitener.whiten(term.columns(problem)))))
     return found
+
+
+def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
+    """Return the flat spots of either wheel at the likeliest circumferences and phases, as a family; of no car's.
+
+    Where the track is not known, on every one that is tried: it says how far each wheel has rolled.
+    """
+    problem = fit.problem
+    if not problem.headings or drive_type_of(problem.recordings).steered:
+        return []
+    rest, whiten = project_out(fit), fit.noise.whitener.whiten
+    pull = fit.noise.whitener.pulled(rest.residual)
+    own = problem.motions[0].track_m
+    found: list[tuple[float, FlatSpot]] = []
+    for track_m in TRACKS_M if own is None else (own,):
+        for wheel, side in (("right", 0.5 * track_m), ("left", -0.5 * track_m)):
+            for turn_m in _likeliest(fit, pull, "yaw", _way_of(side)):
+                if turn_m > _LARGEST_TURN_M:
+                    continue
+                spot = FlatSpot(circumference=turn_m, wheel=wheel, form="eccentric", track=0.0 if own else track_m)
+                pair = [spot, replace(spot, phase=0.5 * np.pi)]
+                columns = whiten(np.concatenate([problem.columns(one) for one in pair], axis=2))
+                part = np.linalg.lstsq(rest.of(columns), rest.residual, rcond=None)[0]
+                phase = float(np.arctan2(part[1], part[0]))
+                found.append((rest.gain(columns), replace(spot, phase=phase)))
+    found.sort(key=lambda one: one[0], reverse=True)
+    way_m = sum(float(np.abs(m.v * m.dt_s).sum()) for m in problem.motions)
+    trials = max(int(2.0 * way_m / SHORTEST_M), 1)
+    forms = [replace(spot, form=form) for _, spot in found[:_TRIED] for form in ("eccentric", "flat")]
+    return [tuple(LibraryTerm(spot, trials * len(forms)) for spot in forms)] if forms else []
+
+
+def _way_of(side_m: float) -> Callable[[Motion], Array]:
+    """Return what tells the way (n,) of a wheel so far to the right of the middle."""
+    return lambda m: np.cumsum((m.v + side_m * m.omega) * m.dt_s)
 
 
 def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Array]]]:

@@ -16,8 +16,8 @@ from scipy.linalg import eigh
 from odomcorrupt.effects.effect import parameters
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
+    CORRELATED_NOISE,
     FINELY,
-    WANDERING,
     bias_of,
     processes,
     processes_like,
@@ -28,6 +28,7 @@ from odomcorrupt.study.estimate.random_process import (
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.terms.drive_type import drive_type_of
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -62,7 +63,7 @@ class RandomCoefficient:
 
 
 _MAP_NATS = 20.0
-"""Nats more that a wandering gain of travel takes where the truth is a map's, whose distortions wander, too."""
+"""Additional nats required of a varying gain of travel where the truth is a map's, whose distortions vary, too."""
 
 
 def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficient]:
@@ -70,7 +71,10 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
+    drive = drive_type_of(fit.problem.recordings)
     for process in processes():
+        if not drive.admits(process.kind):
+            continue
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
         design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
         nats, scale = _evidence(fit, design, process)
@@ -87,8 +91,8 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
 
 
 def _matched(fit: Fit) -> bool:
-    """Whether a truth comes from matched scans."""
-    return any(recording.truth.covariance is not None for recording in fit.problem.recordings)
+    """Whether a truth comes from matched scans: a laser's own, or a localisation's."""
+    return any(r.truth.covariance is not None or r.localised for r in fit.problem.recordings)
 
 
 def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
@@ -128,7 +132,7 @@ def beside_bursts(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
     """Drop random coefficients that are not there once all outliers are set apart: they were the bursts."""
-    correlated = {one.effect.name for one in named} & set(WANDERING)
+    correlated = {one.effect.name for one in named} & set(CORRELATED_NOISE)
     if not correlated:
         return named, fit
     calm = fit.refit(random=(), weights=set_apart(fit))

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["ColumnScore", "Projection", "Score", "project_out", "score_columns", "score_terms"]
 
 _SEPARABLE = 0.02
-"""A column that loses all but this part of its length to the design matrix cannot be told from the model."""
+"""A column that loses all but this part of its length to the design matrix is not separable from the model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +42,7 @@ class ColumnScore:
     statistic : chi-square with p degrees under the fitted model
     inflation : by how much the score varies more between blocks than the model says, at least 1
     p : probability of such a score anywhere in the family without any effect, by the worse of both tests
-    separable : whether the group can be told from the model at all
+    separable : whether the group is separable from the model at all
     held_out_nats, held_out_error : gain in log likelihood on blocks left out of the estimate, and its standard error
     """
 
@@ -56,7 +56,7 @@ class ColumnScore:
     held_out_error: float
 
     def significant(self, level: float) -> bool:
-        """Whether it can be told from the model, passes both tests, and gains on blocks held out of its estimate."""
+        """Whether it is separable from the model, passes both tests, and gains on blocks held out of its estimate."""
         return self.separable and self.p < level and self.held_out_nats > self.held_out_error
 
 

@@ -108,7 +108,9 @@ class ShapeSearch:
         return [self.climb(term) for term in starts([s.term for s in ranked], ranked[0].nats)]
 
     def climb(self, term: T) -> T:
-        """Return the term at the nearest maximum over its shape, from approximate columns."""
+        """Return the term at the nearest maximum over its shape, from approximate columns, where it has any."""
+        if isinstance(term, LibraryTerm) and term.remembers:
+            return term
         return self._climb(term, self.coarse_gains, _COARSE)
 
     def maximise(self, term: T) -> T:

@@ -11,26 +11,39 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects import registry
-from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
-from odomcorrupt.study.select.candidates import Candidate, library_candidates, with_shape_refined
+from odomcorrupt.study.select.candidates import (
+    FORBIDDEN,
+    Candidate,
+    channels_of,
+    library_candidates,
+    with_shape_refined,
+)
+from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
-from odomcorrupt.study.select.elimination import backward_eliminate, eliminate_random, iterate, one_heading
-from odomcorrupt.study.select.heterogeneity import Disagreement, disagreements
+from odomcorrupt.study.select.elimination import (
+    backward_eliminate,
+    eliminate_random,
+    eliminate_untested,
+    iterate,
+    one_heading,
+)
+from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.model_comparison import (
     ModelComparison,
     Proposal,
     best_dependence,
     best_replacement,
     compare_with_basis,
+    name_for,
 )
 from odomcorrupt.study.select.random_effects import (
     RandomCoefficient,
@@ -39,91 +52,17 @@ from odomcorrupt.study.select.random_effects import (
     outlier_effects,
     random_coefficients,
 )
+from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Learned", "Step", "learn"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
-    """One step of the selection.
-
-    before : the model before it
-    candidates : effects of the library, the one that was included first
-    added : name of the effect that was included, None where none was
-    dependence : what was included instead, because no effect of the library explains it
-    alternative_nats : see `Decisions`
-    """
-
-    before: Fit
-    candidates: tuple[Candidate, ...]
-    added: str | None
-    dependence: Dependence | None = None
-    alternative_nats: float = DECISIONS.alternative_nats
-
-    @property
-    def name(self) -> str | None:
-        """What was included: the name of an effect, or what depends on what; None if nothing was."""
-        return self.added if self.dependence is None else self.dependence.title
-
-    @property
-    def alternatives(self) -> tuple[str, ...]:
-        """Effects that would have done nearly as well as the included one."""
-        if self.added is None:
-            return ()
-        least = self.candidates[0].gain - self.alternative_nats
-        near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
-        aliased = [name for name, kind in registry().items() if kind.twin_of in (self.added, *near)]
-        return (*near, *aliased)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Learned:
-    """What a selection found.
-
-    clocks : those of the recordings
-    rounds : all steps in order; the last one included nothing, or a limit was reached
-    noise : what encoders did, and random effects that were found
-    unknown : dependences that no effect of the library explains
-    laws : those of them that are in the model as basis functions
-    margins : by how many nats each included effect explains more than the best basis function would in its place
-    fit : the final fit
-    error_m : its 10 s position error on the fitted data
-    disagreements : parameters that recordings do not agree about
-    decisions : the decisions it was selected by
-    held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
-    """
-
-    clocks: Clocks
-    rounds: tuple[Step, ...]
-    noise: tuple[RandomCoefficient, ...]
-    unknown: tuple[Dependence, ...]
-    laws: tuple[Dependence, ...]
-    margins: Mapping[str, float]
-    fit: Fit
-    error_m: float
-    disagreements: tuple[Disagreement, ...] = ()
-    decisions: Decisions = DECISIONS
-    held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-
-    @property
-    def added(self) -> tuple[str, ...]:
-        """Names of the effects of the library that were included and kept, in order."""
-        return tuple(step.added for step in self.steps if step.added is not None)
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """Steps whose inclusion is in the final model; of one that left and came back, the later."""
-        kept = {effect.name for effect in self.fit.effects}
-        stayed = {step.name: step for step in self.rounds if step.added in kept or step.dependence in self.laws}
-        return tuple(step for step in self.rounds if stayed.get(step.name) is step)
 
 
 def learn(
@@ -152,13 +91,14 @@ def learn(
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
+    recordings = levelled(recordings, clocks)
     fitted = fit(
         recordings,
         [e for e in start if e.kind != "noise"],
         clocks=clocks.clocks,
         free_clocks=clocks.free,
         approach=approach,
-        random=[e for e in start if e.name in WANDERING],
+        random=[e for e in start if e.name in CORRELATED_NOISE],
     )
     noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}
@@ -168,7 +108,7 @@ def learn(
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
-    errors = tuple((float(offset), float(rate)) for offset, rate in final.clock_errors)
+    errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
     return Learned(
         clocks=replace(clocks, clocks=final.problem.clocks, errors=errors),
         rounds=tuple(found.steps),
@@ -179,6 +119,7 @@ def learn(
         fit=final,
         error_m=ten_second_error(final),
         disagreements=disagreements(final, decisions.heterogeneity_level),
+        contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
     )
 
@@ -191,6 +132,7 @@ class _Selection:
     given : names of effects that are not dropped
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
+    contradictions : effects that would explain the data with a sign that physics forbids
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
     """
 
@@ -201,6 +143,7 @@ class _Selection:
     steps: list[Step] = field(default_factory=list)
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
+    contradictions: list[Candidate] = field(default_factory=list)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
 
@@ -209,7 +152,7 @@ class _Selection:
 
     def run(self) -> _Selection:
         """Take steps until one includes nothing, then finish; return itself."""
-        while self._step():
+        while self._step() or self._name_laws():
             pass
         self._finish()
         return self
@@ -220,6 +163,26 @@ class _Selection:
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
             self._continue_from(proposal.candidate.fit)
+
+    def _name_laws(self) -> bool:
+        """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
+        for law in list(self.included):
+            name = name_for(self.fit, law, self.decisions)
+            if name is None:
+                continue
+            self.included.remove(law)
+            if name.fit is None:
+                self.contradictions.append(name)
+                self.fit = self.fit.refit([e for e in self.fit.effects if e.name != law.name])
+            else:
+                self._record([name], added=name.name)
+                self._continue_from(name.fit)
+            return True
+        return False
+
+    def _contradicted(self) -> set[str]:
+        """Return the channels that causes of impossible signs act on: an error there depends on what the data lack."""
+        return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
         """Take a model with one more term, without what the term makes redundant."""
@@ -266,7 +229,7 @@ class _Selection:
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
         """Return the random coefficient that explains plainly more than the best effect, if there is room for one."""
-        if len(self.fit.random) >= self.decisions.max_correlated:
+        if len(self.fit.random) >= self.decisions.max_correlated or is_pulled(self.fit):
             return None
         found = random_coefficients(self.fit, self.decisions)
         return found[0] if found and found[0].nats > gain + self.decisions.alternative_nats else None
@@ -274,7 +237,9 @@ class _Selection:
     def propose(self, *, alone: bool) -> Proposal | None:
         """Return the dependence that may come next; where no effect is left (`alone`), in place of one first."""
         decisions, design = self.decisions, CoarseDesign(self.fit.problem)
-        self.open = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
+        found = dependences(self.fit, basis_scores(self.fit, decisions, design), decisions)
+        found = [one for one in found if one.best is None or not of_pulls(self.fit, one.best.score.estimated)]
+        self.open = [one for one in found if one.channel not in self._contradicted()]
         if alone:
             self._compare(design)
         if len(self.included) >= decisions.max_dependences:
@@ -298,14 +263,21 @@ class _Selection:
         return True
 
     def _finish(self) -> None:
-        """Name outliers, agree on one source of the heading, drop what is redundant, and compare what was included."""
+        """Note what contradicts physics, name outliers, and drop what is redundant; compare what was included."""
         decisions = self.decisions
-        outliers = outlier_effects(self.fit, decisions, tails=not self.noise and not self.open)
+        self.contradictions += [
+            one
+            for one in self.steps[-1].candidates
+            if FORBIDDEN in one.refused and one.score.robust_nats > decisions.replacement_nats
+        ]
+        self.open = [one for one in self.open if one.channel not in self._contradicted()]
+        tails = not (self.noise or self.open or self.included)
+        outliers = [] if is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
         self.fit = one_heading(self.fit, self.given, decisions)
-        self.fit = backward_eliminate(self.fit, self.given, decisions)
+        self.fit = eliminate_untested(self.fit, self.given, decisions)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # what they do is no noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))

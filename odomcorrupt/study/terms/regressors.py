@@ -156,7 +156,7 @@ def _shared(recording: Recording, moving: NDArray[np.bool_], grid: Array) -> _Sh
     """Return what the sides' roughness has in common; None where the truth has no headings or too little is seen.
 
     Noise of either side is in one of the factors alone, so their mean product is what they have in common. A truth
-    that cannot tell is too noisy to drive; one without headings is not asked.
+    with no such difference is too noisy as regressor; one without headings is not tested.
     """
     seen = aligned(recording, coarse_clock(recording))
     truth_s = seen.truth.seconds_since(recording.origin_ns)

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Protocol, Self, TypeVar
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import amplitudes, choices, shapes
 from odomcorrupt.effects.user import UserEffect, user_effect
+from odomcorrupt.rng import stream
 from odomcorrupt.study.terms.basis import COEFFICIENTS, VALUES, BasisFunction
 from odomcorrupt.study.terms.channels import Action, every_action, views
 
@@ -36,6 +37,8 @@ _PLAINEST = 2.0
 """Half of the prior odds of a family of basis functions go to its plainest member."""
 _STEP = 0.4
 """First step of a shape search, in parts of a parameter's typical size."""
+_LEAST_OPTIONAL = 0.1
+"""What an optional shape parameter is at least once it is there, in parts of its typical size."""
 _SEVERAL_MAXIMA = 3
 """From so many numbers in its shape (a place) on, a basis function is likely to have several maxima."""
 
@@ -133,6 +136,11 @@ class LibraryTerm:
         return self.start.name
 
     @property
+    def remembers(self) -> bool:
+        """Whether what it does depends on the motion before, so that its columns need all of it."""
+        return self.start.start(stream(0, 0, self.name)) is not None
+
+    @property
     def width(self) -> int:
         """How many amplitudes it has."""
         return len(amplitudes(self.start))
@@ -140,22 +148,22 @@ class LibraryTerm:
     @property
     def charged(self) -> int:
         """All parameters, those of the shape among them."""
-        return len(parameters(self.start))
+        return self.width + len(shapes(self.start))
 
     @property
     def shape(self) -> Array:
         """Values (s,) of the parameters that are no amplitudes."""
-        return np.array([getattr(self.start, p.name) for p in parameters(self.start) if not p.amplitude])
+        return np.array([getattr(self.start, p.name) for p in shapes(self.start)])
 
     @property
     def steps(self) -> Array:
         """First steps (s,), in proportion to typical sizes."""
-        return np.array([_STEP * p.typical for p in parameters(self.start) if not p.amplitude])
+        return np.array([_STEP * p.typical for p in shapes(self.start)])
 
     def with_shape(self, shape: Sequence[float]) -> LibraryTerm:
         """Return the term at another shape."""
-        own = [p for p in parameters(self.start) if not p.amplitude]
-        values = {p.name: float(np.clip(v, p.low, p.high)) for p, v in zip(own, shape, strict=True)}
+        lows = ((p, _LEAST_OPTIONAL * p.typical if p.optional else p.low) for p in shapes(self.start))
+        values = {p.name: float(np.clip(v, low, p.high)) for (p, low), v in zip(lows, shape, strict=True)}
         return replace(self, start=replace(self.start, **values))  # type: ignore[type-var]  # effects are dataclasses
 
     def with_words(self, words: Sequence[str]) -> list[LibraryTerm]:

@@ -1,4 +1,4 @@
-"""Whether a model expects the errors it meets: NEES with honest bounds, coverage and CRPS, by length of path."""
+"""Whether a model predicts its errors: NEES with bounds that hold for fits, coverage and CRPS, by length of path."""
 
 from __future__ import annotations
 

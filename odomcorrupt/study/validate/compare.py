@@ -19,7 +19,7 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.io.headings import headed_anew
+from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import cutting_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
@@ -118,7 +118,7 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
 def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
     """Return the clocks of recordings as they come, or with a model's effects taken out where that is plainly closer.
 
-    Errors as large as a strong effect's hide a clock: it is looked for again in what the model leaves.
+    Errors as large as a strong effect's mask a clock: it is estimated again from the model's residuals.
     """
     plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
@@ -127,7 +127,7 @@ def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: Mo
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
-        return phased_rmse([headed_anew(undo(recording, effects)) for recording in on_time])
+        return phased_rmse([with_recomputed_headings(undo(recording, effects)) for recording in on_time])
 
     return applied if error_m(applied.clocks) < _CLOSER * error_m(plain.clocks) else plain
 
@@ -199,6 +199,11 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
         truth = pieces[0].truth
         notes.append(
             f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
+        )
+    elif any(piece.truth.xy_m != model.setup.truth.xy_m for piece in pieces if piece.headed and not piece.refitted):
+        own = ", ".join(f"{piece.truth.xy_m * 1e3:.2g} mm" for piece in pieces)
+        notes.append(
+            f"its truth is noisier or better than that of the fitted recordings, and was judged as such ({own})"
         )
     if not all(piece.headed for piece in pieces):
         notes.append("the truth has positions only: nothing is said of yaw")

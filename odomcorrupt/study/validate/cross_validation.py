@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Cutting", "Pieces", "cutting_of"]
 
 _LEAST_SHARE = 0.25
-"""A half that has less of the distance than this (the robot stood, or crept) shows too little of a model."""
+"""A half that has less of the distance than this (the robot rested, or crept) shows too little of a model."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class _Middle:
 
 @dataclass(frozen=True, slots=True)
 class Cutting:
-    """How recordings are cut, whatever their clocks are set to.
+    """How recordings are cut, independent of their clocks.
 
     middles : of each run, None where it is judged as a whole
     kept : the runs that are long enough to be judged

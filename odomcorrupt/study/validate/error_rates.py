@@ -27,7 +27,7 @@ MOVING = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeMotion:
-    """What each of K intervals between nodes was like, (K,) each.
+    """Motion over each of K intervals, (K,) each.
 
     t_s : its end, since the recording's origin, seconds
     metres, seconds : how far and how long it went

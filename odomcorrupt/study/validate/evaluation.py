@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
-from odomcorrupt.study.estimate.random_process import WANDERING, widened
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
 from odomcorrupt.study.estimate.whitener import Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
-from odomcorrupt.study.io.headings import UNKNOWN_RAD, headed_anew
+from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import Horizon, horizon_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
 from odomcorrupt.study.validate.random_covariance import random_covariance
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 
+_OTHER_NATS_PER_NODE = 0.3
+"""A truth is another one where its own noise explains so much more of each interval: as noise half as large again
+does where it is most of the residual."""
 _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
@@ -100,14 +103,16 @@ def evaluate_stretch(
     q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
     truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
+    if model.setup.truth is not None and not refitted:
+        truth = _own_truth(nodes, q, truth, headed=headed)
     band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
-    random = [effect for effect in model.effects if effect.name in WANDERING]
+    random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
     own = np.log(white.factor[0]) + 0.5 * innovations**2 + 0.5 * np.log(2.0 * np.pi)
     # a random coefficient acts over all of a run and belongs to no single interval
     own += (white.log_det - band.log_det) / own.size
-    left = headed_anew(undo(recording, effects))
+    left = with_recomputed_headings(undo(recording, effects))
     as_it_came = pose_problem([recording], approach=approach).nodes if effects else nodes
     return Evaluation(
         recording=recording,
@@ -140,12 +145,26 @@ def _noisy(model: MotionModel) -> list[Effect]:
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
+def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, *, headed: bool) -> TruthNoise:
+    """Return the noise of a recording's truth where it plainly is another than a model states of its own recordings.
+
+    The noise of a truth is no property of the robot: a model may be fitted to motion capture and judged on AMCL.
+    """
+    own = _truth_noise(nodes, q, headed=headed)
+
+    def nats(truth: TruthNoise) -> float:
+        white = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        return white.log_likelihood(white.whiten(nodes.residual))
+
+    return own if nats(own) - nats(stated) > _OTHER_NATS_PER_NODE * len(nodes) else stated
+
+
 def _truth_noise(nodes: Intervals, q: Array, *, headed: bool) -> TruthNoise:
     """Return the truth's noise of largest likelihood, for a model that was written by hand and states none."""
 
     def unpack(free: Array) -> TruthNoise:
-        xy, yaw, wander = np.exp(free)
-        return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(wander))
+        xy, yaw, random_walk = np.exp(free)
+        return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
 
     def cost(free: Array) -> float:
         try:

@@ -30,7 +30,7 @@ __all__ = [
     "LAGS",
     "PIT_LEVEL",
     "REJECTION_LEVEL",
-    "Look",
+    "Check",
     "Pit",
     "Verdict",
     "Whiteness",
@@ -52,8 +52,8 @@ LAGS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """One question put to the data: what it asks, and how likely a right model looks as bad."""
+class Check:
+    """One test of fit: its question, and its p-value."""
 
     question: str
     p: float
@@ -64,17 +64,17 @@ class Verdict:
     """All looks, the worst first; rejected where one is worse than the level divided by their number (Bonferroni)."""
 
     level: float
-    looks: tuple[Look, ...]
+    checks: tuple[Check, ...]
 
     @property
     def threshold(self) -> float:
         """What a single look must fall below."""
-        return self.level / max(len(self.looks), 1)
+        return self.level / max(len(self.checks), 1)
 
     @property
-    def against(self) -> tuple[Look, ...]:
+    def against(self) -> tuple[Check, ...]:
         """The looks that reject the model."""
-        return tuple(look for look in self.looks if look.p < self.threshold)
+        return tuple(look for look in self.checks if look.p < self.threshold)
 
     @property
     def rejected(self) -> bool:
@@ -95,9 +95,9 @@ def whiteness_of(chains: Sequence[Array]) -> dict[str, Whiteness]:
 
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
     """Weigh all looks."""
-    looks = [Look(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
-    looks += [Look(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
-    looks += [Look(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
+    looks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
+    looks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
+    looks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
     return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)))
 
 

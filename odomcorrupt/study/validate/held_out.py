@@ -16,7 +16,7 @@ from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.random_process import WANDERING
+from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.clock import aligned
@@ -77,12 +77,13 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
-    while True:
-        parts = _parts(fitted)
-        found = _test(fitted, parts, others, clocks) if parts else []
+    while parts := [(part,) for part in _parts(fitted)]:
+        # all parts together, too: each may make good what another one spoils, and all of them be worse than none
+        together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
+        found = _test(fitted, [*parts, *together], others, clocks)
         worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
         if worst is None:
-            said += [one for _, one in found]
+            said += [one for left_out, one in found if len(left_out) == 1]
             break
         said.append(worst[1])
         fitted = _without(fitted, worst[0])
@@ -92,7 +93,9 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
     fitted = with_robust_errors(fitted, kept)
     laws = tuple(one for one in learned.laws if one.name in kept)
-    noise = tuple(gain for gain in learned.noise if gain.effect.name not in WANDERING or gain.effect.name in kept)
+    noise = tuple(
+        gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
+    )
     return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
 
 
@@ -100,22 +103,24 @@ def _parts(fitted: Fit) -> list[Effect]:
     return [*(effect for effect in fitted.effects if effect.kind != "setup"), *fitted.random]
 
 
-def _without(fitted: Fit, part: Effect) -> Fit:
-    return fitted.refit(
-        [e for e in fitted.effects if e is not part], random=[e for e in fitted.random if e is not part]
-    )
+def _without(fitted: Fit, parts: Sequence[Effect]) -> Fit:
+    return fitted.refit(_others(fitted.effects, parts), random=_others(fitted.random, parts))
+
+
+def _others(effects: Sequence[Effect], parts: Sequence[Effect]) -> list[Effect]:
+    return [e for e in effects if not any(e is part for part in parts)]
 
 
 def _test(
-    fitted: Fit, parts: Sequence[Effect], others: Sequence[Recording], clocks: Sequence[Clock]
-) -> list[tuple[Effect, HeldOut]]:
-    """Return what held-out data say of each part; nothing where there are too few of them."""
+    fitted: Fit, groups: Sequence[tuple[Effect, ...]], others: Sequence[Recording], clocks: Sequence[Clock]
+) -> list[tuple[tuple[Effect, ...], HeldOut]]:
+    """Return what held-out data say of each group of parts; nothing where there are too few of them."""
     folds = _folds(fitted, others, clocks)
     try:
-        whole = [judged for fold in folds for judged in fold.judged(fitted, None)]
+        whole = [judged for fold in folds for judged in fold.judged(fitted, ())]
         return [
-            (part, _verdict(part, whole, [judged for fold in folds for judged in fold.judged(fitted, part)]))
-            for part in parts
+            (group, _verdict(group, whole, [judged for fold in folds for judged in fold.judged(fitted, group)]))
+            for group in groups
         ]
     except FitError:
         return []
@@ -128,19 +133,19 @@ class _Fold:
     train: tuple[Recording, ...]
     test: tuple[Recording, ...]
 
-    def judged(self, fitted: Fit, part: Effect | None) -> list[Evaluation]:
-        """Return the model without a part, judged on this fold."""
+    def judged(self, fitted: Fit, parts: Sequence[Effect]) -> list[Evaluation]:
+        """Return the model without some parts, judged on this fold."""
         if self.train:
             own = fit(
                 self.train,
-                [e for e in fitted.effects if e is not part],
+                _others(fitted.effects, parts),
                 approach=fitted.problem.approach,
                 start=fitted.noise.free,
-                random=[e for e in fitted.random if e is not part],
+                random=_others(fitted.random, parts),
                 nearly=True,
             )
         else:
-            own = fitted if part is None else _without(fitted, part)
+            own = _without(fitted, parts) if parts else fitted
         model = model_of(own, own.random)
         return [evaluate_stretch(r, model, fitted.problem.approach, refitted=bool(self.train)) for r in self.test]
 
@@ -160,7 +165,7 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
     return [_Fold(first, second), _Fold(second, first)]
 
 
-def _verdict(part: Effect, whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
+def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
     with_it, base = (Drift(tuple(phased_misses([piece.left for piece in pieces]))) for pieces in (whole, without))
     gains = block_differences(whole, without)
     nats = float(gains.sum())
@@ -173,4 +178,4 @@ def _verdict(part: Effect, whole: Sequence[Evaluation], without: Sequence[Evalua
         harm = f"the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
     elif unlikelier and not closer:
         harm = f"the model is {-nats:.0f} nats less likely with it"
-    return HeldOut(part.name, nats, error, (base.rmse, with_it.rmse), harm)
+    return HeldOut(" with ".join(part.name for part in parts), nats, error, (base.rmse, with_it.rmse), harm)

@@ -14,10 +14,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Comparison
 
-__all__ = ["ladder_comparison"]
+__all__ = ["sequence_comparison"]
 
 
-def ladder_comparison(learned: Learned, recordings: Sequence[Recording], first: str = "without effects") -> Comparison:
+def sequence_comparison(
+    learned: Learned, recordings: Sequence[Recording], first: str = "without effects"
+) -> Comparison:
     """Return the comparison of the model before each addition and of the final one, each named by what it adds.
 
     recordings : what to judge on; those of the search are cut in halves, one fitted and the other judged

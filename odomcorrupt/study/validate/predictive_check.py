@@ -72,7 +72,7 @@ class Replay:
 def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     """Corrupt the truth of a stretch with its model; what belongs to the measurement is taken out of the odometry."""
     if runs < _LEAST_RUNS:
-        raise ValueError(f"runs: {runs}; it takes {_LEAST_RUNS} or more to tell a cloud's shape")
+        raise ValueError(f"runs: {runs}; give {_LEAST_RUNS} or more: fewer do not determine the covariance of the runs")
     model = piece.model
     measured = overlapping(undo(piece.recording, model.setup.effects))
     smooth, truth = smooth_truth(measured)
@@ -84,7 +84,7 @@ def replay(piece: Evaluation, *, runs: int = 100, seed: int = 0) -> Replay:
     )
     poses = np.empty((runs, len(kept), 3))
     for run in range(runs):
-        error = NoisyPath(model, seed, run).feed(stamps, smooth).error_xyt
+        error = NoisyPath(model, seed, run, covariance=False).feed(stamps, smooth).error_xyt
         poses[run] = truth[kept] + error[kept]
         # nobody knows the true start: the truth's own noise turns and shifts the whole run
         first = truth[0]

@@ -33,13 +33,23 @@ class Sent(NamedTuple):
     value: object
 
 
-def topic(name, kind, rows, *, frame="odom", child="base_link", variance=1e-3, log_ns=None, stamps=True):
+def topic(name, kind, rows, *, frame="odom", child="base_link", variance=1e-3, log_ns=None, stamps=True, status=0):
     """The messages of a topic; NavSatFix takes latitude, longitude, height for positions."""
     variances = np.broadcast_to(variance, len(rows))
+    grades = np.broadcast_to(status, len(rows))
     logs = rows.stamps_ns if log_ns is None else log_ns
     out = []
     for i, stamp in enumerate(rows.stamps_ns.tolist()):
-        value = (kind, stamp if stamps else 0, frame, child, rows.xyz[i], rows.quat[i], float(variances[i]))
+        value = (
+            kind,
+            stamp if stamps else 0,
+            frame,
+            child,
+            rows.xyz[i],
+            rows.quat[i],
+            float(variances[i]),
+            int(grades[i]),
+        )
         out.append(Sent(int(logs[i]), name, kind, value))
     return out
 
@@ -99,7 +109,7 @@ def _ros2(path, messages):
             writer.write(connections[message.topic], message.log_ns, data)
 
 
-def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance):
+def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance, grade=0):
     """Make a message object."""
     store = STORES[ros]
 
@@ -126,7 +136,7 @@ def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance):
     if kind == "PointStamped":
         return new(SHORT[kind], header, point)
     if kind == "NavSatFix":
-        status = new("sensor_msgs/msg/NavSatStatus", 0, 1)
+        status = new("sensor_msgs/msg/NavSatStatus", grade, 1)
         return new(SHORT[kind], header, status, *map(float, xyz), 0.5 * variance * np.eye(3).ravel(), 0)
     shift = new("geometry_msgs/msg/Vector3", *map(float, xyz))
     transform = new("geometry_msgs/msg/Transform", shift, rotation)

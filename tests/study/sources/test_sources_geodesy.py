@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from sourcebags import topic, write
-from sourcedrive import Rows, odometry, truth
 
-from odomcorrupt.study.io import Source, read_runs
-from odomcorrupt.study.io.geodesy import east_north_up
+from odomcorrupt.geometry.se2 import compose
+from odomcorrupt.study.io.geodesy import east_north_up, frame_of, origin_of
 
 
 @pytest.mark.parametrize(
@@ -41,13 +39,14 @@ def test_height_is_up_and_a_missing_one_does_no_harm():
     assert np.isfinite(east_north_up(np.array([[50.0, 8.0, np.nan], [50.1, 8.0, np.nan]]))).all()
 
 
-def test_fixes_that_claim_to_float_are_left_out_and_counted(tmp_path):
-    moved, real = odometry(), truth()
-    # a degree of latitude, and of longitude at 48 degrees, by the published lengths
-    lla = np.column_stack((48.0 + real.xyz[:, 1] / 111_194.0, 8.0 + real.xyz[:, 0] / 74_625.0, 0.0 * real.yaw))
-    floating = (np.arange(len(lla)) > 300) & (np.arange(len(lla)) < 500)
-    lla[floating, 0] += 0.4 / 111_194.0
-    fixes = topic("/fix", "NavSatFix", Rows(real.stamps_ns, lla, real.yaw), variance=np.where(floating, 0.18, 4e-4))
-    (run,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), fixes), truth="/fix"))
-    assert any("199 of 990 fixes left out" in note for note in run.notes)
-    assert not np.isin(run.truth.stamps_ns, real.stamps_ns[floating]).any()
+def test_frames_of_two_origins_agree_on_where_a_fix_lies():
+    """Half a kilometre apart, a rigid shift is the exact mapping of the two planes to a tenth of a millimetre."""
+    fixes = np.array([[48.1, 11.5, 520.0], [48.1031, 11.5064, 525.0], [48.1002, 11.5011, 519.0]])
+    other = np.array([48.1043, 11.4946, 500.0])
+    both = east_north_up(np.concatenate((other[None], fixes)))[1:]
+    moved = compose(
+        frame_of(origin_of(fixes[0]), origin_of(other)), np.column_stack((east_north_up(fixes)[:, :2], [0] * 3))
+    )
+    np.testing.assert_allclose(moved[:, :2], both[:, :2], atol=2e-3)
+    back = compose(frame_of(origin_of(other), origin_of(fixes[0])), frame_of(origin_of(fixes[0]), origin_of(other)))
+    np.testing.assert_allclose(back, 0.0, atol=2e-3)

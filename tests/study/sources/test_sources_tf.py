@@ -111,30 +111,3 @@ def test_an_address_that_leads_nowhere_says_why(tmp_path, address, error, words)
     )
     with pytest.raises(error, match=words):
         read_runs(Source(bag, truth=address))
-
-
-def test_of_a_localisation_over_tf_only_its_corrections_are_taken_and_when_they_were_sent(tmp_path):
-    """Between corrections map -> base is the odometry composed with the last one, sent again 1 s ahead of its time."""
-    moved, real = odometry(), truth()
-    at = (moved.stamps_ns - START_NS) * 1e-9
-    frame = np.linalg.inv(matrix(moved.xyz, moved.quat))
-    base = np.stack([np.interp(at, (real.stamps_ns - START_NS) * 1e-9, x) for x in real.xyz.T], axis=1)
-    yaw = np.interp(at, (real.stamps_ns - START_NS) * 1e-9, np.unwrap(real.yaw))
-    offsets = matrix(base, Rotation.from_rotvec(np.outer(yaw, [0.0, 0.0, 1.0])).as_quat()) @ frame
-    corrected = np.arange(0, len(at), 20)
-    sent = np.arange(0, len(at), 4)
-    last = corrected[np.searchsorted(corrected, sent, side="right") - 1]
-    heading = np.arctan2(offsets[last, 1, 0], offsets[last, 0, 0])
-    ahead = Rows(moved.stamps_ns[sent] + 10**9, offsets[last, :3, 3], heading)
-    bag = write(
-        tmp_path / "run.mcap",
-        topic("/odom", "Odometry", moved),
-        edges(ahead, "map", "odom", log_ns=moved.stamps_ns[sent]),
-        edges(moved, "odom", "base_link"),
-    )
-    (recording,) = read_runs(Source(bag, truth="/tf:map.base_link"))
-    assert any("a localisation on top of the odometry" in note for note in recording.notes)
-    assert np.isin(recording.truth.stamps_ns, moved.stamps_ns[corrected]).all()
-    assert len(recording.truth) > 0.9 * len(corrected)
-    own = np.isin(moved.stamps_ns, recording.truth.stamps_ns)
-    np.testing.assert_allclose(recording.truth.xyt[:, :2], base[own][:, :2], atol=1e-6)

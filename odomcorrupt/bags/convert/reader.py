@@ -1,0 +1,151 @@
+"""Conversion of a bag between the generations of ROS while it is read, and topics left out of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from odomcorrupt.bags.block import Channel
+from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
+from odomcorrupt.bags.definition import Definition
+from odomcorrupt.errors import BagError, TopicError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from odomcorrupt.bags.block import BagReader
+    from odomcorrupt.bags.convert.message_types import Generation, MessageType
+
+__all__ = ["ConvertedReader"]
+
+_GENERATIONS: Mapping[str, Generation] = {"ros1": 1, "cdr": 2}
+_NAMED = 4
+"""Topics named in an error."""
+
+
+class ConvertedReader(RewrittenReader):
+    """A bag read as one of another generation of ROS.
+
+    ros : generation of the messages; None leaves all as they are
+    strict : whether messages that belong to no generation are refused
+    exclude : topics left out
+    """
+
+    def __init__(
+        self,
+        reader: BagReader,
+        ros: Generation | None,
+        *,
+        strict: bool = False,
+        exclude: Sequence[str] = (),
+        recover: bool = False,
+    ) -> None:
+        ros1 = ros == 1 or (ros is None and all(one.encoding == "ros1" for one in reader.channels.values()))
+        super().__init__(reader, "ros1" if ros1 else "sqlite3", recover=recover)
+        self._ros = ros
+        self._strict = strict
+        self._exclude = {topic.lstrip("/") for topic in exclude}
+        self._first: dict[tuple[str, str], int] = {}
+        self._types: dict[tuple[str, str, bytes], MessageType] = {}
+        if reader.complete:
+            self._require_excluded(exclude)
+            self._require_convertible()
+
+    @property
+    def remarks(self) -> list[str]:
+        """What the output's types cannot hold, one sentence for each type."""
+        return sorted({
+            f"{one.msgtype} loses {', '.join(one.lost)}: ROS {self._ros} has no such field"
+            for one in self._types.values()
+            if one.lost
+        })  # fmt: skip
+
+    def rule(self, channel: Channel) -> Rule | None:
+        """Return what becomes of a channel."""
+        if channel.topic.lstrip("/") in self._exclude:
+            return None
+        definition = self.reader.definition(channel)
+        generation = _GENERATIONS.get(channel.encoding)
+        if self._strict and generation is None:
+            raise self._refused(channel, f"its messages are {channel.encoding or 'of no stated encoding'}")
+        if self._ros is None or generation in (None, self._ros):
+            return Rule(channel, definition, None)
+        try:
+            new = self._type(channel.msgtype, definition)
+        except BagError as error:
+            raise self._refused(channel, str(error)) from error
+        identifier = channel.id
+        if self._ros == 2:
+            # in ROS 2 a topic is recorded once, however many publishers it has
+            identifier = self._first.setdefault((channel.topic, new.msgtype), channel.id)
+        converted = Channel(identifier, channel.topic, new.msgtype, "ros1" if self._ros == 1 else "cdr", channel.raw)
+
+        def rewrite(data: memoryview) -> bytes | memoryview:
+            try:
+                return new.convert(data)
+            except BagError as error:
+                raise self._refused(channel, str(error)) from error
+
+        return Rule(converted, self._described(channel, new, definition), rewrite)
+
+    def _type(self, msgtype: str, definition: Definition) -> MessageType:
+        # the library takes a fifth of a second to import
+        from odomcorrupt.bags.convert.message_types import convert_type  # noqa: PLC0415
+
+        key = msgtype, definition.encoding, definition.text
+        if key not in self._types:
+            assert self._ros is not None  # noqa: S101 - nothing is converted otherwise
+            self._types[key] = convert_type(msgtype, definition, self._ros)
+        return self._types[key]
+
+    def _described(self, channel: Channel, new: MessageType, definition: Definition) -> Definition:
+        """Return the definition of a converted channel."""
+        from odomcorrupt.bags.convert.qos import latched_qos, stays_for_late_subscribers  # noqa: PLC0415 - YAML is slow
+
+        if self._ros == 1:
+            latched = stays_for_late_subscribers(definition.metadata.get("offered_qos_profiles", ""))
+            metadata = {"md5sum": new.digest, "latching": "1" if latched else "0"}
+            return Definition(new.msgtype.replace("/msg/", "/"), "ros1msg", new.text.encode(), metadata)
+        qos = latched_qos() if self._latches(channel) else ""
+        metadata = {"offered_qos_profiles": qos, "topic_type_hash": new.digest}
+        return Definition(new.msgtype, "ros2msg", new.text.encode(), metadata)
+
+    def _latches(self, channel: Channel) -> bool:
+        """Whether some publisher of a ROS 1 topic latches its last message."""
+        wanted = channel.topic, channel.msgtype
+        same = [one for one in self.reader.channels.values() if (one.topic, one.msgtype) == wanted]
+        return any(self.reader.definition(one).metadata.get("latching") == "1" for one in same)
+
+    def _refused(self, channel: Channel, why: str) -> BagError:
+        what = f"cannot become messages of ROS {self._ros}" if self._ros else "cannot be written"
+        return BagError(
+            f"{self.name}: {channel.topic} {what} ({why}); leave the topic out with --exclude-topic {channel.topic}"
+        )
+
+    def _require_convertible(self) -> None:
+        """Raise BagError for topics that cannot be converted, before anything is written."""
+        failed: dict[str, BagError] = {}
+        for number, channel in self.reader.channels.items():
+            try:
+                self.rule_of(number)
+            except BagError as error:
+                failed.setdefault(channel.topic, error)
+        if len(failed) > 1:
+            named = ", ".join(list(failed)[:_NAMED]) + (", ..." if len(failed) > _NAMED else "")
+            first = str(next(iter(failed.values()))).partition(" (")[2].partition("); leave the topic")[0]
+            flags = " ".join(f"--exclude-topic {topic}" for topic in list(failed)[:_NAMED])
+            raise BagError(
+                f"{self.name}: {len(failed)} topics cannot become messages of ROS {self._ros}: {named} (the first: "
+                f"{first}); leave them out with {flags}"
+            )
+        if failed:
+            raise next(iter(failed.values()))
+
+    def _require_excluded(self, exclude: Sequence[str]) -> None:
+        """Raise TopicError for a topic to be left out that the bag does not have."""
+        known = sorted({channel.topic for channel in self.reader.channels.values()})
+        for topic in exclude:
+            if topic.lstrip("/") not in {one.lstrip("/") for one in known}:
+                raise TopicError(
+                    f"--exclude-topic {topic}: {self.name} has no such topic (it has {', '.join(known)}); name one of "
+                    "these"
+                )

@@ -1,0 +1,166 @@
+"""ROS 2 bags compressed with zstd: whole files (.db3.zstd, .mcap.zstd), or each message by itself."""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO, Literal
+
+import numpy as np
+import zstandard
+
+from odomcorrupt.bags.block import Block, Unframed
+from odomcorrupt.bags.budget import Budget
+from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterator, Sequence
+
+    from odomcorrupt.bags.block import BagReader, Channel
+
+__all__ = [
+    "SUFFIXES",
+    "Mode",
+    "UnpackedFiles",
+    "UnpackedMessages",
+    "compress_file",
+    "compressed_block",
+]
+
+Mode = Literal["none", "file", "message"]
+"""What of a ROS 2 bag is compressed: nothing, its files, or each message; chunks of an MCAP are another matter."""
+
+SUFFIXES = (".zstd", ".zst")
+"""Of compressed files; rosbag2 writes the first."""
+
+_FEED_BYTES = 1 << 12
+"""Compressed bytes that are decompressed at once: to 128 MiB at most."""
+_DEFAULT_LEVEL = 3
+"""That of zstd, and of rosbag2."""
+
+
+class UnpackedFiles:
+    """Decompressed copies of files in a temporary directory, removed when closed.
+
+    files : the copies, in the given order
+    losses : what could not be decompressed, one sentence for each file, with recovery
+    """
+
+    def __init__(self, files: Sequence[Path], *, recover: bool = False) -> None:
+        self.files: list[Path] = []
+        self.losses: list[str] = []
+        self._recover = recover
+        self._stack = ExitStack()
+        budget = Budget()
+        try:
+            directory = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="odomcorrupt")))
+            for file in files:
+                name = file.stem if file.suffix.lower() in SUFFIXES else file.name
+                self.files.append(directory / name)
+                self._unpack(file, self.files[-1], budget)
+        except BaseException as error:
+            self._stack.close()
+            if isinstance(error, OSError) and not isinstance(error, BagError):
+                raise BagError(
+                    f"{error.filename or files[0]}: cannot be decompressed into {tempfile.gettempdir()}: "
+                    f"{error.strerror}; TMPDIR names another directory"
+                ) from error
+            raise
+
+    def _unpack(self, file: Path, target: Path, budget: Budget) -> None:
+        budget.require(0, file.stat().st_size, str(file))
+        with file.open("rb") as packed, target.open("wb") as out:
+            try:
+                for piece in _decompressed(packed):
+                    budget.take(len(piece), str(file))
+                    out.write(piece)
+            except zstandard.ZstdError as error:
+                sentence = f"{file}: zstd cannot decompress it: {error}"
+                if not self._recover:
+                    raise BagError(f"{sentence}; --recover saves what is whole") from error
+                self.losses.append(sentence)
+
+    def close(self) -> None:
+        """Remove the copies."""
+        self._stack.close()
+
+
+def _decompressed(stream: BinaryIO) -> Iterator[bytes]:
+    """Yield the decompressed bytes of a stream of zstd frames; ZstdError for a truncated one."""
+    decompressor = None
+    unused = b""
+    while piece := unused or stream.read(_FEED_BYTES):
+        unused = b""
+        decompressor = decompressor or zstandard.ZstdDecompressor().decompressobj()
+        yield decompressor.decompress(piece)
+        if decompressor.eof:
+            unused, decompressor = decompressor.unused_data, None
+    if decompressor is not None:
+        raise zstandard.ZstdError("it is truncated")
+
+
+class UnpackedMessages(RewrittenReader):
+    """A file of a bag, or a bag, whose messages are compressed one by one, read as if they were not."""
+
+    def __init__(self, reader: BagReader, *, recover: bool = False) -> None:
+        super().__init__(reader, reader.kind, recover=recover)
+        self._budget = Budget()
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
+        """Yield the blocks with their messages decompressed."""
+        self._budget = Budget()
+        yield from super().blocks(only)
+
+    def rule(self, channel: Channel) -> Rule:
+        """Return the channel, whose messages are decompressed."""
+        what = f"{self.name}: a message on {channel.topic}"
+        return Rule(channel, self.reader.definition(channel), lambda data: _decompress(data, what, self._budget))
+
+
+def _decompress(data: memoryview, what: str, budget: Budget) -> bytes:
+    """Return a decompressed message, within the budget of its bag."""
+    try:
+        size = zstandard.frame_content_size(data)
+        if size < 0:
+            raise BagError(f"{what}: does not state its size, as each compressed message does; the bag is damaged")
+        budget.require(size, len(data), what)
+        budget.take(size, what)
+        out: bytes = zstandard.ZstdDecompressor().decompress(data)
+    except (zstandard.ZstdError, MemoryError, ValueError) as error:
+        raise BagError(
+            f"{what}: zstd cannot decompress it: {error}; the bag is damaged, --recover saves what is whole"
+        ) from error
+    return out
+
+
+def compressed_block(block: Block, level: int | None) -> Block:
+    """Return a block with each of its messages compressed."""
+    compressor = zstandard.ZstdCompressor(level=_DEFAULT_LEVEL if level is None else level)
+    view = block.data.data
+    spans = zip(block.table["offset"].tolist(), block.table["length"].tolist(), strict=True)
+    pieces = [compressor.compress(view[offset : offset + length]) for offset, length in spans]
+    table = block.table.copy()
+    table["length"] = [len(piece) for piece in pieces]
+    ends = np.cumsum(table["length"])
+    table["offset"] = ends - table["length"]
+    rows = np.searchsorted(block.table["offset"], block.ends)
+    moved = tuple(sorted({int(end) for end in np.concatenate(([0], ends))[rows].tolist() if end}))
+    data = np.frombuffer(bytearray().join(pieces), dtype=np.uint8)
+    added = [replace(one, data=compressor.compress(one.data)) for one in block.added]
+    return Block(data, table, Unframed(getattr(block.raw, "codec", "none")), added, moved)
+
+
+def compress_file(path: Path, level: int | None) -> Path:
+    """Compress a file, remove it, and return the compressed one."""
+    packed = path.with_name(path.name + SUFFIXES[0])
+    compressor = zstandard.ZstdCompressor(level=_DEFAULT_LEVEL if level is None else level)
+    try:
+        with path.open("rb") as source, packed.open("xb") as target:
+            compressor.copy_stream(source, target, size=path.stat().st_size)
+        path.unlink()
+    except OSError as error:
+        raise BagError(f"{packed}: cannot be written: {error.strerror}") from error
+    return packed

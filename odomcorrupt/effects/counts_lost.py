@@ -1,0 +1,77 @@
+"""Encoder counts are lost above a speed: what counts them is too slow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.wheels import Rims, body_of, on_every_track, rims_of, track_parameter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+_SPEEDS = (0.4, 0.6, 0.75, 0.88)
+"""Parts of a drive's highest rim speed from which on counts are tried to be lost."""
+_STILL_MPS = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class CountsLost(Effect):
+    """f of a wheel = part (abs(u) - speed) sign(u) where the reported rim speed u is above `speed`.
+
+    Of what a wheel turns beyond that speed, 1 / (1 + part) is counted. Where no track is known, the robot as a whole.
+    """
+
+    name: ClassVar[str] = "counts_lost"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "encoder counts are lost above a speed: fast wheels go farther than is counted"
+    about: ClassVar[About | None] = About(
+        equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",
+        typical="from half of full speed on where interrupts of a microcontroller count a fast encoder (an estimate)",
+        source="engineering judgement; no published figures known to us",
+        confused_with=("speed_scale", "wheel_scale", "dead_band"),
+        drive="the same straight at several speeds up to the highest, and fast turns on the spot",
+    )
+
+    part: float = parameter(
+        "", "what is lost above the speed, over what is counted there", low=0.0, high=20.0, typical=0.3
+    )
+    speed: float = parameter(
+        "m/s",
+        "rim speed from which on they are lost",
+        low=0.02,
+        high=10.0,
+        typical=0.3,
+        identity=0.3,
+        amplitude=False,
+    )
+    track: float = track_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return limits among the higher speeds that are driven."""
+        moving = np.concatenate([np.abs(m.v[np.abs(m.v) > _STILL_MPS]) for m in motions])
+        if not len(moving):
+            return ()
+        most = float(np.quantile(moving, 0.99))
+        limits = [cls(speed=float(np.clip(part * most, 0.02, 10.0))) for part in _SPEEDS]
+        return on_every_track(limits, motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: what was not counted."""
+        track_m = self.track or motion.track_m
+        if track_m is None:
+            part = np.divide(self._missed(motion.v), motion.v, out=np.zeros_like(motion.v), where=motion.v != 0.0)
+            return TwistError(stacked(part * motion.v, 0.0, part * motion.omega, motion.v), state)
+        missed = Rims(*(self._missed(u) for u in rims_of(motion.v, motion.omega, track_m)))
+        return TwistError(body_of(missed, track_m), state)
+
+    def _missed(self, u: Array) -> Array:
+        """Return the speed (n,) that is not counted at reported speeds."""
+        missed: Array = self.part * np.sign(u) * np.maximum(np.abs(u) - self.speed, 0.0)
+        return missed

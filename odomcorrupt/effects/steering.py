@@ -1,0 +1,50 @@
+"""What effects of a steering angle share: the curvature of a path, and the tangent of a steep angle."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from odomcorrupt.effects.effect import Effect, parameter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.effects.motion import Motion
+    from odomcorrupt.geometry.se2 import Array
+
+__all__ = ["CREEP_MPS", "axles_parameter", "on_every_axle_distance", "steepness"]
+
+CREEP_MPS = 0.05
+"""Below this speed a path does not tell the steering angle."""
+_STEEP = (0.3, 0.55)
+"""Tangents of the largest steering angle of which the distance between the axles is tried: 17 and 29 degrees."""
+_TIGHTEST = 0.99
+
+E = TypeVar("E", bound=Effect)
+
+
+def axles_parameter() -> Any:
+    """Declare the distance between the axles, a nuisance: the tangent of a large steering angle goes by it."""
+    return parameter(
+        "m", "distance between the axles, where steering angles are large; 0: they are small", low=0.0, high=20.0,
+        typical=0.5, amplitude=False, optional=True,
+    )  # fmt: skip
+
+
+def on_every_axle_distance(effect: E, motions: Sequence[Motion]) -> tuple[E, ...]:
+    """Return an effect for small steering angles, and for distances between the axles at which they are not."""
+    v, omega = (np.abs(np.concatenate([getattr(m, name) for m in motions])) for name in ("v", "omega"))
+    turning = v > CREEP_MPS
+    largest = float(np.quantile(omega[turning] / v[turning], _TIGHTEST)) if turning.any() else 0.0
+    found = [min(tangent / largest, 20.0) for tangent in _STEEP] if largest > 0.0 else []
+    return (effect, *(replace(effect, axles=axles) for axles in found))  # type: ignore[type-var]
+
+
+def steepness(v: Array, omega: Array, axles_m: float) -> Array:
+    """Return the tangent (n,) of the steering angle, between 0 and 1; 0 where a robot hardly travels."""
+    tangent = np.divide(axles_m * np.abs(omega), np.abs(v), out=np.zeros_like(v), where=np.abs(v) > CREEP_MPS)
+    steep: Array = np.minimum(tangent, 1.0)
+    return steep

@@ -1,0 +1,49 @@
+"""The steering is not straight where its sensor says zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+from odomcorrupt.drive_types import STEERED
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.steering import axles_parameter, on_every_axle_distance, steepness
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringOffset(Effect):
+    """f = (0, 0, curvature v (1 + tan^2 delta)): the bicycle's yaw rate with an angle delta + d, curvature = d / L.
+
+    With the distance L between the axles, tan delta = L omega / v; without it delta is taken to be small.
+    Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle): omega = v tan(delta) / L.
+    """
+
+    name: ClassVar[str] = "steering_offset"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
+    drives: ClassVar[frozenset[str] | None] = STEERED
+    about: ClassVar[About | None] = About(
+        equation="f_yaw = curvature v; times 1 + (axles omega / v)^2 where the steering angles are large",
+        typical="0.2 to 2 degrees: 0.01 to 0.1 rad/m on 0.3 m between the axles, 0.001 to 0.01 rad/m on 2.7 m",
+        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("gyro_bias", "turn_asymmetry", "mount_yaw"),
+        drive="long straights forwards and in reverse, at two speeds, with a stop of a minute",
+    )
+
+    curvature: float = parameter(
+        "rad/m", "true curvature of a path that odometry calls straight", low=-1.0, high=1.0, typical=0.01
+    )
+    axles: float = axles_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect for small steering angles, and for large ones."""
+        return on_every_axle_distance(cls(), motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: the yaw error goes with the distance, and changes sign in reverse."""
+        steep = 1.0 + steepness(motion.v, motion.omega, self.axles) ** 2 if self.axles else 1.0
+        return TwistError(stacked(0.0, 0.0, self.curvature * steep * motion.v, motion.v), state)

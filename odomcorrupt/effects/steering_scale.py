@@ -1,0 +1,61 @@
+"""The steering turns farther or less far than its sensor says."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from odomcorrupt.drive_types import STEERED
+from odomcorrupt.effects.effect import About, Effect, Kind, Motion, State, TwistError, parameter, stacked
+from odomcorrupt.effects.steering import axles_parameter, on_every_axle_distance, steepness
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from odomcorrupt.geometry.se2 import Array
+
+_SMALL = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class SteeringScale(Effect):
+    """f = (0, 0, e omega delta (1 + tan^2 delta) / tan delta): the bicycle's yaw rate with an angle delta (1 + e).
+
+    With the distance L between the axles, tan delta = L omega / v; without it delta is taken to be small, f = e omega.
+    A wheelbase L that is wrong by -e is the same. Rajamani, Vehicle Dynamics and Control, ch. 2 (kinematic bicycle).
+    """
+
+    name: ClassVar[str] = "steering_scale"
+    kind: ClassVar[Kind] = "effect"
+    summary: ClassVar[str] = "the steering ratio of a car or tricycle is off, or the distance between its axles"
+    drives: ClassVar[frozenset[str] | None] = STEERED
+    about: ClassVar[About | None] = About(
+        equation="f_yaw = e omega; more in tight curves where the angles are large (axles)",
+        typical="1 to 10 %: a nominal steering ratio, a servo's gain, an axle distance taken from a drawing",
+        source="Rajamani, Vehicle Dynamics and Control, chapter 2 (kinematic bicycle model)",
+        confused_with=("turn_asymmetry", "side_slip", "speed_scale"),
+        drive="curves of several radii to both sides, at two speeds",
+    )
+
+    e: float = parameter(
+        "", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
+        low=-0.5, high=1.0, typical=0.03,
+    )  # fmt: skip
+    axles: float = axles_parameter()
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
+        """Return the effect for small steering angles, and for large ones."""
+        return on_every_axle_distance(cls(), motions)
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: every turn is misjudged by the same factor."""
+        return TwistError(stacked(0.0, 0.0, self.e * self._steep(motion) * motion.omega, motion.v), state)
+
+    def _steep(self, motion: Motion) -> Array:
+        """Return by how much more (n,) the tangent grows with its angle than in proportion."""
+        tangent = np.maximum(steepness(motion.v, motion.omega, self.axles), _SMALL)
+        steep: Array = np.arctan(tangent) * (1.0 + tangent**2) / tangent
+        return steep

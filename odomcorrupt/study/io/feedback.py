@@ -1,0 +1,100 @@
+"""Odometry that a filter pulls towards poses from outside: its errors fade, those of odometry alone pile up.
+
+A filter (robot_localization, a fused SLAM) that is given poses takes out a part of its error at every update. What the
+odometry gains on the truth in a second then depends on how far off it already is; errors of wheels and gyros do not.
+The regression is of each step's error on the error before it (Dickey & Fuller 1979, with the terms of a robot's own
+systematic errors free beside it). The error is taken some time earlier, so that the truth's own noise is on one side.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import between, rotate, wrap
+
+if TYPE_CHECKING:
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.raw_trajectory import Samples
+
+__all__ = ["Pull", "pull_of"]
+
+_STEP_S, _EARLIER = 1.0, (2, 5)
+"""Steps are so long, and errors are taken so many of them earlier."""
+_FEW = 60
+_PLAIN, _TIMES, _SLOWEST = 4.5, 8.0, 0.02
+"""Standard errors of a pull, times that an error fades in a drive, and the slowest fading per second, at least: a
+random walk about its own mean seems to fade four or five times, with three or four standard errors."""
+
+
+class Pull(NamedTuple):
+    """How fast errors of position and of heading fade, per second; 0 where they do not."""
+
+    position: float
+    heading: float
+
+
+def pull_of(odometry: Samples, truth: Samples) -> Pull:
+    """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock."""
+    nothing = Pull(0.0, 0.0)
+    if not (truth.headed and odometry.headed):
+        return nothing
+    real, path = truth.trajectory(), odometry.trajectory()
+    origin = int(odometry.stamps_ns[0])
+    real_s, own_s = real.seconds_since(origin), path.seconds_since(origin)
+    inside = np.flatnonzero((real_s >= own_s[0]) & (real_s <= own_s[-1]))
+    if len(inside) < _FEW:
+        return nothing
+    grid = np.arange(real_s[inside[0]], real_s[inside[-1]], _STEP_S)
+    picked = np.unique(inside[np.minimum(np.searchsorted(real_s[inside], grid), len(inside) - 1)])
+    t_s, real_xyt, own_xyt = real_s[picked], real.xyt[picked], path.at(real_s[picked], origin)
+    if len(picked) < _FEW:
+        return nothing
+    step, own = between(real_xyt[:-1], real_xyt[1:]), between(own_xyt[:-1], own_xyt[1:])
+    error = own - step
+    error[:, 2] = wrap(error[:, 2])
+    off = _off(own_xyt, real_xyt)
+    off[:, :2] = rotate(off[:, :2], -real_xyt[:, 2])
+    dt_s = np.diff(t_s)
+    # gaps of the truth are no steps
+    usual = dt_s < 3.0 * _STEP_S
+    # what gains, biases, clocks and lags of a channel do to a step
+    swing = own[:, 0] * own[:, 2]
+    changes = np.vstack((np.zeros((1, 2)), np.diff(np.column_stack((own[:, 0], own[:, 2])), axis=0)))
+    later = np.vstack((changes[1:], np.zeros((1, 2))))
+    aside = np.column_stack((own[:, 0], own[:, 2], np.abs(own[:, 2]), dt_s, swing, changes, later))
+    position, heading = 0.0, 0.0
+    for earlier in _EARLIER:
+        rows = np.flatnonzero(usual)[earlier:]
+        before = off[rows - earlier]
+        # an error of some steps ago, as the robot has it before it now
+        turned = real_xyt[rows - earlier, 2] - real_xyt[rows, 2]
+        before = np.column_stack((rotate(before[:, :2], turned), before[:, 2]))
+        span_s = float(t_s[-1] - t_s[0])
+        both = _fading(error[rows, :2], before[:, :2], aside[rows], dt_s[rows], span_s)
+        alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows], span_s)
+        position, heading = max(position, both), max(heading, alone)
+    return Pull(position, heading)
+
+
+def _off(own_xyt: Array, real_xyt: Array) -> Array:
+    """Return how far odometry (n, 3) lies off the truth, laid onto it as a whole, in the truth's axes."""
+    turn = float(np.angle(np.mean(np.exp(1j * (real_xyt[:, 2] - own_xyt[:, 2])))))
+    laid = rotate(own_xyt[:, :2], np.full(len(own_xyt), turn))
+    xy = laid - real_xyt[:, :2]
+    yaw = wrap(own_xyt[:, 2] + turn - real_xyt[:, 2])
+    return np.column_stack((xy - xy.mean(axis=0), np.unwrap(yaw) - np.mean(np.unwrap(yaw))))
+
+
+def _fading(error: Array, before: Array, aside: Array, dt_s: Array, span_s: float) -> float:
+    """Return how fast errors (n, c) before fade, per second, by errors made (n, c); 0 where that is not plain."""
+    nuisance = np.linalg.qr(np.column_stack((aside, np.ones(len(aside)))))[0]
+    y, x = (part - nuisance @ (nuisance.T @ part) for part in (error, -before * dt_s[:, None]))
+    square = float(np.sum(x * x))
+    if square <= 0.0:
+        return 0.0
+    rate = float(np.sum(x * y)) / square
+    spread = float(np.sqrt(np.sum((y - rate * x) ** 2) / max(y.size - 2 * nuisance.shape[1], 1) / square))
+    plain = rate > max(_SLOWEST, _TIMES / span_s) and rate > _PLAIN * spread
+    return rate if plain else 0.0

@@ -1,0 +1,106 @@
+"""What a selection of terms found, step by step: the model, what was refused, and what is open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from odomcorrupt.study.select.decisions import DECISIONS, Decisions
+from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.heterogeneity import ParameterDifference
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.terms.drive_type import DriveType
+
+__all__ = ["Learned", "Step"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One step of the selection.
+
+    before : the model before it
+    candidates : effects of the library, the one that was included first
+    added : name of the effect that was included, None where none was
+    dependence : what was included instead, because no effect of the library explains it
+    alternative_nats : see `Decisions`
+    """
+
+    before: Fit
+    candidates: tuple[Candidate, ...]
+    added: str | None
+    dependence: Dependence | None = None
+    alternative_nats: float = DECISIONS.alternative_nats
+
+    @property
+    def name(self) -> str | None:
+        """What was included: the name of an effect, or what depends on what; None if nothing was."""
+        return self.added if self.dependence is None else self.dependence.title
+
+    @property
+    def alternatives(self) -> tuple[str, ...]:
+        """Effects that would have done nearly as well as the included one."""
+        if self.added is None:
+            return ()
+        least = self.candidates[0].gain - self.alternative_nats
+        near = [c.name for c in self.candidates[1:] if not c.refused and c.gain > least]
+        drive = drive_type_of(self.before.problem.recordings)
+        own = self.candidates[0].score.estimated
+        aliased = [*readings_of(own, drive), *(twin for name in near for twin in readings_of(name, drive))]
+        return tuple(dict.fromkeys(name for name in (*near, *aliased) if name != self.added))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Learned:
+    """What a selection found.
+
+    clocks : those of the recordings
+    rounds : all steps in order; the last one included nothing, or a limit was reached
+    noise : what encoders did, and random effects that were found
+    unknown : dependences that no effect of the library explains
+    laws : those of them that are in the model as basis functions
+    margins : by how many nats each included effect explains more than the best basis function would in its place
+    fit : the final fit
+    error_m : its 10 s position error on the fitted data
+    disagreements : parameters that recordings do not agree about
+    contradictions : effects that would explain the data only with a sign that physics forbids, refused with the reason
+    decisions : the decisions it was selected by
+    held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
+    """
+
+    clocks: Clocks
+    rounds: tuple[Step, ...]
+    noise: tuple[RandomCoefficient, ...]
+    unknown: tuple[Dependence, ...]
+    laws: tuple[Dependence, ...]
+    margins: Mapping[str, float]
+    fit: Fit
+    error_m: float
+    disagreements: tuple[ParameterDifference, ...] = ()
+    contradictions: tuple[Candidate, ...] = ()
+    decisions: Decisions = DECISIONS
+    held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def drive_type(self) -> DriveType:
+        """How the robot's wheels steer it."""
+        return drive_type_of(self.fit.problem.recordings)
+
+    @property
+    def added(self) -> tuple[str, ...]:
+        """Names of the effects of the library that were included and kept, in order."""
+        return tuple(step.added for step in self.steps if step.added is not None)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Steps whose inclusion is in the final model; of one that left and came back, the later."""
+        kept = {effect.name for effect in self.fit.effects}
+        stayed = {step.name: step for step in self.rounds if step.added in kept or step.dependence in self.laws}
+        return tuple(step for step in self.rounds if stayed.get(step.name) is step)

@@ -1,0 +1,218 @@
+"""Drive type: how the wheels steer a robot, as it was given or guessed from its motion; and the effects it can have.
+
+A robot whose wheels are steered turns only as it travels, within a radius that no speed changes; one that turns by the
+difference of its wheels does not keep to that where it slows down, starts and stops. Many effects of the two kinds are
+one and the same function of the motion (an offset of the steering, and one wheel larger than the other): the drive
+type then chooses the name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.drive_types import AUTO, STEERED
+from odomcorrupt.effects import registry
+from odomcorrupt.effects.effect import parameters
+from odomcorrupt.effects.wheels import brings_track
+from odomcorrupt.geometry.increments import increments
+from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
+from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.study.terms.regressors import drives_sideways
+from odomcorrupt.study.terms.term import LibraryTerm
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Sequence
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.study.io.recording import Recording
+
+__all__ = ["DriveType", "drive_type_of", "library_families", "readings_of"]
+
+_FAST, _SLOW, _STILL = 0.6, 0.4, 0.03
+"""Parts of the usual speed: the largest curvature is seen above one, tested below one; and those of a robot at rest."""
+_USUAL, _LARGEST = 0.9, 0.995
+"""Quantiles: of the speed while it moves, and of the curvature on the way."""
+_SHARPER = 1.3
+"""A steered robot's curvature is no larger than so many times the largest that it has at speed."""
+_LEAST_RADIUS_M = 0.3
+"""What turns within less is taken to turn on the spot."""
+_TURNED_RAD = 4.0 * np.pi
+"""Less turning in all says nothing of how a robot turns."""
+_SLOW_S, _SPELLS = 3.0, 3
+"""Seconds of slow driving, and times that a robot slowed down, that it takes to see how it turns then."""
+_SPOT_RAD = 0.1
+"""Turn in each slow spell beyond what the radius allows that filters and ticks may make, radians."""
+_REST_S = 2.0
+_GYRO_RAD = 1e-4
+"""An odometry that turns by more while its wheels stand has a heading that is not theirs."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveType:
+    """How the wheels steer a robot.
+
+    name : one of `drive_types.DRIVE_TYPES`
+    reason : why, where it was guessed; "" where it was given, or where nothing speaks against a differential drive
+    stated : whether it was given
+    gyro : whether the heading may be a gyro's; a steered robot's is not where the odometry does not turn at rest
+    """
+
+    name: str
+    reason: str = ""
+    gyro: bool = True
+    stated: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Whether it was given, or the motion shows it."""
+        return self.stated or bool(self.reason)
+
+    @property
+    def steered(self) -> bool:
+        """Whether a steering angle turns it."""
+        return self.name in STEERED
+
+    @property
+    def sentence(self) -> str:
+        """What it is, and where it was guessed from the motion, why."""
+        return f"{self.name} ({self.reason})" if self.reason else self.name
+
+    def admits(self, kind: type[Effect]) -> bool:
+        """Tell whether a robot of this type can have an effect, twins and all."""
+        return (kind.drives is None or self.name in kind.drives) and (self.gyro or not kind.needs_gyro)
+
+
+def drive_type_of(recordings: Sequence[Recording]) -> DriveType:
+    """Return the drive type of the robot in recordings: as the first that names one says, or guessed from all."""
+    given = next((r.drive_type for r in recordings if r.drive_type != AUTO), None)
+    slow = [_slow_driving(r) for r in recordings]
+    turns_at_rest = any(s.turned_at_rest > _GYRO_RAD for s in slow)
+    if given is not None:
+        return DriveType(given, gyro=turns_at_rest or given not in STEERED, stated=True)
+    along, across = sum(s.along_m for s in slow), sum(s.across_m for s in slow)
+    if across > 0.1 * along:
+        return DriveType("omni", "it moves sideways")
+    turned, seconds = sum(s.turned for s in slow), sum(s.seconds for s in slow)
+    spells, beyond = sum(s.spells for s in slow), sum(s.beyond for s in slow)
+    radius_m = 1.0 / max(1e-9, *(s.curvature for s in slow))
+    if any(r.track_m is not None for r in recordings) or turned < _TURNED_RAD or radius_m < _LEAST_RADIUS_M:
+        return DriveType("differential")
+    if seconds < _SLOW_S or spells < _SPELLS or beyond > _SPOT_RAD * spells:
+        return DriveType("differential")
+    gyro = turns_at_rest or sum(s.rest_s for s in slow) < _REST_S
+    return DriveType("car", f"never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro)
+
+
+def library_families(
+    recordings: Sequence[Recording], motions: Sequence[Motion], have: Container[str]
+) -> list[tuple[LibraryTerm, ...]]:
+    """Return every systematic effect of the library that a robot can have and that can be tested, at every shape.
+
+    Clocks are apart, and a twin is named as another reading of the one it cannot be told from; where that is no effect
+    of this drive type, the twin takes its place. Single wheels need a track, given or their own.
+
+    Parameters
+    ----------
+    recordings, motions : what is studied, and its smooth motion
+    have : names of effects that the model has
+
+    """
+    drive = drive_type_of(recordings)
+    track = not drive.steered and all(m.track_m is not None for m in motions)
+    sideways = drive.name == "omni" or (drive.name != "differential" and drives_sideways(motions))
+    families = []
+    for name, kind in registry().items():
+        wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
+        possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
+        if wanted and possible:
+            family = LibraryTerm.family(kind, motions)
+            if drive.steered:  # it has no two wheels that odometry compares
+                family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
+            families.append(family)
+    return [family for family in families if family]
+
+
+def _leads(kind: type[Effect], drive: DriveType) -> bool:
+    """Tell whether an effect is tested itself, and is not named as another reading of one that is."""
+    if not drive.admits(kind):
+        return False
+    # a lever arm has a second number, so what a steered robot's has one of is tested beside it
+    return kind.twin_of is None or (drive.steered and kind.drives is not None)
+
+
+def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[str, ...]:
+    """Return the other readings of an effect that a robot of this type can have: names of the very same error.
+
+    effect : with its values, which another reading has to admit; or its name
+    """
+    kinds = registry()
+    name = effect if isinstance(effect, str) else effect.name
+    own = kinds[name].twin_of if name in kinds else None
+    twins = [other for other, kind in kinds.items() if kind.twin_of == name]
+    either = (*twins, *([own] if own else []))
+    return tuple(n for n in either if (drive is None or drive.admits(kinds[n])) and _admits(kinds[n], effect))
+
+
+def _admits(kind: type[Effect], effect: Effect | str) -> bool:
+    """Tell whether the values of an effect are within the bounds of a twin."""
+    return all(p.low <= getattr(effect, p.name, p.identity) <= p.high for p in parameters(kind))
+
+
+@dataclass(frozen=True, slots=True)
+class _SlowDriving:
+    """What one recording's odometry says of how the robot turns.
+
+    along_m, across_m, turned : way forwards and sideways, and turn in all, m and rad
+    curvature : the largest at speed, 1/m
+    seconds, spells : how long, and how often, it drove slowly or stopped
+    beyond : turn in these that the largest curvature does not allow, rad
+    turned_at_rest, rest_s : turn while the wheels stood, rad, and for how long they did
+    """
+
+    along_m: float
+    across_m: float
+    turned: float
+    curvature: float
+    seconds: float
+    spells: int
+    beyond: float
+    turned_at_rest: float
+    rest_s: float
+
+
+def _slow_driving(recording: Recording) -> _SlowDriving:
+    odometry = recording.odometry
+    t_s = recording.odometry_s
+    middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
+    world = slopes(t_s, odometry.xyt, middle, SMOOTHING_S)
+    heading = odometry.heading_at(middle, recording.origin_ns)
+    along, across = rotate(world[:, :2], -heading).T
+    v, omega = np.abs(along), np.abs(world[:, 2])
+    raw = increments(odometry.xyt)
+    stands = _settled(np.hypot(raw.ds_m, raw.dl_m) < 1e-9)
+    at_rest = float(np.abs(raw.dtheta_rad[stands]).sum())
+    moving = v[v > _STILL * float(v.max(initial=0.0))]
+    usual = float(np.quantile(moving, _USUAL)) if len(moving) else 0.0
+    fast, slow = v > _FAST * usual, v < _SLOW * usual
+    curvature = float(np.quantile(omega[fast] / v[fast], _LARGEST)) if fast.any() else 0.0
+    begins = np.count_nonzero(np.diff(slow.astype(np.int8)) == 1)
+    beyond = float((np.maximum(omega - _SHARPER * curvature * v, 0.0) * dt)[slow].sum())
+    return _SlowDriving(
+        float((v * dt).sum()), float((np.abs(across) * dt).sum()), float((omega * dt).sum()), curvature,
+        float(dt[slow & (v > _STILL * usual)].sum()), int(begins), beyond, at_rest,
+        float(dt[stands].sum()),
+    )  # fmt: skip
+
+
+def _settled(still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return where something has been still for some increments on either side, too."""
+    both = still.copy()
+    for shift in range(1, 6):
+        both[shift:] &= still[:-shift]
+        both[:-shift] &= still[shift:]
+    return both

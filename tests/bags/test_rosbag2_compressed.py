@@ -1,0 +1,204 @@
+"""ROS 2 bags compressed by file or by message, in and out."""
+
+import pytest
+import zstandard
+from oracles import FIXTURES, copy
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2LibraryWriter
+from ruamel.yaml import YAML
+
+from odomcorrupt.bags import budget
+from odomcorrupt.bags.budget import VARIABLE
+from odomcorrupt.bags.open import open_reader
+from odomcorrupt.cli import run
+from odomcorrupt.errors import BagError
+
+OFFICE = FIXTURES / "office_ros2"
+MODES = {"file": CompressionMode.FILE, "message": CompressionMode.MESSAGE}
+STORAGES = {"sqlite3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
+NOISE = ("--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "7", "-q")
+
+
+def compressed(path, mode, storage, seconds=2):
+    """Write the beginning of the office, compressed by the rosbags library; mode None is as it is."""
+    with Reader(OFFICE) as reader:
+        writer = Ros2LibraryWriter(path, version=8, storage_plugin=STORAGES[storage])
+        if mode is not None:
+            writer.set_compression(MODES[mode], CompressionFormat.ZSTD)
+        with writer:
+            made = {
+                one.id: writer.add_connection(one.topic, one.msgtype, msgdef=one.msgdef.data, rihs01=one.digest)
+                for one in reader.connections
+            }
+            for one, log_ns, data in reader.messages(stop=reader.start_time + seconds * 10**9):
+                writer.write(made[one.id], log_ns, data)
+    return path
+
+
+def rows(path):
+    """Return topic, log time and bytes of every message, as the rosbags library reads them."""
+    with Reader(path) as reader:
+        return sorted((one.topic, log_ns, bytes(data)) for one, log_ns, data in reader.messages())
+
+
+def ours(path, **options):
+    """Return the same as this package reads them."""
+    with open_reader(path, **options) as reader:
+        return sorted(
+            (reader.channels[channel].topic, log_ns, block.data[at : at + size].tobytes())
+            for block in reader.blocks()
+            for channel, log_ns, at, size in block.table.tolist()
+        )
+
+
+def info_of(path):
+    return YAML(typ="safe").load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_compressed_bag_is_corrupted_as_if_it_were_not_and_stays_compressed(mode, storage, tmp_path):
+    plain = compressed(tmp_path / "plain", None, storage)
+    packed = compressed(tmp_path / "packed", mode, storage)
+    assert ours(packed) == rows(plain)
+    for source, target in ((plain, "plain_out"), (packed, "packed_out")):
+        assert run([str(source), str(tmp_path / target), *NOISE]) == 0
+    assert rows(tmp_path / "packed_out") == rows(tmp_path / "plain_out")
+    info, before = info_of(tmp_path / "packed_out"), info_of(packed)
+    assert (info["compression_mode"].lower(), info["compression_format"]) == (mode, "zstd")
+    assert info["relative_file_paths"] == before["relative_file_paths"]
+    assert info["topics_with_message_count"] == before["topics_with_message_count"]
+    assert info["custom_data"]["odomcorrupt.seed"] == "7"
+    assert sorted(path.name for path in (tmp_path / "packed_out").iterdir()) == sorted(
+        path.name for path in packed.iterdir()
+    )
+
+
+@pytest.mark.parametrize("mode", ["file", "message", "none"])
+@pytest.mark.parametrize("storage", STORAGES)
+def test_compression_and_storage_are_what_is_asked_for(mode, storage, tmp_path):
+    source = compressed(tmp_path / "in", "message" if mode == "file" else "file", "mcap", 1)
+    words = ["--compression", mode, "--storage", storage]
+    assert run([str(source), str(tmp_path / "out"), *words, *NOISE]) == 0
+    assert run([str(source), str(tmp_path / "same"), *NOISE]) == 0
+    assert rows(tmp_path / "out") == rows(tmp_path / "same")
+    info = info_of(tmp_path / "out")
+    assert (info["compression_mode"].lower() or "none", info["storage_identifier"]) == (mode, storage)
+    (name,) = info["relative_file_paths"]
+    assert name.endswith(".zstd") == (mode == "file")
+    assert (tmp_path / "out" / name).is_file()
+
+
+def test_a_split_bag_stays_split(tmp_path):
+    for number in range(2):
+        compressed(tmp_path / f"part{number}", "message", "mcap", number + 1)
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    info = info_of(tmp_path / "part0")
+    info["relative_file_paths"] = ["bag_0.mcap", "bag_1.mcap"]
+    for number in range(2):
+        (tmp_path / f"part{number}" / f"part{number}.mcap").rename(bag / f"bag_{number}.mcap")
+    YAML(typ="safe").dump({"rosbag2_bagfile_information": info}, bag / "metadata.yaml")
+    assert run([str(bag), str(tmp_path / "out"), "--keep-truth", "/clean", *NOISE]) == 0
+    for number in range(2):
+        one = ours_of_messages(tmp_path / "out" / f"bag_{number}.mcap")
+        assert one["/clean"] == one["/odom"] == ours_of_messages(bag / f"bag_{number}.mcap")["/odom"]
+
+
+def ours_of_messages(path):
+    """Return the number of messages by topic of a file alone, which are all compressed."""
+    counts = {}
+    for topic, _, data in ours(path):
+        assert data.startswith(b"\x28\xb5\x2f\xfd")
+        counts[topic] = counts.get(topic, 0) + 1
+    return counts
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_nothing_is_said_by_metadata_that_is_not_there(mode, tmp_path):
+    packed = compressed(tmp_path / "in", mode, "sqlite3", 1)
+    expected = rows(packed)
+    (packed / "metadata.yaml").unlink()
+    assert ours(packed) == expected
+    (file,) = packed.iterdir()
+    assert ours(file) == expected
+    assert run([str(file), str(tmp_path / "out.db3"), *NOISE]) == 0
+    assert len(ours(tmp_path / "out.db3")) == len(expected)
+
+
+def test_a_silent_model_gives_a_file_decompressed(tmp_path):
+    packed = compressed(tmp_path / "in", "file", "mcap", 1)
+    (file,) = packed.glob("*.zstd")
+    assert run([str(file), str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0", "-q"]) == 0
+    assert ours(tmp_path / "out.mcap") == rows(packed)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("storage", STORAGES)
+def test_what_would_fill_the_disk_is_refused(mode, storage, tmp_path, monkeypatch):
+    bag = compressed(tmp_path / "in", mode, storage, 1)
+    with Reader(bag) as reader:
+        connections = [(one.topic, one.msgtype, one.msgdef.data, one.digest) for one in reader.connections]
+    bomb = tmp_path / "bomb"
+    writer = Ros2LibraryWriter(bomb, version=8, storage_plugin=STORAGES[storage])
+    writer.set_compression(MODES[mode], CompressionFormat.ZSTD)
+    with writer:
+        topic, msgtype, text, digest = connections[0]
+        made = writer.add_connection(topic, msgtype, msgdef=text, rihs01=digest)
+        writer.write(made, 10**18, bytes(1 << 23))
+    monkeypatch.setenv(VARIABLE, "0.001")
+    monkeypatch.setattr(budget, "_TIMES", 10)
+    with pytest.raises(BagError, match=VARIABLE):
+        ours(bomb)
+    assert len(ours(bag)) == len(rows(bag))
+
+
+@pytest.mark.parametrize("storage", STORAGES)
+def test_a_truncated_file_is_refused_and_saved_by_recovery(storage, tmp_path):
+    bag = compressed(tmp_path / "in", "file", storage, 2)
+    expected = rows(bag)
+    (file,) = bag.glob("*.zstd")
+    # frames of their own, as one that is written to has: what is whole comes out
+    whole = zstandard.ZstdDecompressor().decompress(file.read_bytes(), max_output_size=1 << 26)
+    pieces = [zstandard.compress(whole[at : at + 20_000]) for at in range(0, len(whole), 20_000)]
+    file.write_bytes(b"".join(pieces))
+    assert ours(bag) == expected
+    file.write_bytes(b"".join(pieces)[:-30])
+    with pytest.raises(BagError, match="zstd cannot decompress it: it is truncated; --recover"):
+        open_reader(bag)
+    with open_reader(bag, recover=True) as reader:
+        found = sum(len(block.table) for block in reader.blocks())
+        assert any("truncated" in loss for loss in reader.losses)
+    assert 0 < found <= len(expected)
+
+
+def test_a_damaged_message_is_refused_and_left_out_by_recovery(tmp_path):
+    bag = compressed(tmp_path / "in", "message", "mcap", 1)
+    expected = rows(bag)
+    (file,) = bag.glob("*.mcap")
+    copy(file, tmp_path / "again.mcap", _break_one, compression="none")
+    (tmp_path / "again.mcap").replace(file)
+    with pytest.raises(BagError, match="zstd cannot decompress it"):
+        ours(bag)
+    assert len(ours(bag, recover=True)) == len(expected) - 1
+
+
+def _break_one(_reader, _writer, block):
+    """Overwrite the first odometry message's frame."""
+    if len(block.table) and not _break_one.done:
+        offset, length = int(block.table["offset"][0]), int(block.table["length"][0])
+        block.data[offset + 4 : offset + length] = 0xFF
+        _break_one.done = True
+
+
+_break_one.done = False
+
+
+def test_no_copy_is_left_behind(tmp_path, monkeypatch):
+    bag = compressed(tmp_path / "in", "file", "sqlite3", 1)
+    (tmp_path / "room").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "room"))
+    assert run([str(bag), str(tmp_path / "out"), *NOISE]) == 0
+    with pytest.raises(BagError):
+        open_reader(FIXTURES / "office_ros2" / "metadata.yaml")
+    assert list((tmp_path / "room").iterdir()) == []

@@ -1,0 +1,88 @@
+"""What commands print by default: at most eight lines of eighty columns, the verdict first, a command last."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.cli import run
+from odomcorrupt.effects import registry
+
+OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
+NOISE = ["--alpha", "0.05", "0.02", "0.05", "0.01", "--seed", "1"]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """Return a directory with the paths of a few runs."""
+    path = tmp_path_factory.mktemp("batch") / "runs"
+    assert run(["batch", OFFICE, str(path), "--runs", "4", "--output", "trajectories", "-q", *NOISE]) == 0
+    return str(path)
+
+
+def lines_of(capsys, words):
+    assert run(words) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def require_brief(lines, label):
+    assert lines[0].startswith(label)
+    assert len(lines) <= 8
+    assert max(map(len, lines)) <= 80
+    assert any(line.startswith("next") for line in lines)
+    assert lines[-1].startswith(("next", " "))
+
+
+@pytest.mark.parametrize("name", registry())
+def test_an_effect_is_explained_in_eight_lines(name, capsys):
+    require_brief(lines_of(capsys, ["effects", name]), name)
+
+
+@pytest.mark.parametrize(
+    ("words", "label"),
+    [
+        (["presets"], "PRESETS"),
+        (["effects"], "SYSTEMATIC"),
+        (["integrate", OFFICE], "INTEGRATED"),
+        (["integrate", OFFICE, "--twist-noise", "0.2", "0.04", "--runs", "3", "--seed", "1"], "INTEGRATED"),
+        (["map", OFFICE, *NOISE], "THICKER"),
+    ],
+)
+def test_a_result_has_eight_lines_all_of_it_nothing_or_values(words, label, capsys):
+    require_brief(lines_of(capsys, words), label)
+    assert max(map(len, lines_of(capsys, [*words, "-v"]))) > 0
+    assert lines_of(capsys, [*words, "-q"]) == []
+    assert json.loads("\n".join(lines_of(capsys, [*words, "--json"])))["schema"] == 2
+
+
+def test_a_spread_begins_with_whether_it_is_the_predicted_one(runs, capsys):
+    lines = lines_of(capsys, ["spread", runs])
+    assert lines[0].startswith(("AS PREDICTED", "WIDER", "NARROWER"))
+    require_brief(lines, "")
+    assert "4 runs" in lines[0]
+    assert lines_of(capsys, ["spread", runs, "-v"])[1].split()[0] == "after"
+
+
+def test_all_effects_and_presets_are_named(capsys):
+    text = " ".join(lines_of(capsys, ["effects"]))
+    assert all(name in text for name in registry())
+
+
+def test_the_table_of_a_map_fits_a_hundred_columns(capsys):
+    table = [line for line in lines_of(capsys, ["map", OFFICE, "-v", *NOISE]) if " m  " in line and line[:2] == "  "]
+    assert len(table) >= 3
+    assert max(map(len, table)) <= 100
+
+
+@pytest.mark.parametrize("target", ["nav2", "robot_localization", "ros2_control"])
+def test_parameters_stand_without_their_derivation_unless_it_is_asked_for(target, tmp_path, capsys):
+    model = tmp_path / "robot.toml"
+    model.write_text("\n".join(lines_of(capsys, ["presets", "article"])) + "\n[[effect]]\nname='side_slip'\nk=0.1\n")
+    brief, full = (lines_of(capsys, ["export", str(model), "--to", target, *more]) for more in ([], ["-v"]))
+    assert max(map(len, brief + full)) <= 80
+    assert [line for line in brief if not line.lstrip().startswith("#")] == [
+        line for line in full if not line.lstrip().startswith("#")
+    ]
+    assert brief[0] == "# not expressed: side_slip (-v says why)"

@@ -1,0 +1,65 @@
+"""Odometry that is pulled towards poses is told from odometry whose errors pile up, whatever these are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sourcebags import topic, write
+from sourcedrive import Rows, path
+
+from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.study.io import Source, read_runs
+
+RATE_HZ, SECONDS = 20.0, 200.0
+TIMES = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
+REAL = path(TIMES)
+
+
+def odometry(errors, pull=0.0, every=20):
+    """Return poses composed of the truth's steps and errors (n - 1, 3); a filter takes a part of them out."""
+    rng = np.random.default_rng(8)
+    steps = between(REAL[:-1], REAL[1:])
+    now, out = REAL[0], [REAL[0]]
+    for i, step in enumerate(steps + errors(steps, rng)):
+        now = compose(now, step)
+        if pull and i % every == 0:
+            given = REAL[i + 1] + rng.normal(0.0, [0.01, 0.01, 0.005])
+            now = now + pull * (given - now)
+        out.append(now)
+    return np.array(out)
+
+
+def noise(steps, rng):
+    return rng.normal(0.0, [0.001, 0.0005, 0.002], steps.shape)
+
+
+CAUSES = {
+    "noise": noise,
+    "wide wheels": lambda steps, rng: noise(steps, rng) + steps * [0.03, 0.0, 0.02],
+    "a biased gyro": lambda steps, rng: noise(steps, rng) + np.array([0.0, 0.0, 0.0003]),
+    "late turns": lambda steps, rng: noise(steps, rng) + np.diff(steps[:, 2], prepend=0.0)[:, None] * [0.0, 0.0, 2.0],
+}
+
+
+def said_of(tmp_path, poses):
+    def rows(xyt):
+        return Rows((1.7e18 + TIMES * 1e9).astype(np.int64), np.column_stack((xyt[:, :2], 0.0 * TIMES)), xyt[:, 2])
+
+    true = REAL + np.random.default_rng(9).normal(0.0, 0.002, REAL.shape)
+    bag = topic("/odom", "Odometry", rows(poses)), topic("/mocap", "PoseStamped", rows(true))
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", *bag)))
+    return " ".join(recording.notes)
+
+
+@pytest.mark.parametrize("cause", CAUSES)
+def test_errors_that_pile_up_are_no_filters(tmp_path, cause):
+    assert "filter" not in said_of(tmp_path, odometry(CAUSES[cause]))
+
+
+@pytest.mark.parametrize(
+    ("cause", "pull"), [("noise", 0.1), ("noise", 0.3), ("wide wheels", 0.2), ("a biased gyro", 0.2)]
+)
+def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, pull):
+    said = said_of(tmp_path, odometry(CAUSES[cause], pull))
+    assert "its errors fade by" in said
+    assert "clocks and lags as ever; record the wheels' own odometry" in said

@@ -1,0 +1,169 @@
+"""Satellite fixes: float episodes and outages by status and by covariance, and one origin for several recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sourcebags import topic, write
+from sourcedrive import Rows, odometry, truth
+
+import odomcorrupt as oc
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.fixes import Fixes, resolved
+
+NORTH_M, EAST_M = 111_194.0, 74_625.0
+"""A degree of latitude, and of longitude at 48 degrees, by the published lengths."""
+TIMES = np.arange(0.0, 100.0, 0.2)
+
+
+def lla(xyz, latitude=48.0, longitude=8.0):
+    return np.column_stack((latitude + xyz[:, 1] / NORTH_M, longitude + xyz[:, 0] / EAST_M, 500.0 + 0.0 * xyz[:, 0]))
+
+
+def fixes(status, sigma_m, seconds=TIMES):
+    place = lla(np.column_stack((seconds, 0.3 * seconds)))
+    several = [np.broadcast_to(x, len(seconds)) for x in (status, sigma_m)]
+    return Fixes((seconds * 1e9).astype(np.int64), place, several[0].astype(np.int8), 2.0 * several[1] ** 2)
+
+
+def between(*spans):
+    return np.any([(first <= TIMES) & (last > TIMES) for first, last in spans], axis=0)
+
+
+@pytest.mark.parametrize(
+    ("status", "sigma_m"),
+    [
+        (np.where(between((20, 40), (70, 81)), 0, 2), 0.0),
+        (2, np.where(between((20, 40), (70, 81)), 0.3, 0.014)),
+        (-2, np.where(between((20, 40), (70, 81)), 0.15, 0.014)),
+        (np.where(between((20, 40)), 0, 2), np.where(between((20, 40), (70, 81)), 0.3, 0.014)),
+    ],
+    ids=["status alone", "covariance alone", "status unknown", "both, in part"],
+)
+def test_float_episodes_are_left_out_and_said_in_one_line(status, sigma_m):
+    found = resolved(fixes(status, sigma_m))
+    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 40), (70, 81))))
+    assert found.notes[0].startswith("2 float episodes, 31 s, left out (155 of 500 fixes")
+
+
+def test_an_episode_lasts_until_the_receiver_is_as_sure_again_as_it_is_when_fixed():
+    """A float solution claims 0.4 m at first and 4 cm when its ambiguities are resolved, three times a fix's 1.4 cm."""
+    settling = np.where(between((20, 60)), np.maximum(0.4 * np.exp(-(TIMES - 20.0) / 12.0), 0.04), 0.014)
+    found = resolved(fixes(2, settling))
+    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 60))))
+
+
+def test_geometry_that_is_poor_for_a_while_is_no_episode():
+    assert len(resolved(fixes(2, np.where(between((20, 60)), 0.04, 0.014))).rows) == len(TIMES)
+
+
+def test_a_moment_of_fixes_between_two_float_episodes_is_not_trusted():
+    found = resolved(fixes(np.where(between((20, 40), (41.5, 50)), 0, 2), 0.0))
+    assert np.array_equal(found.rows, np.flatnonzero(~between((20, 50))))
+    assert found.notes[0].startswith("1 float episode, 30 s,")
+
+
+@pytest.mark.parametrize(
+    ("status", "sigma_m"),
+    [(0, 0.0), (2, 0.014), (0, 1.2), (2, 0.012 + 0.03 * (TIMES > 50.0)), (np.where(between((0, 90)), 0, 2), 0.0)],
+    ids=["a receiver that says nothing", "fixed", "single", "more than one geometry", "fixed for a tenth of the time"],
+)
+def test_of_fixes_that_are_alike_none_is_left_out(status, sigma_m):
+    assert len(resolved(fixes(status, sigma_m)).rows) == len(TIMES)
+
+
+def test_a_truth_that_mostly_floats_is_used_and_said_to_be_coarse():
+    found = resolved(fixes(np.where(between((0, 20)), 2, 2), np.where(between((0, 20)), 0.014, 0.3)))
+    assert len(found.rows) == len(TIMES)
+    assert "only 20% of its fixes are as good as the best" in found.notes[0]
+
+
+def test_messages_without_a_fix_are_left_out_and_outages_are_counted():
+    silent, lost = between((30, 44)), between((60, 66))
+    several = fixes(np.where(lost, -1, 2), 0.014)
+    several = Fixes(*(part[~silent] for part in several))
+    found = resolved(several)
+    assert found.notes[:2] == ("30 messages without a fix left out", "2 outages, 20 s without any fix")
+    assert len(found.rows) == np.sum(~silent & ~lost)
+
+
+@pytest.mark.parametrize("by", ["variance", "status"])
+def test_a_recording_with_float_episodes_has_a_truth_without_them(tmp_path, by):
+    moved, real = odometry(), truth()
+    place = lla(real.xyz)
+    floating = (np.arange(len(place)) > 300) & (np.arange(len(place)) < 500)
+    place[floating, 0] += 0.4 / NORTH_M
+    claims = {by: np.where(floating, 0.18, 4e-4) if by == "variance" else 2 - 2 * floating}
+    several = topic("/fix", "NavSatFix", Rows(real.stamps_ns, place, real.yaw), **claims)
+    (run,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), several), truth="/fix"))
+    assert any("/fix: 1 float episode, 6 s, left out (199 of 990 fixes" in note for note in run.notes)
+    assert not np.isin(run.truth.stamps_ns, real.stamps_ns[floating]).any()
+
+
+def two_runs(tmp_path):
+    """Bags of two drives over the same ground, the second begun elsewhere; the first fix of each is its own origin."""
+    real = truth(40.0)
+    late = real.only(slice(330, None))
+    for name, rows in (("first", real), ("second", late)):
+        bag = topic("/odom", "Odometry", odometry(40.0)), topic("/fix", "NavSatFix", rows.having(xyz=lla(rows.xyz)))
+        write(tmp_path / f"{name}.mcap", *bag)
+    return tmp_path / "first.mcap", tmp_path / "second.mcap", late
+
+
+def test_recordings_read_together_share_the_origin_of_the_first(tmp_path):
+    first, second, late = two_runs(tmp_path)
+    both, alone = oc.read_recordings([first, second]), oc.read_recordings(second)
+    assert both[0].geodetic_origin == both[1].geodetic_origin != alone[0].geodetic_origin
+    start = truth(40.0).xyz[0, :2]
+    np.testing.assert_allclose(both[1].truth.xyt[0, :2], late.xyz[0, :2] - start, atol=0.01)
+    np.testing.assert_allclose(alone[0].truth.xyt[0, :2], 0.0, atol=1e-9)
+
+
+def test_the_origin_of_a_fit_is_kept_in_the_model_file(tmp_path):
+    first, _, _ = two_runs(tmp_path)
+    oc.fit(first).model.save(tmp_path / "robot.toml")
+    origin = oc.Model.load(tmp_path / "robot.toml").motion_model.setup.origin
+    assert (origin.latitude_deg, origin.longitude_deg) == pytest.approx(tuple(lla(truth(40.0).xyz)[0, :2]), abs=1e-9)
+
+
+PATCH_MODEL = """
+schema = 1
+[noise]
+rot_rot = 0.02
+rot_trans = 0.01
+trans_trans = 0.02
+trans_rot = 0.0
+[[effect]]
+name = "region_slip"
+slip = 0.3
+x = {x}
+y = {y}
+radius = 4.0
+[setup]
+origin = {{ latitude = {latitude}, longitude = {longitude} }}
+"""
+
+
+def test_a_patch_learned_on_one_origin_holds_in_a_recording_with_another(tmp_path):
+    """The drive begins 75 m from where the model's places are counted from, and crosses the patch three times."""
+    t = np.arange(0.0, 90.0, 0.05)
+    angle = 0.2 * t
+    xyz = np.column_stack((8.0 * np.sin(angle), 8.0 * (1.0 - np.cos(angle)), 0.0 * t))
+    patch, away = np.array([8.0, 8.0]), np.array([60.0, -45.0])
+    inside = np.hypot(*(xyz[:, :2] - patch).T) < 4.0
+    said = np.cumsum(0.2 * 0.05 / np.where(inside, 0.7, 1.0))
+    steps = 8.0 * np.diff(said, prepend=0.0)[:, None] * np.column_stack((np.cos(said), np.sin(said)))
+    stamps = (1.7e18 + t * 1e9).astype(np.int64)
+    moved = Rows(stamps, np.column_stack((np.cumsum(steps, axis=0), 0.0 * t)), said)
+    noise = 0.01 * np.random.default_rng(3).standard_normal((len(t), 3))
+    here = Rows(stamps, lla(xyz + noise), angle)
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/fix", "NavSatFix", here))
+    runs, errors = oc.read_recordings(bag), {}
+    for name, offset in (("agrees", away), ("ignored", np.zeros(2))):
+        x, y = patch + away
+        latitude, longitude = 48.0 - offset[1] / NORTH_M, 8.0 - offset[0] / EAST_M
+        (tmp_path / f"{name}.toml").write_text(PATCH_MODEL.format(x=x, y=y, latitude=latitude, longitude=longitude))
+        compared = oc.compare(runs, tmp_path / f"{name}.toml").result
+        errors[name] = compared.judgements[0].ten_second_error_m / compared.clock_error_m
+    assert errors["agrees"] < 0.3
+    assert errors["ignored"] > 0.95

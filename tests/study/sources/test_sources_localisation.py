@@ -1,0 +1,96 @@
+"""Of a localisation on top of the odometry only its corrections are the truth: over TF, or as poses made from TF."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sourcebags import edges, topic, write
+from sourcedrive import START_NS, Rows, odometry, truth
+
+from odomcorrupt.geometry.se2 import compose, inverse
+from odomcorrupt.study.io import Source, read_runs
+
+EVERY = 20
+"""Samples of the odometry between two corrections."""
+
+
+def drive(seconds=30.0):
+    """Return odometry, where the robot really was at its samples (n, 3), and the correction map -> odom of each."""
+    moved, real = odometry(seconds), truth(seconds, noise=0.0)
+    own, at = ((rows.stamps_ns - START_NS) * 1e-9 for rows in (real, moved))
+    base = np.stack([np.interp(at, own, column) for column in real.xyt.T], axis=1)
+    base += 0.003 * np.random.default_rng(5).standard_normal(base.shape)
+    said = np.column_stack((moved.xyz[:, :2], moved.yaw))
+    return moved, base, compose(base, inverse(said))
+
+
+def flat(stamps_ns, xyt):
+    return Rows(stamps_ns, np.column_stack((xyt[:, :2], 0.0 * xyt[:, 0])), xyt[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("start_ns", "pace", "delay_s"),
+    [(START_NS, 1.0, 0.0), (START_NS, 1.0, 0.02), (100 * 10**9, 1.0, 0.0), (100 * 10**9, 0.4, 0.0)],
+    ids=["real time", "late logs", "simulated time", "a simulation slower than time"],
+)
+def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, pace, delay_s):
+    """Between corrections map -> base is the odometry composed with the last one, sent again 1 s ahead of its time."""
+    moved, base, offsets = drive()
+    moved = moved.having(stamps_ns=moved.stamps_ns - START_NS + start_ns)
+    logs = START_NS + ((moved.stamps_ns - start_ns) / pace + delay_s * 1e9).astype(np.int64)
+    corrected, sent = np.arange(0, len(base), EVERY), np.arange(0, len(base), 4)
+    last = corrected[np.searchsorted(corrected, sent, side="right") - 1]
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", moved, log_ns=logs),
+        edges(flat(moved.stamps_ns[sent] + 10**9, offsets[last]), "map", "odom", log_ns=logs[sent]),
+        edges(moved, "odom", "base_link", log_ns=logs),
+    )
+    (recording,) = read_runs(Source(bag, truth="/tf:map.base_link"))
+    assert any("a localisation on top of the odometry" in note for note in recording.notes)
+    assert any("1 s ahead of when they were sent" in note for note in recording.notes)
+    # log times are those of the odometry to a few samples of their own resolution
+    wanted = np.searchsorted(moved.stamps_ns, recording.truth.stamps_ns + 10**6, side="right") - 1
+    assert np.isin(wanted, corrected).all()
+    assert len(wanted) > 0.9 * len(corrected)
+    np.testing.assert_allclose(recording.truth.xyt[:, :2], base[wanted, :2], atol=1e-3)
+
+
+@pytest.mark.parametrize("asked", ["of the odometry", "between its samples", "late"])
+def test_poses_made_from_tf_are_taken_at_the_corrections_alone(tmp_path, asked):
+    moved, _, offsets = drive()
+    at = moved.stamps_ns if asked == "of the odometry" else moved.stamps_ns[:-1] + 20_000_000
+    now = (at - START_NS) * 1e-9
+    if asked == "between its samples":
+        own = (moved.stamps_ns - START_NS) * 1e-9
+        said = np.stack([np.interp(now, own, column) for column in moved.xyt.T], axis=1)
+    else:
+        said = moved.xyt[: len(at)]
+    last = np.arange(len(at)) // EVERY * EVERY
+    poses = flat(at, compose(offsets[last], said))
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), topic("/robot_pose", "PoseStamped", poses))
+    (recording,) = read_runs(Source(bag))
+    assert any(
+        "/robot_pose: a localisation on top of /odom; the truth is taken at its 30" in n for n in recording.notes
+    )
+    assert np.array_equal(recording.truth.stamps_ns, at[::EVERY])
+
+
+def test_a_truth_of_its_own_is_left_as_it_is(tmp_path):
+    moved, base, _ = drive()
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", moved),
+        topic("/pose", "PoseStamped", flat(moved.stamps_ns, base)),
+    )
+    (recording,) = read_runs(Source(bag))
+    assert len(recording.truth) == len(base)
+
+
+@pytest.mark.parametrize(("name", "every", "localised"), [("/amcl_pose", 20, True), ("/orb_slam/pose", 1, False)])
+def test_sparse_poses_of_a_localisation_are_known_by_their_name(tmp_path, name, every, localised):
+    moved, base, _ = drive()
+    poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::every], base[::every]))
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    assert recording.localised == localised
+    assert len(recording.truth) == len(base[::every])

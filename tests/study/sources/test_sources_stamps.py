@@ -1,0 +1,116 @@
+"""Rounded stamps are put back on their grid and widen a clock's error; steps of a clock cut a run."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sourcebags import topic, write
+from sourcedrive import START_NS, odometry, truth
+
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.raw_trajectory import Samples
+from odomcorrupt.study.io.stamps import clock_steps, even_stamps, stamp_resolution_s
+
+
+def path(t_s, log_s=None):
+    """Return poses along a line, stamped at times (n,) and recorded at others."""
+    stamps_ns = START_NS // 10**9 * 10**9 + np.round(t_s * 1e9).astype(np.int64)
+    logs = np.zeros(0, np.int64) if log_s is None else START_NS + np.round(log_s * 1e9).astype(np.int64)
+    xyz = np.column_stack((t_s, 0.0 * t_s, 0.0 * t_s))
+    return Samples("run.bag: /odom", "/odom", "odom", stamps_ns, xyz, 0.0 * t_s, logs, np.zeros(0))
+
+
+RATE_30 = 0.0123 + np.arange(3000) / 29.97
+RATE_50 = 0.0123 + np.arange(3000) / 50.0
+UNEVEN = np.cumsum(np.random.default_rng(4).uniform(0.01, 0.03, 3000))
+
+
+@pytest.mark.parametrize(
+    ("t_s", "rounded_s", "found_s"),
+    [
+        (RATE_30, 0.001, 0.001),
+        (RATE_30, 0.01, 0.01),
+        (UNEVEN, 0.01, 0.01),
+        (RATE_30, 1e-9, 0.0),
+        (RATE_50, 1e-9, 0.0),
+        (RATE_50, 0.01, 0.0),
+    ],
+    ids=["30 Hz to 1 ms", "30 Hz to 10 ms", "uneven to 10 ms", "exact", "exact 50 Hz", "50 Hz in ticks"],
+)
+def test_what_stamps_are_rounded_to_is_seen_where_intervals_vary_on_it(t_s, rounded_s, found_s):
+    assert stamp_resolution_s(path(np.floor(t_s / rounded_s) * rounded_s)) == pytest.approx(found_s)
+
+
+@pytest.mark.parametrize("rounded_s", [0.001, 0.01])
+def test_rounded_stamps_of_a_regular_publisher_are_spaced_evenly(rounded_s):
+    lost = np.random.default_rng(1).random(len(RATE_30)) < 0.02
+    true_s = RATE_30[~lost]
+    even = even_stamps(path(np.floor(true_s / rounded_s) * rounded_s))
+    off_s = even.seconds_since(START_NS // 10**9 * 10**9) - true_s
+    assert np.std(off_s) < 0.06 * rounded_s
+    assert np.mean(off_s) == pytest.approx(-rounded_s / 2.0, abs=0.1 * rounded_s)
+    assert "cannot be seen; they were spaced evenly" in even.notes[0]
+
+
+def test_stamps_that_vary_by_more_than_their_rounding_are_left_as_they_are():
+    rounded = path(np.floor(UNEVEN / 0.001) * 0.001)
+    even = even_stamps(rounded)
+    assert np.array_equal(even.stamps_ns, rounded.stamps_ns)
+    assert even.notes[0].endswith("cannot be seen")
+
+
+def arrived(t_s, seed=2):
+    return np.maximum.accumulate(t_s + np.random.default_rng(seed).exponential(0.004, len(t_s)))
+
+
+@pytest.mark.parametrize("by_s", [0.15, -0.08, 0.03])
+def test_a_clock_that_is_set_while_recording_is_found_to_the_sample(by_s):
+    stamped = RATE_50 + by_s * (np.arange(3000) >= 1200)
+    (step,) = clock_steps(path(stamped, arrived(RATE_50)))
+    assert step.row == 1200
+    assert step.by_s == pytest.approx(by_s, abs=0.01)
+
+
+@pytest.mark.parametrize("case", ["lost", "late", "slow network", "skewed", "both clocks"])
+def test_what_is_lost_or_late_is_no_step_of_a_clock(case):
+    kept = np.ones(3000, dtype=bool)
+    log_s, stamped = arrived(RATE_50), RATE_50.copy()
+    if case == "lost":
+        kept[1200:1212] = False
+    if case == "late":
+        log_s[1200:1204] = log_s[1204]
+    if case == "slow network":
+        log_s[1200:] += 0.12
+    if case == "skewed":
+        stamped = stamped * 1.001
+    if case == "both clocks":
+        log_s[1200:] += 0.15
+        stamped[1200:] += 0.15
+    assert clock_steps(path(stamped[kept], log_s[kept])) == []
+
+
+def test_what_lies_before_and_after_a_step_is_recorded_by_clocks_of_its_own(tmp_path):
+    moved, real = odometry(60.0), truth(60.0)
+    stepped = replace(moved, stamps_ns=moved.stamps_ns + 180_000_000 * (np.arange(len(moved)) >= 500))
+    bag = write(
+        tmp_path / "run.mcap",
+        topic("/odom", "Odometry", stepped, log_ns=moved.stamps_ns + 1_000_000),
+        topic("/truth", "PoseStamped", real),
+    )
+    before, after = read_runs(Source(bag))
+    assert (before.name, after.name) == ("run.mcap clock 1", "run.mcap clock 2")
+    assert before.clock == after.clock == ""
+    assert (len(before.odometry), len(after.odometry)) == (500, 700)
+    (step,) = [note for note in before.notes if "its clock was set while recording" in note]
+    assert re.search(r"\(\+0\.1[78]\d s at 2[45]\.\d s\)", step)
+
+
+def test_an_offset_that_rounding_hides_is_in_the_error_of_a_clock(tmp_path):
+    moved = odometry(60.0, rate_hz=29.97)
+    cut = moved.having(stamps_ns=moved.stamps_ns // 10_000_000 * 10_000_000)
+    bag = write(tmp_path / "run.mcap", topic("/odom", "Odometry", cut), topic("/truth", "PoseStamped", truth(60.0)))
+    (run,) = read_runs(Source(bag))
+    assert run.stamp_error_s == pytest.approx(0.01 / np.sqrt(12.0))

@@ -1,0 +1,74 @@
+"""Nodes lie as far apart as the errors of a localisation are alike, so that these are not taken for the odometry's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import accumulate
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.calibrate import fit_robot
+from odomcorrupt.study.estimate.config import NODE_S, choose_approach
+from odomcorrupt.study.estimate.intervals import lay_nodes
+from odomcorrupt.study.estimate.problem import undo
+from odomcorrupt.study.estimate.truth_correlation import independent_spacing_s
+from odomcorrupt.study.io.recording import Trajectory
+
+QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
+EVERY = 20
+"""Samples of the odometry between two corrections: 0.4 s."""
+
+
+def localised(*, length_m, seed=3, seconds=260.0):
+    """Return a drive whose truth errs by 2 cm and 10 mrad, alike over a length of path, and its true poses."""
+    rng, steps = np.random.default_rng(seed), wander(seed, seconds)
+    run = recording(steps, noisy_path(steps, QUIET, seed), seed=seed)
+    true = accumulate(np.zeros(3), steps)[::EVERY]
+    way = np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.2 * np.abs(steps.dtheta_rad))))[::EVERY]
+    errors = rng.normal(0.0, [0.02, 0.02, 0.01], true.shape)
+    for i in range(1, len(true)):
+        kept = np.exp(-(way[i] - way[i - 1]) / length_m)
+        errors[i] = kept * errors[i - 1] + np.sqrt(1.0 - kept**2) * errors[i]
+    truth = Trajectory(run.odometry.stamps_ns[::EVERY], true + errors)
+    return replace(run, truth=truth, localised=True)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return localised(length_m=1.0)
+
+
+def test_errors_that_are_alike_over_a_metre_ask_for_seconds(run):
+    assert independent_spacing_s(run) >= 4.0
+    assert choose_approach([run]).spacing_s == independent_spacing_s(run)
+
+
+def test_a_good_truth_keeps_its_close_nodes_and_a_noisy_one_without_correlation_one_second():
+    steps = wander(3, 240.0)
+    odometry = noisy_path(steps, QUIET, 3)
+    assert choose_approach([recording(steps, odometry)]).spacing_s == NODE_S
+    noisy = recording(steps, odometry, truth_mm=30.0, truth_rad=0.01)
+    assert choose_approach([noisy]).spacing_s == 1.0
+
+
+def test_a_short_drive_keeps_nodes_enough_for_its_halves():
+    assert independent_spacing_s(localised(length_m=1.0, seconds=110.0)) <= 2.0
+
+
+def test_nodes_are_the_same_for_all_models(run):
+    wide = undo(run, [effect_from_values("wheelbase", {"e": 0.2}), effect_from_values("wheel_scale", {"e": -0.1})])
+    assert np.array_equal(lay_nodes(run, 4.0).start_s, lay_nodes(wide, 4.0).start_s)
+
+
+@pytest.mark.slow
+def test_the_noise_of_a_localisation_is_not_learned_as_the_robots(run):
+    model = fit_robot([run], (), law_name="diffusion").model
+    k, errors = model.noise.coefficients, model.standard_errors
+    assert model.setup.truth.xy_m == pytest.approx(0.018, rel=0.3)
+    for name in ("rot_trans", "trans_trans"):
+        assert getattr(k, name) < getattr(QUIET, name) + 3.0 * errors.get(name, 0.002)
+        assert getattr(k, name) < 0.012
