@@ -9,10 +9,12 @@ The Python interface; each name is imported when it is first used, so that `impo
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+TYPE_CHECKING = False
+"""As in `typing`, whose import would take half the time until Ctrl-C is quiet (`__main__`)."""
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from odomcorrupt.api.batch import Batch, batch
     from odomcorrupt.api.comparison import Comparison, compare
     from odomcorrupt.api.correction import Correction, correct
@@ -86,6 +88,8 @@ def __getattr__(name: str) -> Any:
     """Import the module of a public name."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib
+
     value = getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
     globals()[name] = value
     return value

@@ -1,15 +1,20 @@
-"""The console script, and `python -m odomcorrupt`."""
+"""The console script, and `python -m odomcorrupt`.
 
-from __future__ import annotations
+From here on until the command line takes over, Ctrl-C ends the program without a word: a console script compiles a
+regular expression, and the command line is imported, for a tenth of a second. A shell that starts a program in the
+background has it ignore Ctrl-C; that stays.
+"""
 
 import signal
+
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command line; Ctrl-C while it is imported ends the program without a word."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    """Run the command line."""
     from odomcorrupt.cli import main as run_main  # noqa: PLC0415 - see above
 
     run_main()

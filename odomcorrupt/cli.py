@@ -179,7 +179,8 @@ def main() -> NoReturn:
         signal.signal(number, _terminated)
     # imports make many objects and little rubbish
     gc.set_threshold(50_000)
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:  # as in the background of a shell
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         code = run(sys.argv[1:])
     except SystemExit as ended:

@@ -1,15 +1,94 @@
-"""Result files, written whole or not at all."""
+"""Small input files, which must be regular files, and result files, written whole or not at all.
+
+Maps, models, trajectories, tables of defaults, metadata and a batch's own files are opened here: a pipe, device or
+socket in their place is refused, where reading would wait for it or never end. Bags are opened in `bags`.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import os
+import stat
+from typing import TYPE_CHECKING, BinaryIO
 
 from odomcorrupt.errors import OdomCorruptError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["refuse_existing", "write_bytes", "write_text"]
+__all__ = ["open_input", "read_input", "refuse_existing", "write_bytes", "write_text"]
+
+_KINDS = {
+    stat.S_IFDIR: "a directory",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def open_input(path: Path, error: type[Exception] = OdomCorruptError) -> BinaryIO:
+    """Open a regular file for reading.
+
+    Parameters
+    ----------
+    path : Path
+        The file, or a link to it.
+    error : type
+        Class of the error.
+
+    Raises
+    ------
+    OdomCorruptError
+        (`error`) If it cannot be opened, or is a pipe, device, socket or directory.
+
+    """
+    try:
+        # Before it is opened: that alone makes some devices act, and waits for the writer of a pipe.
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):
+            stream = open(path, "rb", opener=_open_at_once)  # noqa: SIM115 - Path has no opener
+            mode = os.fstat(stream.fileno()).st_mode
+            if stat.S_ISREG(mode):
+                return stream
+            stream.close()
+    except (OSError, ValueError) as failure:  # a ValueError is a name with a zero byte
+        raise error(f"{path}: cannot be read: {getattr(failure, 'strerror', None) or failure}") from failure
+    raise error(f"{path}: is {_KINDS.get(stat.S_IFMT(mode), 'no file')}; name a regular file")
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open without waiting: it may be a pipe by now."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_input(path: Path, most: int, what: str, error: type[Exception] = OdomCorruptError) -> bytes:
+    """Return the content of a regular file of at most `most` bytes.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    most : int
+        Largest size, bytes.
+    what : str
+        What it should be, as in "model file", for the error.
+    error : type
+        Class of the error.
+
+    Raises
+    ------
+    OdomCorruptError
+        (`error`) If it cannot be read, is larger, or no regular file.
+
+    """
+    with open_input(path, error) as stream:
+        try:
+            data = stream.read(most + 1)
+        except OSError as failure:
+            raise error(f"{path}: cannot be read: {failure.strerror}") from failure
+    if len(data) > most:
+        raise error(f"{path}: more than {most} bytes; that is no {what}")
+    return data
 
 
 def refuse_existing(path: Path | None, *, overwrite: bool) -> None:
@@ -30,8 +109,8 @@ def write_bytes(path: Path, data: bytes) -> None:
     from odomcorrupt.bags.output import Output  # noqa: PLC0415 - numpy is slow to import, and help writes nothing
 
     output = Output(path, overwrite=True)
-    output.open()
     try:
+        output.open()
         output.write(data)
         output.commit()
     finally:

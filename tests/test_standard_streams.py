@@ -96,6 +96,28 @@ def test_an_interrupt_while_it_begins_is_no_traceback(delay_s):
     assert b"Traceback" not in said
 
 
+def test_an_interrupt_is_quiet_as_soon_as_the_console_script_has_imported_it():
+    """What the script of an installation does between the import and the call takes a while."""
+    program = "from odomcorrupt.__main__ import main; print(flush=True); import time; time.sleep(60); main()"
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    assert (process.communicate(), process.returncode) == ((b"", b""), -signal.SIGINT)
+
+
+def test_an_interrupt_that_the_shell_has_it_ignore_stays_ignored():
+    """As in the background of a shell."""
+    program = f"import sys; sys.argv[1:] = ['info', {OFFICE!r}]; import os, signal\n"
+    program += "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    program += "from odomcorrupt.__main__ import main; os.kill(os.getpid(), signal.SIGINT); print(flush=True); main()"
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    process.stdout.readline()
+    time.sleep(0.2)
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    assert process.returncode == 0
+
+
 EVIL = "/odom\x1b]0;title\x07\r\x1b[2K\x9b31m\u202eabc\nNote: all is well"
 
 

@@ -1,19 +1,74 @@
-"""Limits on decompressed sizes, against small bags that expand to a machine's memory."""
+"""Limits on decompressed sizes, against small bags that expand to a machine's memory.
+
+A size is refused when it is stated, before memory is taken; what comes out is counted, so that a bag that states
+less than it holds gets no further.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+from contextlib import contextmanager
 from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.errors import BagError
 
-__all__ = ["VARIABLE", "Budget"]
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
-VARIABLE = "ODOMCORRUPT_UNPACK_GIB"
-"""Environment variable that sets the allowance of a chunk and of a bag, GiB."""
+__all__ = ["VARIABLE", "Budget", "limited", "size_of"]
+
+VARIABLE = "ODOMCORRUPT_MAX_UNPACKED"
+"""Environment variable that sets the allowance of a chunk and of a bag; processes of a batch inherit it."""
 
 _TIMES = 1000
 """What a bag may unpack to, in its own size, beyond the allowance; recorders reach 2 to 50, black images a thousand."""
+
+_UNITS = {"B": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
+_SIZE = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,15})?) *(B|[KMGT](?:I?B)?)", re.IGNORECASE)
+
+
+class _Allowance(NamedTuple):
+    """Decompressed bytes of any chunk, and of any bag beyond a multiple of its own size."""
+
+    chunk: int
+    bag: int
+
+
+_DEFAULT = (1 << 30, 128 << 20)
+"""So much stays below 300 MB of memory for a bag of 100 kB, together with what Python takes."""
+
+
+def size_of(text: str) -> int:
+    """Return a size in bytes: "4GiB", "500 MB", "4G" or "1000B"; units are of 1024.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or zero.
+
+    """
+    found = _SIZE.fullmatch(text.strip())
+    size = int(float(found[1]) * _UNITS[found[2][0].upper()]) if found else 0
+    if not size:
+        raise ValueError(f"{text!r} is no size; write one such as 4GiB or 500MB")
+    return size
+
+
+@contextmanager
+def limited(size: int | None) -> Iterator[None]:
+    """Let chunks and bags unpack to `size` bytes in this process and those it starts; None: as before."""
+    before = os.environ.get(VARIABLE)
+    if size is not None:
+        os.environ[VARIABLE] = f"{size}B"
+    try:
+        yield
+    finally:
+        if size is not None:
+            os.environ.pop(VARIABLE)
+            if before is not None:
+                os.environ[VARIABLE] = before
 
 
 class Budget:
@@ -23,25 +78,32 @@ class Budget:
         self._packed = self._unpacked = 0
 
     @cached_property
-    def allowance(self) -> int:
-        """Bytes that any chunk and any bag may decompress to; 1 GiB, or as of the environment variable."""
-        text = os.environ.get(VARIABLE, "1")
+    def _allowance(self) -> _Allowance:
+        text = os.environ.get(VARIABLE)
+        if text is None:
+            return _Allowance(*_DEFAULT)
         try:
-            return int(float(text) * (1 << 30))
-        except (ValueError, OverflowError) as error:
-            raise BagError(f"{VARIABLE}: is {text!r}; write a number of GiB") from error
+            size = size_of(text)
+        except ValueError as error:
+            raise BagError(f"{VARIABLE}: {error}") from error
+        return _Allowance(size, size)
 
-    def require_chunk(self, size: int, what: str) -> None:
-        """Raise BagError for a chunk whose stated size is too large."""
-        if size > self.allowance:
+    def require(self, size: int, packed: int, what: str) -> None:
+        """Count the compressed bytes of a chunk; raise BagError if its stated size is too large.
+
+        The limit of a bag grows with the compressed bytes that were read.
+        """
+        self._packed += packed
+        if size > self._allowance.chunk:
             raise BagError(
-                f"{what}: says it unpacks to {size} bytes, more than the {self.allowance} that a chunk may; it is "
-                f"damaged, or to be recorded again in smaller chunks; {VARIABLE}=N allows N GiB"
+                f"{what}: says it unpacks to {size} bytes, more than the {self._allowance.chunk} that a chunk may; it "
+                f"is damaged, or to be recorded again in smaller chunks; {_advice(size)}"
             )
-
-    def read(self, size: int) -> None:
-        """Count compressed bytes read, in proportion to which the limit grows."""
-        self._packed += size
+        if size > self.left:
+            raise BagError(
+                f"{what}: says it unpacks to {size} bytes; with it {self._unpacked + size} would come out of "
+                f"{self._packed}, which no recording packs so small; {_advice(self._unpacked + size)}"
+            )
 
     def take(self, size: int, what: str) -> None:
         """Count decompressed bytes; raise BagError beyond the limit."""
@@ -49,10 +111,15 @@ class Budget:
         if self.left <= 0:
             raise BagError(
                 f"{what}: with it {self._unpacked} bytes have come out of {self._packed}, which no recording packs so "
-                f"small; {VARIABLE}=N allows N GiB"
+                f"small; {_advice(self._unpacked + 1)}"
             )
 
     @property
     def left(self) -> int:
         """Remaining bytes."""
-        return self.allowance + _TIMES * self._packed - self._unpacked
+        return self._allowance.bag + _TIMES * self._packed - self._unpacked
+
+
+def _advice(size: int) -> str:
+    gib = 1 << max((size - 1).bit_length() - 30, 0)
+    return f"--max-unpacked {gib}GiB allows it"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import zlib
 
-__all__ = ["CAN_COMBINE", "crc32", "crc_of_both"]
+__all__ = ["CAN_COMBINE", "combined", "crc32", "crc_of_both"]
 
 try:
     from isal.isal_zlib import crc32, crc32_combine
@@ -35,3 +35,25 @@ def crc_of_both(first: int, second: int, piece: bytes | memoryview) -> int:
         both: int = crc32_combine(first, second, len(piece))
         return both
     return zlib.crc32(piece, first)
+
+
+def combined(first: int, second: int, length: int) -> int:
+    """Return the CRC-32 of two consecutive pieces, without their bytes.
+
+    Parameters
+    ----------
+    first, second : int
+        CRC-32 of each of them.
+    length : int
+        Length of the second one, bytes; without isal the time grows with it.
+
+    """
+    if CAN_COMBINE:
+        both: int = crc32_combine(first, second, length)
+        return both
+    # A CRC is affine: behind `first`, zeros differ from zeros behind nothing as the second piece would.
+    zeros, shifted, plain = bytes(1 << 16), first, 0
+    while length:
+        piece = memoryview(zeros)[:length]
+        shifted, plain, length = zlib.crc32(piece, shifted), zlib.crc32(piece, plain), length - len(piece)
+    return shifted ^ plain ^ second

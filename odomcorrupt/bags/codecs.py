@@ -81,6 +81,9 @@ def _sum_of_content(data: bytearray | memoryview) -> bytes:
 
 
 _PIECE_BYTES = 1 << 20
+_SKIPPABLE_MAGIC = 0x184D2A50
+_RUN_LENGTH_BLOCK = 1
+"""In a Zstandard frame: one byte that stands for as many as the block's size says."""
 _LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
 _Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
 """What the codecs raise on bytes that are not theirs, or on a size no machine has."""
@@ -120,8 +123,7 @@ def decompress(
         placed.data[:] = data
         return placed
     budget = Budget() if budget is None else budget
-    budget.require_chunk(size, what)
-    budget.read(len(data))
+    budget.require(size, len(data), what)
     try:
         if codec == "lz4":
             out = _unlz4(data, size)
@@ -168,7 +170,7 @@ def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
                 most = min(budget.left, 255 * len(data))
                 out += lz4.frame.decompress_chunk(context, data, max_length=max(most, 1))[0]
         return out
-    budget.read(len(data))
+    budget.require(0, len(data), "")
     piece = np.empty(_PIECE_BYTES, dtype=np.uint8)
     with suppress(*_Damage):
         for came in _pieces_of_cut(codec, data, piece):
@@ -195,7 +197,8 @@ def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterato
 
 def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
     """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
-    if zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES:
+    sized = zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES
+    if sized and _end_of_frame(data) == len(data):
         with _zstd.decompressor.stream_reader(data) as reader:
             if (came := reader.readinto(placed.data)) < placed.size:
                 raise EOFError(f"the frame is cut short after {came} bytes")
@@ -207,6 +210,38 @@ def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
             at += came
             yield came
         yield len(reader.read(1)) if at == placed.size else 0
+    # of a truncated frame the reader keeps back what it has decompressed beyond what was asked for
+    if not _are_whole_frames(data):
+        raise EOFError("a frame is cut short")
+
+
+def _end_of_frame(data: memoryview) -> int:
+    """Return where the Zstandard frame ends that bytes begin with, by the lengths in it (RFC 8878, section 3.1).
+
+    Of a truncated frame the end is unknown, and behind that of the bytes.
+    """
+    if int.from_bytes(data[:4], "little") & ~0xF == _SKIPPABLE_MAGIC:
+        return 8 + int.from_bytes(data[4:8], "little")
+    parameters = zstandard.get_frame_parameters(data)
+    at = zstandard.frame_header_size(data)
+    last = 0
+    while not last:
+        if at + 3 > len(data):
+            return len(data) + 1
+        head = int.from_bytes(data[at : at + 3], "little")
+        last, kind, size = head & 1, head >> 1 & 3, head >> 3
+        at += 3 + (1 if kind == _RUN_LENGTH_BLOCK else size)
+    return at + (4 if parameters.has_checksum else 0)
+
+
+def _are_whole_frames(data: memoryview) -> bool:
+    """Return whether bytes are whole Zstandard frames."""
+    while data:
+        end = _end_of_frame(data)
+        if end > len(data):
+            return False
+        data = data[end:]
+    return True
 
 
 def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:

@@ -308,7 +308,8 @@ def open_writer(
     if path is None or is_stream(path):
         raise BagError(f"{path}: a sqlite3 file cannot go through a pipe; name the output .mcap, or a file")
     if isinstance(part, SqliteReader):
-        return SqliteWriter(path, part, overwrite=overwrite)
+        beside = workers is not None and workers.threads > 1
+        return SqliteWriter(path, part, overwrite=overwrite, copying_thread=beside)
     return NewSqliteWriter(path, reader, overwrite=overwrite)
 
 

@@ -55,7 +55,7 @@ class Output:
         self._stream = stream
 
     def open(self) -> None:
-        """Open a hidden temporary file in the target's directory, or the stream itself."""
+        """Open a hidden temporary file in the target's directory, or the stream itself; discard it if that fails."""
         if self._path is None:
             return
         if is_stream(self._path):
@@ -168,12 +168,13 @@ class Output:
             raise self._failed(error) from error
 
     def discard(self) -> None:
-        """Remove the temporary file."""
-        if self._path is None or self._stream is None:
+        """Remove the temporary file, also where an interrupt came before it was known to be open."""
+        if self._path is None:
             return
         # Buffered bytes that a full disk rejects are discarded with the file.
         with suppress(OSError):
-            self._stream.close()
+            if self._stream is not None:
+                self._stream.close()
         if self._partial is not None:
             self._partial.unlink(missing_ok=True)
 

@@ -46,11 +46,12 @@ class ProvenanceWatcher:
         """Return the metadata, latest corruption last; of a rosbag2 directory, that in its metadata.yaml."""
         if self._found or source is None or not source.is_dir():
             return tuple(self._found)
-        from odomcorrupt.bags.rosbag2.metadata import read_info  # noqa: PLC0415 - YAML is slow to import
+        from odomcorrupt.bags.rosbag2.bounded_yaml import read_text  # noqa: PLC0415 - YAML is slow to import
+        from odomcorrupt.bags.rosbag2.metadata import read_info  # noqa: PLC0415 - as above
 
         path = source / "metadata.yaml"
         try:
-            if f"{NAME}." not in path.read_text(encoding="utf8"):
+            if f"{NAME}." not in read_text(path):
                 return ()
             custom = read_info(path).get("custom_data") or {}
         except (OSError, ValueError, BagError):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import BufferPool
+from odomcorrupt.bags.checksum import crc32, crc_of_both
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -29,12 +30,21 @@ _LARGEST_BYTES = 1 << 32
 """More than that no chunk can have; an endless pipe must not fill the memory."""
 
 
+class Summed(NamedTuple):
+    """Bytes read, and their CRC-32."""
+
+    data: NDArray[np.uint8]
+    crc: int
+
+
 class Source:
     """A bag's bytes, read forwards.
 
     name : name in error messages
     size : file size in bytes, or None for a pipe
     position : bytes read so far
+    summing : whether the CRC is computed
+    crc : CRC-32 of the bytes read since it was last set to 0
     shelf : allocator of chunk buffers
     budget : limit of decompressed bytes
     """
@@ -45,6 +55,8 @@ class Source:
         self.name = name
         self.size: int | None = None
         self.position = 0
+        self.summing = False
+        self.crc = 0
         self._ahead = b""
         self._scratch = np.empty(0, dtype=np.uint8)
         self.shelf = BufferPool()
@@ -98,11 +110,16 @@ class Source:
             self.seek(min(position, self.size))
             return position <= self.size
         try:
-            while self.position < position:
-                self.read_scratch(min(position - self.position, _BUFFER_BYTES), "skipped bytes")
+            self.skim(position - self.position, "skipped bytes")
         except BagError:
             return False
         return True
+
+    def skim(self, size: int, what: str) -> None:
+        """Read `size` bytes for their checksum only."""
+        end = self.position + size
+        while self.position < end:
+            self.read_scratch(min(end - self.position, _BUFFER_BYTES), what)
 
     def require(self, size: int, what: str) -> None:
         """Raise BagError for a length beyond the end of the file."""
@@ -126,6 +143,8 @@ class Source:
                 raise BagError(f"{self.name}: cannot be read: {error.strerror}") from error
             if len(data) == size:
                 self.position += size
+                if self.summing:
+                    self.crc = crc32(data, self.crc)
                 return data
             self._ahead = data
         if size > _TRUSTED_BYTES:
@@ -154,6 +173,15 @@ class Source:
             self._fill(pieces[-1].data, what)
         return np.concatenate(pieces)
 
+    def read_summed(self, size: int, what: str) -> Summed:
+        """Return exactly `size` bytes in a new writable array, with their CRC-32."""
+        summing, before = self.summing, self.crc
+        self.summing, self.crc = True, 0
+        data = self.read_array(size, what)
+        crc, self.summing = self.crc, summing
+        self.crc = crc_of_both(before, crc, data.data) if summing else before
+        return Summed(data, crc)
+
     def read_scratch(self, size: int, what: str) -> memoryview:
         """Return exactly `size` bytes in a buffer that the next call overwrites."""
         self.require(size, what)
@@ -178,6 +206,8 @@ class Source:
         if begin < len(view):
             raise self.cut(what, len(view), begin)
         self.position += begin
+        if self.summing:
+            self.crc = crc32(view, self.crc)
 
     def close(self) -> None:
         """Close a file; a pipe is left to the caller."""

@@ -13,7 +13,7 @@ from odomcorrupt.batching.sinks import read_tum
 from odomcorrupt.corruption.covariance import pose_covariance
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import EffectError
-from odomcorrupt.model.model_file import parse_model
+from odomcorrupt.model.model_file import parse_model, read_model
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -153,7 +153,7 @@ def _displaced(model: MotionModel, spread: Spread, clean: TumPath, centre: PathS
 def _path(model: MotionModel, seed: int, record: dict[str, Any], directory: Path, clean: TumPath) -> Array:
     """Return a run's path (n, 2), drawn again from its seed and its own parameters."""
     if "robot" in record:
-        model = parse_model((directory / record["robot"]).read_text(encoding="utf8"))
+        model = read_model(directory / record["robot"])
     samples = NoisyPath(model, seed, record["run"]).feed(clean.stamps_ns, clean.xyt)
     path: Array = samples.clean_xyt[:, :2] + samples.error_xyt[:, :2]
     return path

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from odomcorrupt.effects.effect import check_bounds, choices, parameters
 from odomcorrupt.errors import EffectError, ModelError
 from odomcorrupt.model.correlation import Correlation
-from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def stated_spreads(path: Path) -> frozenset[str]:
 
     The standard errors of a fit are stored elsewhere in the file, and drawn only on request.
     """
-    table = tomllib.loads(path.read_text(encoding="utf8"))
+    table = tomllib.loads(read_model_text(path))
     stated = {name for name, value in table.get("noise", {}).items() if _is_spread(value)}
     for item in table.get("effect", []):
         stated |= {f"{item.get('name')}.{name}" for name, value in item.items() if _is_spread(value)}

@@ -23,7 +23,7 @@ from odomcorrupt.batching.sinks import read_tum, write_npz
 from odomcorrupt.batching.sweep import variants
 from odomcorrupt.corruption.run import Container
 from odomcorrupt.corruption.transform import Options, Transform
-from odomcorrupt.model.model_file import format_model, parse_model
+from odomcorrupt.model.model_file import format_model, parse_model, read_model_text
 from odomcorrupt.rng import draw_seed
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def plan(inputs: Sequence[Path], target: Path, spec: BatchSpec) -> list[Job]:
             words: tuple[str, ...] = by_file
             if not variant.name and spec.model_file is not None:
                 # the file as it is now: it may be edited later
-                text, words = spec.model_file.read_text(encoding="utf8"), (*by_file, *(spec.model_words or ()))
+                text, words = read_model_text(spec.model_file), (*by_file, *(spec.model_words or ()))
             elif not variant.name and spec.model_words is not None:
                 words = spec.model_words
             elif not variant.name:

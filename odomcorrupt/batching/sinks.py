@@ -17,6 +17,7 @@ from odomcorrupt.bags.open import open_writer
 from odomcorrupt.bags.output import Output
 from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
 from odomcorrupt.model.model_file import format_model
 
@@ -74,7 +75,8 @@ def format_tum(stamps_ns: NDArray[np.int64], xyt: Array) -> bytes:
 
 def read_tum(path: Path) -> TumPath:
     """Return the planar poses of a TUM file, with stamps to the nanosecond."""
-    text = path.read_bytes()
+    with open_input(path) as stream:
+        text = stream.read()
     stamps = [line.split(b" ", 1)[0] for line in text.splitlines()]
     numbers = np.loadtxt(io.BytesIO(text), ndmin=2)
     whole = np.array([int(stamp.replace(b".", b"")) for stamp in stamps], dtype=np.int64)
@@ -108,7 +110,11 @@ class TumSink:
         self._waiting.clear()
 
     def __enter__(self) -> Self:
-        self._output.open()
+        try:
+            self._output.open()
+        except BaseException:
+            self._output.discard()
+            raise
         return self
 
     def __exit__(
@@ -139,8 +145,8 @@ def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[P
 
     """
     output = Output(path, overwrite=True)
-    output.open()
     try:
+        output.open()
         with zipfile.ZipFile(_Sink(output), "w", zipfile.ZIP_STORED) as archive:
             for name, array in (("runs", np.array(runs)), ("stamps_ns", clean.stamps_ns), ("clean_xyt", clean.xyt)):
                 with archive.open(f"{name}.npy", "w", force_zip64=True) as member:

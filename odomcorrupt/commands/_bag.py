@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,7 @@ __all__ = [
     "report_losses",
     "source_of",
     "threads_option",
+    "unpack_option",
 ]
 
 BAG_OPTIONS = (
@@ -118,10 +120,38 @@ def moving_options(command: Callable[..., Any]) -> Callable[..., Any]:
     )
 
 
+def unpack_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the option that lifts the limit of what compressed bags become, while the command runs."""
+
+    @functools.wraps(command)
+    def within_limit(*args: Any, max_unpacked: int | None, **given: Any) -> Any:
+        from odomcorrupt.bags.budget import limited
+
+        with limited(max_unpacked):
+            return command(*args, **given)
+
+    option = click.option(
+        "--max-unpacked",
+        metavar="SIZE",
+        callback=_size,
+        help="Let compressed chunks become so large, as in 4GiB. [default: 1GiB each, and what a recording can reach]",
+    )
+    return option(within_limit)
+
+
+def _size(_ctx: click.Context, _option: click.Parameter, text: str | None) -> int | None:
+    from odomcorrupt.bags.budget import size_of
+
+    try:
+        return None if text is None else size_of(str(text))
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from error
+
+
 def container_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that say how bags are read and written."""
     return _all(
-        command,
+        unpack_option(command),
         (
             overwrite_option(),
             click.option(
@@ -162,7 +192,7 @@ def threads_option(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def bag_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that only read a bag: which odometry, and whether it may be damaged."""
-    return frame_options(_RECOVER(command))
+    return frame_options(_RECOVER(unpack_option(command)))
 
 
 def bag_words(given: Mapping[str, Any], names: Sequence[str]) -> BagOptions:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import TRACK, Number, Share
 from odomcorrupt.commands._progress import Stages, part_done
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
@@ -198,7 +199,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
             "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
         ),
     )
-    decorated: Callable[..., Any] = with_reading
+    decorated = unpack_option(with_reading)
     for option in options:
         decorated = option(decorated)
     return decorated

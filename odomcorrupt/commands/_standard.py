@@ -137,7 +137,7 @@ def chosen_output(argument: str | None, option: str | None, metavar: str = "OUTP
 def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) -> None:
     """Set a command's defaults from a file: top-level keys for every command that has them, then its own table."""
     file = Path(CONFIG) if path is None else path
-    if ctx.resilient_parsing or (path is None and not file.is_file()):
+    if ctx.resilient_parsing or (path is None and not file.exists()):
         return
     table = _table(file)
     name = ctx.command.name or ""
@@ -168,12 +168,9 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
 def _table(file: Path) -> Mapping[str, Any]:
     import tomllib
 
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise click.UsageError(f"{file}: cannot be read ({error.strerror})") from error
-    if len(data) > _LIMIT_BYTES:
-        raise click.UsageError(f"{file}: more than {_LIMIT_BYTES} bytes; that is no file of defaults")
+    from odomcorrupt.files import read_input
+
+    data = read_input(file, _LIMIT_BYTES, "file of defaults", click.UsageError)
     try:
         return tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._poses import need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing
@@ -51,6 +52,7 @@ _FILE = click.Path(path_type=Path)
 @click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: the topic that is called so]")
 @click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
 @overwrite_option("existing outputs")
+@unpack_option
 @standard_options
 def command(input_: Path, output: Path | None, output_option: str | None, *, voice: Voice, **given: Any) -> None:
     """Integrate the velocities of a bag's odometry, and write them as its poses.

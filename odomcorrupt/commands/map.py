@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
 from odomcorrupt.commands._param_types import Number
@@ -61,6 +62,7 @@ __all__ = ["command"]
     "[default: odometry]",
 )
 @overwrite_option("existing outputs")
+@unpack_option
 @standard_options
 def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> None:
     """Draw the map a laser makes through a bag's odometry, and through the same odometry with noise on it.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand, choose_model
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS, choose_move, move_options
@@ -101,6 +102,7 @@ def _round(value: float) -> float:
 @click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @overwrite_option()
+@unpack_option
 @standard_options
 def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Voice, **given: Any) -> None:
     """Draw where one motion may have ended, or, with a BAG, where the robot may be along its drive.

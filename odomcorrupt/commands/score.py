@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._standard import overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing, write_text
+from odomcorrupt.files import read_input, refuse_existing, write_text
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _FILE = click.Path(dir_okay=False, path_type=Path)
+_BASELINE_BYTES = 1 << 28
 
 
 @click.command("score", short_help="Score a localisation over the runs of a batch; a gate for CI.")
@@ -58,6 +60,7 @@ _FILE = click.Path(dir_okay=False, path_type=Path)
 @click.option("--report", type=_FILE, help="Write all of it as one page of HTML.")
 @click.option("-o", "--output", type=_FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("existing outputs")
+@unpack_option
 @standard_options
 def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
@@ -105,9 +108,10 @@ def _baseline(path: Path) -> dict[str, Any]:
 
     from odomcorrupt.scoring.errors import ScoreError
 
+    text = read_input(path, _BASELINE_BYTES, "result of score", ScoreError)
     try:
-        table = json.loads(path.read_text(encoding="utf8"))
-    except (OSError, ValueError) as error:
+        table = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise ScoreError(f"{path}: is no JSON; make a baseline with odomcorrupt score ... --save") from error
     if not isinstance(table, dict) or "runs" not in table:
         raise ScoreError(f"{path}: is no result of score; make a baseline with odomcorrupt score ... --save")

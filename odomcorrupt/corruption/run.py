@@ -105,9 +105,9 @@ def write_as_it_was(
 ) -> None:
     """Copy a bag byte by byte after reading its blocks (a pipe: while reading); `watch` is called with each block."""
     output = Output(target, sys.stdout.buffer if target is None else None, overwrite=overwrite)
-    output.open()
     output.summing = False
     try:
+        output.open()
         if isinstance(bag, TeeReader):
             bag.play(output)
         for block in blocks:

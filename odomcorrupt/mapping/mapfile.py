@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import MapError
+from odomcorrupt.files import open_input
 from odomcorrupt.geometry.se2 import rotate
 
 if TYPE_CHECKING:
@@ -124,11 +125,8 @@ def format_map(grid: Grid, image_name: str) -> tuple[bytes, str]:
 
 def _keys(path: Path) -> dict[str, str]:
     """Return the keys of a flat .yaml as text: a map needs no more, and no more can go wrong."""
-    try:
-        with path.open("rb") as file:
-            raw = file.read(_YAML_BYTES + 1)
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
+    with open_input(path, MapError) as file:
+        raw = file.read(_YAML_BYTES + 1)
     if len(raw) > _YAML_BYTES or b"\0" in raw:
         raise MapError(f"{path}: is no map's .yaml; name the .yaml that comes with the image")
     found: dict[str, str] = {}
@@ -175,12 +173,8 @@ def _float(path: Path, key: str, text: str) -> float:
 
 def _read_pgm(path: Path) -> NDArray[np.uint8]:
     """Read a binary .pgm (rows, columns); nothing is made of a size before the bytes for it are there."""
-    try:
-        if not path.is_file():
-            raise MapError(f"{path}: is no file; the map's .yaml names it as its image")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read: {error.strerror}") from error
+    with open_input(path, MapError) as file:
+        raw = file.read()
     match = _HEADER.match(raw[:4096])
     if match is None:
         raise MapError(f"{path}: begins with {raw[:8]!r}, which is no binary PGM (P5); convert the image to that")

@@ -14,6 +14,7 @@ from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import ModelError
+from odomcorrupt.files import read_input
 from odomcorrupt.model.correlation import Correlation
 from odomcorrupt.model.motion_model import MotionModel, Noise, Origin, Setup, Step, TruthNoise, parse_alpha
 from odomcorrupt.model.noise_laws import Coefficients
@@ -47,19 +48,19 @@ _SPREAD = re.compile(r"\s*(\S+)\s*(?:\+-|±)\s*(\S+)\s*")
 
 def read_model(path: Path) -> MotionModel:
     """Return the model in a file; ModelError says what is wrong with it, in one line."""
+    text = read_model_text(path)
     try:
-        with path.open("rb") as file:
-            data = file.read(_LIMIT_BYTES + 1)
-    except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror})") from error
-    if len(data) > _LIMIT_BYTES:
-        raise ModelError(f"{path}: more than {_LIMIT_BYTES} bytes; that is no model file")
-    try:
-        return parse_model(data.decode())
-    except UnicodeDecodeError as error:
-        raise ModelError(f"{path}: not text; that is no model file") from error
+        return parse_model(text)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
+
+
+def read_model_text(path: Path) -> str:
+    """Return the text of a model file, as it stands."""
+    try:
+        return read_input(path, _LIMIT_BYTES, "model file", ModelError).decode()
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: not text; that is no model file") from error
 
 
 def parse_model(text: str) -> MotionModel:

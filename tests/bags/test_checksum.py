@@ -16,6 +16,7 @@ def test_crc_of_both_is_that_of_the_bytes_together(sizes, combining, monkeypatch
     rng = np.random.default_rng(1)
     one, other = (rng.bytes(size) for size in sizes)
     assert checksum.crc_of_both(zlib.crc32(one), zlib.crc32(other), other) == zlib.crc32(one + other)
+    assert checksum.combined(zlib.crc32(one), zlib.crc32(other), len(other)) == zlib.crc32(one + other)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 700, 1 << 16, (1 << 20) + 3])

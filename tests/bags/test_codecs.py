@@ -97,3 +97,36 @@ def test_an_lz4_frame_with_a_checksum_tells_of_every_damage(place, sized):
 def test_a_level_that_a_codec_does_not_have_is_refused(codec, level):
     with pytest.raises(BagError, match=f"level {level}"):
         compress(codec, DATA, level)
+
+
+@pytest.mark.parametrize("sized", [True, False])
+@pytest.mark.parametrize("cut", [1, 5, 900])
+@pytest.mark.parametrize("kind", ["random", "zeros", "both"])
+def test_a_truncated_zstd_frame_is_never_the_less_that_a_chunk_states(kind, cut, sized):
+    """The library's reader gives out no more of a truncated frame, once it was asked for less than it holds."""
+    noise = np.random.default_rng(1).bytes(100_000)
+    data = {"random": noise, "zeros": bytes(100_000), "both": noise + bytes(100_000)}[kind]
+    frame = zstandard.ZstdCompressor(write_content_size=sized, write_checksum=True).compress(data)
+    for size in (0, 1, 3, len(data) // 2, len(data) - 1):
+        with pytest.raises(BagError, match="--recover"):
+            decompress("zstd", memoryview(frame)[:-cut], size, "chunk", BufferPool())
+
+
+@pytest.mark.parametrize("sized", [True, False])
+def test_a_chunk_may_be_several_zstd_frames_and_others_that_are_skipped(sized):
+    parts = [np.random.default_rng(n).bytes(n) + bytes(n) for n in (1, 1000, 200_000)]
+    compressor = zstandard.ZstdCompressor(write_content_size=sized, write_checksum=True)
+    frames = [compressor.compress(part) for part in parts]
+    skipped = b"\x5a\x2a\x4d\x18" + (7).to_bytes(4, "little") + b"skipped"
+    whole = b"".join([frames[0], skipped, *frames[1:]])
+    data = b"".join(parts)
+    assert decompress("zstd", memoryview(whole), len(data), "chunk", BufferPool()).tobytes() == data
+    with pytest.raises(BagError):
+        decompress("zstd", memoryview(whole)[:-1], len(data), "chunk", BufferPool())
+
+
+def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
+    frame = zstandard.compress(DATA.tobytes())
+    with pytest.raises(BagError, match="come out"):
+        decompress("zstd", memoryview(frame + frame), DATA.size, "chunk", BufferPool())
+    assert decompress("zstd", memoryview(frame + frame), 2 * DATA.size, "chunk", BufferPool()).size == 2 * DATA.size

@@ -28,8 +28,10 @@ def mutated(data: bytes, other: bytes, rng: Rng) -> tuple[str, bytes]:
     way = ways[int(rng.integers(len(ways)))]
     if way in _ANYWHERE:
         return way, _ANYWHERE[way](data, other, rng)
-    inside = _mcap_structure if data.startswith(_MCAP) else _ros1_structure
-    return way, inside(data, other, rng, way)
+    if data.startswith(_MCAP):
+        out = _mcap_structure(data, other, rng, way)
+        return way, with_true_sums(out) if rng.random() < 0.7 else out
+    return way, _ros1_structure(data, other, rng, way)
 
 
 def _place(data: bytes, rng: Rng) -> int:
@@ -104,6 +106,25 @@ def mcap_records(data: bytes) -> list[tuple[int, int, int]]:
         found.append((opcode, at, at + 9 + length))
         at += 9 + length
     return found
+
+
+def with_true_sums(data: bytes) -> bytes:
+    """Return an MCAP whose checksums of sections are those of its bytes, as far as these still have a structure."""
+    out = bytearray(data)
+    if not data.startswith(_MCAP) or not data.endswith(_MCAP):
+        return data
+    try:
+        places = mcap_records(data)
+    except struct.error:
+        return data
+    ends = [begin for opcode, begin, end in places if (opcode, end - begin) == (15, 13)]
+    if ends:
+        out[ends[-1] + 9 : ends[-1] + 13] = struct.pack("<I", zlib.crc32(data[: ends[-1]]))
+    opcode, begin, end = places[-1]
+    if (opcode, end - begin) == (2, 29) and end == len(data) - len(_MCAP):
+        start = int.from_bytes(data[begin + 9 : begin + 17], "little")
+        out[end - 4 : end] = struct.pack("<I", zlib.crc32(data[start : end - 4]))
+    return bytes(out)
 
 
 def _mcap_structure(data: bytes, other: bytes, rng: Rng, way: str) -> bytes:

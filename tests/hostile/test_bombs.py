@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import bz2
+import io
+import os
 import sqlite3
 import struct
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, redirect_stderr, redirect_stdout
 
 import lz4.frame
 import pytest
 import zstandard
 
-from odomcorrupt.bags.budget import VARIABLE, Budget
+from odomcorrupt.bags.budget import VARIABLE, Budget, limited, size_of
 from odomcorrupt.bags.codecs import beginning
 from odomcorrupt.bags.open import open_reader
+from odomcorrupt.cli import cli, run
 from odomcorrupt.errors import BagError
 
 MB = 1 << 20
@@ -94,14 +97,14 @@ BOMBS = {
 @pytest.mark.parametrize("recover", [False, True])
 @pytest.mark.parametrize("name", BOMBS)
 def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path, monkeypatch):
-    monkeypatch.setenv(VARIABLE, "0.04" if "lz4" not in name else "0.01")
+    monkeypatch.setenv(VARIABLE, "40MB" if "lz4" not in name else "10MB")
     monkeypatch.setattr("odomcorrupt.bags.budget._TIMES", 100)
     path = tmp_path / ("in.bag" if "bz2" in name else "in.mcap")
     path.write_bytes(BOMBS[name]())
     if recover:
-        assert any(VARIABLE in loss for loss in read(path, recover))
+        assert any("--max-unpacked" in loss for loss in read(path, recover))
         return
-    with pytest.raises(BagError, match=f"{VARIABLE}=N allows N GiB") as caught:
+    with pytest.raises(BagError, match="--max-unpacked 1GiB allows it") as caught:
         read(path, recover)
     assert "\n" not in str(caught.value)
 
@@ -109,20 +112,57 @@ def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path,
 def test_the_allowance_can_be_lifted_and_a_wrong_one_is_told(tmp_path, monkeypatch):
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap_of([message(3 * MB)] * 3))
-    monkeypatch.setenv(VARIABLE, "1e-3")
-    with pytest.raises(BagError, match=VARIABLE):
+    monkeypatch.setenv(VARIABLE, "1MB")
+    with pytest.raises(BagError, match="--max-unpacked"):
         read(path, recover=False)
-    monkeypatch.setenv(VARIABLE, "0.1")
-    assert read(path, recover=False) == []
-    for text in ("much", "inf", "nan", ""):
+    with limited(100 * MB):
+        assert read(path, recover=False) == []
+    assert os.environ[VARIABLE] == "1MB"
+    for text in ("much", "inf", "nan", "", "0GiB", "-1GiB", "4", "1e3GiB"):
         monkeypatch.setenv(VARIABLE, text)
-        with pytest.raises(BagError, match="write a number of GiB"):
+        with pytest.raises(BagError, match="write one such as 4GiB"):
             read(path, recover=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("4GiB", 4 << 30), ("1.5 gb", 3 << 29), ("2M", 2 << 20), ("7B", 7), ("1kib", 1024)]
+)
+def test_sizes_are_written_as_usual(text, size):
+    assert size_of(text) == size
+
+
+def test_every_command_that_reads_bags_takes_the_option_and_a_file_of_defaults_may_have_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("odomcorrupt.bags.budget._DEFAULT", (1 << 30, 8 * MB))
+    path = tmp_path / "in.mcap"
+    path.write_bytes(mcap_of([message(20 * MB)]))
+    monkeypatch.chdir(tmp_path)
+    reading = [name for name in cli.list_commands(None) if "--max-unpacked" in options_of(name)]
+    assert reading == [
+        "assemble", "batch", "compare", "correct", "corrupt", "diagnose", "fit", "info", "integrate", "learn", "map",
+        "preview", "sample", "score",
+    ]  # fmt: skip
+    assert "--max-unpacked 1GiB allows it" in said("info", "in.mcap")
+    assert "no nav_msgs/Odometry" in said("info", "in.mcap", "--max-unpacked", "1GiB")
+    (tmp_path / "odomcorrupt.toml").write_text('max-unpacked = "200MB"\n')
+    assert "no nav_msgs/Odometry" in said("info", "in.mcap")
+    assert "write one such as 4GiB" in said("info", "in.mcap", "--max-unpacked", "4")
+    assert VARIABLE not in os.environ
+
+
+def options_of(name):
+    return [word for option in cli.get_command(None, name).params for word in option.opts]
+
+
+def said(*words):
+    err, out = io.StringIO(), io.StringIO()
+    with redirect_stderr(err), redirect_stdout(out):
+        run(words)
+    return out.getvalue() + err.getvalue()
 
 
 @pytest.mark.parametrize("codec", ["zstd", "bz2", "lz4"])
 def test_the_beginning_of_a_cut_bomb_goes_as_far_as_the_budget(codec, monkeypatch):
-    monkeypatch.setenv(VARIABLE, str(8 / 1024))
+    monkeypatch.setenv(VARIABLE, "8MB")
     pack = {"zstd": zstandard.compress, "bz2": bz2.compress, "lz4": lz4.frame.compress}[codec]
     whole = pack(bytes(64 * MB))
     for cut in (whole[: len(whole) // 2], whole[:-1], whole):
@@ -169,10 +209,45 @@ with open_reader(Path(sys.argv[1])) as reader:
 """
 
 
-def test_a_large_chunk_is_in_memory_once(tmp_path):
+@pytest.mark.slow
+def test_a_large_chunk_is_in_memory_once(tmp_path, monkeypatch):
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap_of([message(200 * MB)]))
+    monkeypatch.setenv(VARIABLE, "1GiB")
     assert peak_mb(READ, str(path)) < 240
+
+
+LARGE = {
+    "zstd": (lambda: mcap_of([message(600 * MB)]), 70_000),
+    "repeated zstd": (lambda: mcap_of([message(60 * MB)] * 10), 70_000),
+    "bz2": (lambda: ros1_of([CONNECTION + written(HEAD, bytes(500 * MB))]), 1_000),
+    "repeated bz2": (lambda: ros1_of([CONNECTION + written(HEAD, bytes(60 * MB))] * 4), 2_000),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recover", [False, True])
+@pytest.mark.parametrize("name", LARGE)
+def test_a_few_kilobytes_never_take_300_megabytes(name, recover, tmp_path):
+    make, size = LARGE[name]
+    path = tmp_path / ("in.bag" if "bz2" in name else "in.mcap")
+    path.write_bytes(make())
+    assert path.stat().st_size < size
+    words = [sys.executable, "-c", WHOLE, str(path), str(tmp_path / path.with_stem("out").name)]
+    done = subprocess.run([*words, *["--recover"] * recover], capture_output=True, text=True, check=True)
+    *lines, code, peak = done.stdout.splitlines()
+    assert (int(code), lines) == (1, [])
+    assert float(peak) < 300
+
+
+WHOLE = r"""
+import re, sys
+from pathlib import Path
+from odomcorrupt.cli import run
+print(run([*sys.argv[1:], "--alpha", "0.1", "0.1", "0.1", "0.1", "--seed", "1"]))
+# not what getrusage says: that includes the process this one was started by
+print(int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
+"""
 
 
 @pytest.mark.slow

@@ -95,9 +95,9 @@ def chunk_of(size, data, *, crc=0, name=b"zstd"):
 
 
 def with_chunk(data, chunk):
-    """Put a chunk in the place of a bag's first one."""
+    """Put a chunk in the place of a bag's first one; the footer, whose numbers would be wrong, tells of no summary."""
     begin, end = next((begin, end) for opcode, begin, end in mcap_records(data) if opcode == 6)
-    return data[:begin] + chunk + data[end:]
+    return data[:begin] + chunk + data[end:-28] + bytes(20) + data[-8:]
 
 
 def bomb(size):
@@ -111,7 +111,7 @@ def bomb(size):
     ("chunk", "words"),
     [
         (lambda: chunk_of(1 << 42, b"\x28\xb5\x2f\xfd\x00\x00"), "says it unpacks to 4398046511104 bytes"),
-        (lambda: chunk_of(1 << 29, bomb(1 << 24)), "come out; the bag is damaged"),
+        (lambda: chunk_of(1 << 29, bomb(1 << 24)), "would come out of"),
         (lambda: chunk_of(1000, bomb(1 << 30)), "come out; the bag is damaged"),
         (lambda: chunk_of((1 << 30) + 1, bomb(1 << 24)), "more than the 1073741824 that a chunk may"),
         (

@@ -58,7 +58,7 @@ def test_modes_mean_what_map_server_means(tmp_path, extra, states):
         (YAML.replace("0.1", "!!python/object:os.system"), PGM, "number"),
         (YAML.replace("[-1.0, 2.0, 0]", "[1, 2]"), PGM, "x, y, yaw"),
         (YAML.replace("m.pgm", "/dev/zero"), PGM, "outside of the map"),
-        (YAML.replace("m.pgm", "gone.pgm"), PGM, "no file"),
+        (YAML.replace("m.pgm", "gone.pgm"), PGM, "No such file"),
         (YAML + "mode: odd\n", PGM, "trinary"),
         (YAML, b"\x89PNG....", "PGM"),
         (YAML, b"P5 900000000 900000000 255\n\x00", "damaged"),

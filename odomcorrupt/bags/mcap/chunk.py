@@ -103,25 +103,42 @@ def read_chunk(source: Source, length: int, what: str) -> Chunk:
     if codec not in CODECS or name == "none":
         raise BagError(f"{named}: compression {name!r} is not known (none, lz4, zstd); recompress the bag")
     if codec == "none":
-        data = source.read_array(packed, what)
+        data, actual = source.read_summed(packed, what)
         if size != packed:
             raise BagError(f"{named}: says it holds {size} bytes, but has {packed}; damaged bag")
     else:
         data = decompress(codec, source.read_scratch(packed, what), size, named, source.shelf, source.budget)
+        actual = crc32(data.data) if crc else 0
     source.read(behind, what)  # fields of later versions of the format
-    if crc not in (0, crc32(data.data)):
+    if crc not in (0, actual):
         raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
     return Chunk(data, codec, named)
 
 
-def read_pieces(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
-    """Yield an unparsed record in pieces, since attachments may be larger than memory."""
+def read_pieces(source: Source, opcode: int, length: int, what: str, summed: int = 0) -> Iterator[Block]:
+    """Yield an unparsed record in pieces, since attachments may be larger than memory.
+
+    summed : length of what an attachment's checksum covers, which follows it; 0 for other records
+
+    Raises
+    ------
+    BagError
+        After the last piece, if the checksum is wrong.
+
+    """
     source.require(length, what)
-    left = length
+    if summed + 4 > length and summed:
+        raise BagError(f"{source.name}: {what}: an attachment of {summed} bytes is longer than its record; damaged bag")
+    left, crc, stated = length, 0, b""
     head = struct.pack("<BQ", opcode, length)
     while left or head:
         content = source.read_array(min(left, _PIECE_BYTES), what)
+        covered = max(summed - (length - left), 0)
+        crc = crc32(content.data[:covered], crc)
+        stated += bytes(content.data[covered : covered + 4 - len(stated)])
         left -= content.size
         data = np.concatenate([np.frombuffer(head, dtype=np.uint8), content])
         yield Block(data, np.empty(0, dtype=TABLE), McapFraming("record", opcode=opcode if head else 0))
         head = b""
+    if summed and int.from_bytes(stated, "little") not in (0, crc):
+        raise BagError(f"{source.name}: {what}: the attachment's checksum does not match its bytes; damaged bag")

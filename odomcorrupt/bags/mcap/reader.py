@@ -25,6 +25,12 @@ from odomcorrupt.bags.mcap.records import (
 )
 from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
 from odomcorrupt.bags.mcap.schema_registry import Known
+from odomcorrupt.bags.mcap.section_checksums import (
+    FOOTER_BYTES,
+    require_data_crc,
+    require_summary_crc,
+    stated_data_crc,
+)
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import loss_of
@@ -139,6 +145,8 @@ class McapReader:
 
     def _blocks(self, source: Source) -> Iterator[Block]:
         """Yield the blocks of a source, and register channels on the way."""
+        source.crc = 0
+        source.summing = self.summary.has_data_crc and not self._recover
         parts: Iterator[Chunk | Loose | Block] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
             parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
@@ -148,6 +156,8 @@ class McapReader:
                     yield part
                 else:
                     yield from self._finished(part)
+        if not self.complete and not self._recover:
+            self._learn_summary()
 
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
         """Yield chunks, collected messages outside chunks, and single records."""
@@ -165,9 +175,11 @@ class McapReader:
                 elif opcode == CHUNK:
                     pending = self._chunk(source, length, what)
                 else:
+                    summed = 0
                     if opcode in (ATTACHMENT, METADATA):
-                        require_named(opcode, source.sniff(min(length, _NAMES_BYTES)), f"{self.name}: {what}")
-                    yield from _alone(source, opcode, length, what)
+                        head = source.sniff(min(length, _NAMES_BYTES))
+                        summed = require_named(opcode, head, f"{self.name}: {what}")
+                    yield from _alone(source, opcode, length, what, summed)
             except BagError as error:
                 self._lose(error)
                 if not (
@@ -196,34 +208,43 @@ class McapReader:
                     if not next_record(source, last):
                         return
                     what = f"record at byte {source.position}"
-                last = source.position
+                last, crc = source.position, source.crc
                 opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
                 if opcode not in _ENDS:
                     yield opcode, length, what
-                elif self._ends(source, opcode, length, what):
+                elif self._ends(source, opcode, length, what, crc):
                     return
                 else:
                     opcode = 0
         except BagError as error:
             self._lose(error)
 
-    def _ends(self, source: Source, opcode: int, length: int, what: str) -> bool:
-        """Read the end of the data section; return whether it is the end, or seek to further data behind it."""
-        source.read(length, what)
+    def _ends(self, source: Source, opcode: int, length: int, what: str, crc: int) -> bool:
+        """Read the end of the data section; return whether it is the end, or seek to further data behind it.
+
+        crc : CRC-32 of the data section, if the source computes it
+        """
+        content = source.read(length, what)
         private: list[bytes] = []
         end = source.position
+        if opcode == DATA_END:
+            self._check_data_crc(source, content, crc, f"{self.name}: {what}")
+            source.crc, source.summing = 0, True
         try:
             while opcode != FOOTER:
                 if source.sniff(len(MAGIC)) == MAGIC:
                     break
-                begin = source.position
+                begin, crc = source.position, source.crc
                 what = f"record at byte {begin}"
                 opcode, length = struct.unpack("<BQ", source.read(RECORD_HEADER_BYTES, what))
                 if opcode in _DATA:
                     self._lose(BagError(f"{self.name}: {what} is data behind the data's end; the bag is damaged"))
                     source.seek(begin)
                     return False
-                self.summary.keep(opcode, source.read(length, what), self.name, private)
+                content = source.read(length, what)
+                if (opcode, length) == (FOOTER, FOOTER_BYTES) and int.from_bytes(content[:8], "little") == end:
+                    require_summary_crc(content, crc, self.name)
+                self.summary.keep(opcode, content, self.name, private)
             if source.read(len(MAGIC), "magic at the end") != MAGIC:
                 raise BagError(f"{self.name}: does not end as an MCAP does; the bag is damaged")  # noqa: TRY301
         except BagError as error:
@@ -233,6 +254,25 @@ class McapReader:
                 return False
         self.summary.private = private
         return True
+
+    def _check_data_crc(self, source: Source, content: bytes, crc: int, what: str) -> None:
+        """Record or raise a loss where the checksum in a DataEnd record that was just read is wrong."""
+        end = source.position
+        length = end - len(content) - RECORD_HEADER_BYTES - self._data_start
+        try:
+            stated = stated_data_crc(content, what)
+            if not stated or self.losses or not (source.summing or self._recover):
+                return
+            if self._recover:
+                # recovery goes back and forth: what it read has no sum
+                source.seek(self._data_start)
+                source.crc, source.summing = 0, True
+                source.skim(length, what)
+                crc = source.crc
+                source.seek(end)
+            require_data_crc(stated, crc, length, self.header, self.name)
+        except BagError as error:
+            self._lose(error)
 
     def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
         try:
@@ -285,12 +325,12 @@ def _is_packed(part: Chunk | Loose | Block) -> bool:
     return isinstance(part, Chunk) and part.codec != "none"
 
 
-def _alone(source: Source, opcode: int, length: int, what: str) -> Iterator[Block]:
+def _alone(source: Source, opcode: int, length: int, what: str, summed: int) -> Iterator[Block]:
     """Yield a single record as blocks; the footer and indexes without chunks are skipped."""
     if opcode == MESSAGE_INDEX:
         source.read(length, what)
     elif opcode not in _ENDS:
-        yield from read_pieces(source, opcode, length, what)
+        yield from read_pieces(source, opcode, length, what, summed)
 
 
 def _continues(pending: Chunk | Loose, opcode: int) -> bool:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
+    DATA_END,
     FOOTER,
     MAGIC,
     RECORD_HEADER_BYTES,
@@ -17,6 +18,7 @@ from odomcorrupt.bags.mcap.records import (
     STATISTICS,
     Fields,
 )
+from odomcorrupt.bags.mcap.section_checksums import FOOTER_BYTES, require_summary_crc
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -26,7 +28,8 @@ __all__ = ["PRIVATE", "Summary", "read_summary", "require_named"]
 
 PRIVATE = 0x80
 """Opcodes from here on belong to applications."""
-_FOOTER_BYTES = RECORD_HEADER_BYTES + 20
+_END_OF_DATA = struct.pack("<BQI", DATA_END, 4, 0)
+"""Of a data section without a checksum."""
 
 
 @dataclass(slots=True)
@@ -36,6 +39,7 @@ class Summary:
     schemas, channels : contents of the records repeated there
     channel_count, message_count : from the statistics, or None without them
     private : whole records of applications
+    has_data_crc : whether the data section may have a checksum: False if it is known to have none
     """
 
     schemas: list[bytes] = field(default_factory=list)
@@ -43,6 +47,7 @@ class Summary:
     channel_count: int | None = None
     message_count: int | None = None
     private: list[bytes] = field(default_factory=list)
+    has_data_crc: bool = True
 
     def keep(self, opcode: int, content: bytes, what: str, private: list[bytes] | None = None) -> None:
         """Add a record of the summary section if it is needed; private ones to a separate list."""
@@ -59,48 +64,60 @@ class Summary:
             (self.private if private is None else private).append(struct.pack("<BQ", opcode, len(content)) + content)
 
 
-def require_named(opcode: int, head: bytes, what: str) -> None:
-    """Raise BagError for an attachment or metadata record that does not start with the fields its index requires.
+def require_named(opcode: int, head: bytes, what: str) -> int:
+    """Return the length of an attachment without its checksum, bytes; 0 for metadata, which have none.
 
     head : its content, or the beginning of it
-    """
-    fields = Fields(head, what)
-    if opcode == ATTACHMENT:
-        fields.number("Q"), fields.number("Q"), fields.string(), fields.string(), fields.number("Q")
-    else:
-        fields.string()
-
-
-def read_summary(source: Source, size: int) -> Summary:
-    """Return the summary of a file of this size in bytes; empty if absent or damaged, since it is rebuilt anyway.
 
     Raises
     ------
     BagError
-        If the file has no footer: it was truncated, or never closed.
+        If it does not start with the fields that its index requires.
 
     """
-    tail_bytes = _FOOTER_BYTES + len(MAGIC)
+    fields = Fields(head, what)
+    if opcode != ATTACHMENT:
+        fields.string()
+        return 0
+    times, names = (fields.number("Q"), fields.number("Q")), (fields.blob(), fields.blob())
+    return 8 * len(times) + sum(4 + len(name) for name in names) + 8 + fields.number("Q")
+
+
+def read_summary(source: Source, size: int) -> Summary:
+    """Return the summary of a file of this size in bytes; empty if absent or senseless, since it is rebuilt anyway.
+
+    Raises
+    ------
+    BagError
+        If the file has no footer (it was truncated, or never closed), or the summary's checksum is wrong.
+
+    """
+    tail_bytes = RECORD_HEADER_BYTES + FOOTER_BYTES + len(MAGIC)
     if size >= tail_bytes + len(MAGIC):
         source.seek(size - tail_bytes)
         tail = source.read(tail_bytes, "footer")
-        opcode, length, summary_start, _, crc = struct.unpack_from("<BQQQI", tail)
-        if tail.endswith(MAGIC) and (opcode, length) == (FOOTER, 20):
-            return _read_section(source, summary_start, size - tail_bytes, tail, crc)
+        opcode, length = struct.unpack_from("<BQ", tail)
+        if tail.endswith(MAGIC) and (opcode, length) == (FOOTER, FOOTER_BYTES):
+            return _read_section(source, tail[RECORD_HEADER_BYTES : -len(MAGIC)], size - tail_bytes)
     raise BagError(
         f"{source.name}: the file of {size} bytes has no MCAP footer at its end: it is truncated or was never closed; "
         "--recover saves what is whole"
     )
 
 
-def _read_section(source: Source, start: int, end: int, tail: bytes, crc: int) -> Summary:
+def _read_section(source: Source, footer: bytes, end: int) -> Summary:
+    """Return the summary that a footer's content tells of, which ends at byte `end`."""
     summary = Summary()
-    if not len(MAGIC) < start < end:
+    start = int.from_bytes(footer[:8], "little") or end
+    if not len(MAGIC) < start <= end:
         return summary
-    source.seek(start)
+    before = max(start - len(_END_OF_DATA), len(MAGIC))
+    source.seek(before)
+    summary.has_data_crc = source.read(start - before, "end of the data") != _END_OF_DATA
+    if start == end:
+        return summary
     section = source.read(end - start, "summary")
-    if crc not in (0, zlib.crc32(section + tail[: _FOOTER_BYTES - 4])):
-        return summary
+    require_summary_crc(footer, crc32(section), source.name)
     at = 0
     while at < len(section):
         content = at + RECORD_HEADER_BYTES

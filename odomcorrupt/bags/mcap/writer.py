@@ -221,8 +221,8 @@ class McapWriter:
         output.write(struct.pack("<I", output.crc), MAGIC)
 
     def __enter__(self) -> Self:
-        self._output.open()
         try:
+            self._output.open()
             self._output.write(MAGIC, record(HEADER, self._directory.header()))
         except BaseException:
             self._output.discard()

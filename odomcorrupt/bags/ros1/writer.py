@@ -236,8 +236,8 @@ class Ros1Writer:
         self._output.rewrite(len(MAGIC), self._header(index_at, len(connections)))
 
     def __enter__(self) -> Self:
-        self._output.open()
         try:
+            self._output.open()
             self._output.write(MAGIC, self._header(0, 0))
         except BaseException:
             self._output.discard()

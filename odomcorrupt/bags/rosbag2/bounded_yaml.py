@@ -6,6 +6,7 @@ import time
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from odomcorrupt.errors import BagError
+from odomcorrupt.files import read_input
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,17 +25,9 @@ _SHOWN = 200
 
 def read_text(path: Path) -> str:
     """Return the text of a small regular file; BagError for others, such as a pipe that would block."""
-    if not path.is_file():
-        raise BagError(f"{path}: is no file (a directory, pipe or device); restore it")
     try:
-        with path.open("rb") as stream:
-            data = stream.read(LARGEST_BYTES + 1)
-        if len(data) > LARGEST_BYTES:
-            raise BagError(f"{path}: has more than {LARGEST_BYTES} bytes, which no recorder writes")
-        return data.decode()
-    except (OSError, UnicodeDecodeError) as error:
-        if isinstance(error, BagError):
-            raise
+        return read_input(path, LARGEST_BYTES, "metadata of a recorder", BagError).decode()
+    except UnicodeDecodeError as error:
         raise BagError(f"{path}: cannot be read: {_shown(error)}") from error
 
 

@@ -71,7 +71,7 @@ class UnpackedFiles:
             raise
 
     def _unpack(self, file: Path, target: Path, budget: Budget) -> None:
-        budget.read(file.stat().st_size)
+        budget.require(0, file.stat().st_size, str(file))
         with file.open("rb") as packed, target.open("wb") as out:
             try:
                 for piece in _decompressed(packed):
@@ -126,8 +126,7 @@ def _decompress(data: memoryview, what: str, budget: Budget) -> bytes:
         size = zstandard.frame_content_size(data)
         if size < 0:
             raise BagError(f"{what}: does not state its size, as each compressed message does; the bag is damaged")
-        budget.require_chunk(size, what)
-        budget.read(len(data))
+        budget.require(size, len(data), what)
         budget.take(size, what)
         out: bytes = zstandard.ZstdDecompressor().decompress(data)
     except (zstandard.ZstdError, MemoryError, ValueError) as error:

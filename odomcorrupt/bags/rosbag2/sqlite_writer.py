@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import threading
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -28,17 +29,23 @@ if TYPE_CHECKING:
 
 __all__ = ["SqliteWriter"]
 
-_AT_ONCE_BYTES = 1 << 30
+_AT_ONCE_BYTES = 64 << 20
+"""What the system copies in one call: an interrupt waits for no more."""
+_HELD_BYTES = 16 << 20
+"""Blocks whose changes wait for the copy, bytes."""
 
 
 class SqliteWriter:
     """One .db3 file being written.
 
     overwrite : whether it may replace a file
+    copying_thread : whether the file is copied by a thread, while its messages are read
     keeps_rest : whether messages not passed to `write` are in the output (true unless the input is damaged)
     """
 
-    def __init__(self, path: Path, reader: SqliteReader, *, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: Path, reader: SqliteReader, *, overwrite: bool = False, copying_thread: bool = False
+    ) -> None:
         self._path = Path(os.path.realpath(path))
         self._partial = beside(self._path)
         self._overwrite = overwrite
@@ -46,6 +53,10 @@ class SqliteWriter:
         self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
         self._open: sqlite3.Connection | None = None
+        self._copying_thread = copying_thread
+        self._copying: _Copying | None = None
+        self._waiting: list[tuple[str, list[Any]]] = []
+        self._held_bytes = 0
         self._journal = ""
         self._expected: dict[int, tuple[int, int]] = {}
         self._changes = 0
@@ -117,13 +128,19 @@ class SqliteWriter:
                 "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
                 [(one.channel, one.log_ns, one.data) for one in block.added],
             )
+            self._held_bytes += block.data.size
+            if self._copying is not None and (self._copying.done or self._held_bytes > _HELD_BYTES):
+                self._begin_changes()
         for one in block.added:
             self._expect(one.channel, len(one.data))
 
     def _change(self, statement: str, rows: list[Any]) -> None:
-        """Execute an update for each of the given rows."""
-        self._connection.executemany(statement, rows)
+        """Execute an update for each of the given rows, or have it wait for the copy."""
         self._changes += len(rows)
+        if self._copying is not None:
+            self._waiting.append((statement, rows))
+        else:
+            self._connection.executemany(statement, rows)
 
     def _expect(self, topic: int, size: int, count: int = 1) -> None:
         known = self._expected.get(topic, (0, 0))
@@ -154,6 +171,8 @@ class SqliteWriter:
 
     @property
     def _connection(self) -> sqlite3.Connection:
+        if self._copying is not None:
+            self._begin_changes()
         if self._open is None:
             raise BagError(f"{self._path}: is not open")
         return self._open
@@ -195,7 +214,15 @@ class SqliteWriter:
             with closing(read_only(self._reader.path)) as source, closing(sqlite3.connect(self._partial)) as target:
                 source.backup(target)
         else:
-            _copy(self._reader.path, self._partial)
+            self._copying = _Copying(self._reader.path, self._partial)
+        if self._copying is None or not self._copying_thread:
+            self._begin_changes()
+
+    def _begin_changes(self) -> None:
+        """Wait for the copy, begin the transaction, and make the changes that have waited."""
+        if self._copying is not None:
+            self._copying.wait()
+            self._copying = None
         self._open = sqlite3.connect(self._partial, isolation_level=None)
         (self._journal,) = self._connection.execute("PRAGMA journal_mode").fetchone()
         # No journal: on any failure the whole file is removed.
@@ -203,6 +230,9 @@ class SqliteWriter:
             self._connection.execute(f"PRAGMA {pragma}").fetchall()
         harden(self._connection)
         self._connection.execute("BEGIN")
+        waiting, self._waiting = self._waiting, []
+        for statement, rows in waiting:
+            self._connection.executemany(statement, rows)
 
     def _drop_lost(self) -> None:
         """Delete the rows reported as lost from the copy, which would be unreadable without recovery."""
@@ -232,6 +262,9 @@ class SqliteWriter:
         place(self._partial, self._path, overwrite=self._overwrite)
 
     def _discard(self) -> None:
+        if self._copying is not None:
+            self._copying.stop()
+            self._copying = None
         if self._open is not None:
             self._open.close()
         remove(self._partial)
@@ -247,13 +280,45 @@ class SqliteWriter:
             self._discard()
 
 
-def _copy(source: Path, target: Path) -> None:
-    """Copy a file, as a reflink where the file system supports it (Btrfs, XFS)."""
-    with suppress(OSError, AttributeError), source.open("rb") as here, target.open("wb") as there:
-        size = os.fstat(here.fileno()).st_size
-        while os.copy_file_range(here.fileno(), there.fileno(), _AT_ONCE_BYTES):
-            pass
-        if os.fstat(there.fileno()).st_size == size:
-            return
-    # another file system, or no such call
-    shutil.copyfile(source, target)
+class _Copying:
+    """Copy of a file, made by a thread of its own: the system makes it, Python goes on meanwhile."""
+
+    def __init__(self, source: Path, target: Path) -> None:
+        self._source, self._target = source, target
+        self._stopped = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="copy", daemon=True)
+        self._thread.start()
+
+    @property
+    def done(self) -> bool:
+        """Whether it is complete, or has failed."""
+        return not self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Wait until it is complete; BagError if it failed."""
+        self._thread.join()
+        if self._error is not None:
+            raise BagError(f"{self._target}: cannot be written: {self._error.strerror}") from self._error
+
+    def stop(self) -> None:
+        """End it early."""
+        self._stopped = True
+        self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            if not self._copied():
+                # another file system, or no such call
+                shutil.copyfile(self._source, self._target)
+        except OSError as error:
+            self._error = error
+
+    def _copied(self) -> bool:
+        """Copy within the kernel, as a reflink where the file system has them (Btrfs, XFS); return whether it did."""
+        with suppress(OSError, AttributeError), self._source.open("rb") as here, self._target.open("wb") as there:
+            size = os.fstat(here.fileno()).st_size
+            while not self._stopped and os.copy_file_range(here.fileno(), there.fileno(), _AT_ONCE_BYTES):
+                pass
+            return self._stopped or os.fstat(there.fileno()).st_size == size
+        return False

@@ -200,7 +200,8 @@ class Rosbag2Writer:
             level = self._level if self._mode == "none" else None
             return McapWriter(Output(target), source, codec, level, workers=self._workers)
         if self._native and isinstance(part, SqliteReader):
-            return SqliteWriter(target, part)
+            beside = len(self._names()) == 1 and self._workers is not None and self._workers.threads > 1
+            return SqliteWriter(target, part, copying_thread=beside)
         return NewSqliteWriter(target, part)
 
     def __exit__(

@@ -6,12 +6,14 @@ CSV: a header names the columns, see `columns`.
 
 from __future__ import annotations
 
+import io
 import itertools
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.files import open_input
 from odomcorrupt.study.io.columns import TUM, Columns, find_columns, guess_tick
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.rows import Row, are_numbers, read_lines, split_line, whole_rows
@@ -45,11 +47,8 @@ def is_text(path: Path) -> bool:
     """Tell whether a file is text: neither the magic of a bag nor bytes that no text has."""
     if path.is_dir():
         return False
-    try:
-        with path.open("rb") as stream:
-            begin = stream.read(4096)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be opened: {error.strerror}") from error
+    with open_input(path, RecordingError) as stream:
+        begin = stream.read(4096)
     return bool(begin) and not begin.startswith(_BAGS) and not any(byte < 9 or 13 < byte < 32 for byte in begin)
 
 
@@ -63,7 +62,7 @@ def read_text(path: Path, place: str) -> Samples:
 
     """
     notes: list[str] = []
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as stream:
+    with io.TextIOWrapper(open_input(path, RecordingError), "utf-8-sig", errors="replace", newline="") as stream:
         lines = read_lines(stream, place)
         columns, first = _begin(lines, place)
         more = (split_line(row, columns.delimiter) for row in lines if not row.cells[0].startswith("#"))

@@ -242,7 +242,7 @@ def test_a_text_file_alone_asks_for_the_truth(tmp_path, capsys):
 
 
 def test_a_missing_file_and_a_bag_without_either(tmp_path, capsys):
-    assert "none.mcap: cannot be opened: No such file" in ending(["fit", str(tmp_path / "none.mcap")], capsys)
+    assert "none.mcap: cannot be read: No such file" in ending(["fit", str(tmp_path / "none.mcap")], capsys)
     bag = write(tmp_path / "tf.mcap", edges(truth(), "map", "base_link"))
     line = ending(["fit", str(bag)], capsys)
     assert "no topic that could be odometry (found /tf (tf2_msgs/TFMessage))" in line

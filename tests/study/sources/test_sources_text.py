@@ -141,5 +141,5 @@ def test_bags_are_no_text_whatever_their_name(tmp_path):
     write(tmp_path / "run.bag", topic("/odom", "Odometry", odometry(1.0)))
     disguised = (tmp_path / "run.bag").rename(tmp_path / "run.csv")
     assert not is_text(disguised)
-    with pytest.raises(RecordingError, match=r"none\.csv: cannot be opened: No such file"):
+    with pytest.raises(RecordingError, match=r"none\.csv: cannot be read: No such file"):
         is_text(tmp_path / "none.csv")

@@ -1,0 +1,124 @@
+"""What is read beside bags is a regular file; a pipe, device, socket or directory in its place is one line at once."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.errors import MapError, OdomCorruptError
+from odomcorrupt.files import open_input, read_input
+
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+PGM = b"P5\n2 2\n255\n\xfe\xfe\xfe\xfe"
+YAML = "image: map.pgm\nresolution: 0.05\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.196\nnegate: 0\n"
+
+
+def as_pipe(path):
+    os.mkfifo(path)
+
+
+def as_device(path):
+    path.symlink_to("/dev/zero")
+
+
+def as_terminal(path):
+    path.symlink_to("/dev/ptmx")
+
+
+def as_socket(path):
+    bound = socket.socket(socket.AF_UNIX)
+    here = Path.cwd()
+    os.chdir(path.parent)  # a socket's name has at most 108 bytes
+    try:
+        bound.bind(path.name)
+    finally:
+        os.chdir(here)
+        bound.close()
+
+
+KINDS = {"a pipe": as_pipe, "a device": as_device, "a socket": as_socket, "a directory": Path.mkdir}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_a_regular_file_is_opened(kind, tmp_path):
+    path = tmp_path / "in"
+    KINDS[kind](path)
+    with pytest.raises(MapError, match=f"in: is {kind}; name a regular file"):
+        open_input(path, MapError)
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    with pytest.raises(OdomCorruptError, match=kind):
+        read_input(link, 10, "file")
+
+
+def test_what_is_no_file_or_too_large_is_a_line(tmp_path):
+    path = tmp_path / "in"
+    path.write_bytes(b"12345")
+    assert read_input(path, 5, "file") == b"12345"
+    with pytest.raises(OdomCorruptError, match="in: more than 4 bytes; that is no table"):
+        read_input(path, 4, "table")
+    with pytest.raises(OdomCorruptError, match="none: cannot be read: No such file or directory"):
+        open_input(tmp_path / "none")
+    with pytest.raises(OdomCorruptError, match="cannot be read"):
+        open_input(Path("a\0b"))
+    path.chmod(0)
+    if os.geteuid():
+        with pytest.raises(OdomCorruptError, match="Permission denied"):
+            open_input(path)
+
+
+def call(*words, cwd):
+    """Run a command that must not wait; return its exit code and what it says."""
+    done = subprocess.run(
+        [sys.executable, "-m", "odomcorrupt", *map(str, words)],
+        capture_output=True, text=True, check=False, timeout=60, cwd=cwd, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+    return done.returncode, done.stderr
+
+
+NOISY = ("--alpha", "0.1", "0.1", "0.1", "0.1", "--seed", "1")
+PLACES = {
+    "model": lambda room: (room / "in.toml", (FIXTURES / "office.mcap", "out.mcap", "--model", "in.toml")),
+    "model of a batch": lambda room: (
+        room / "in.toml",
+        ("batch", FIXTURES / "office.mcap", "o", "--runs", "2", "--model", "in.toml"),
+    ),
+    "defaults": lambda room: (room / "odomcorrupt.toml", (FIXTURES / "office.mcap", "out.mcap", *NOISY)),
+    "config": lambda room: (room / "in.toml", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--config", "in.toml")),
+    "map": lambda room: (room / "map.yaml", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--map", "map.yaml")),
+    "image": lambda room: (room / "map.pgm", (FIXTURES / "office.mcap", "out.mcap", *NOISY, "--map", "map.yaml")),
+    "recording": lambda room: (room / "run.csv", ("fit", "run.csv", "--truth-bag", "truth.tum")),
+    "truth": lambda room: (room / "truth.tum", ("fit", FIXTURES / "mystery.mcap", "--truth-bag", "truth.tum")),
+    "compared model": lambda room: (room / "in.toml", ("compare", FIXTURES / "mystery.mcap", "in.toml")),
+    "exported model": lambda room: (room / "in.toml", ("export", "in.toml", "--to", "nav2")),
+    "baseline": lambda room: (
+        room / "base.json",
+        ("score", ".", "--baseline", "base.json", "--fail-if", "ate_p90 +20%"),
+    ),
+    "batch.json": lambda room: (room / "batch.json", ("spread", ".")),
+    "metadata.yaml": lambda room: (room / "bag" / "metadata.yaml", ("bag", "out", *NOISY)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [as_pipe, as_device, as_terminal, as_socket])
+@pytest.mark.parametrize("name", PLACES)
+def test_no_command_waits_for_what_is_no_file(name, kind, tmp_path):
+    (tmp_path / "map.yaml").write_text(YAML)
+    (tmp_path / "map.pgm").write_bytes(PGM)
+    (tmp_path / "bag").mkdir()
+    shutil.copyfile(FIXTURES / "office.mcap", tmp_path / "bag" / "bag_0.mcap")
+    path, words = PLACES[name](tmp_path)
+    path.unlink(missing_ok=True)
+    kind(path)
+    code, said = call(*words, cwd=tmp_path)
+    assert code in (1, 2), said
+    assert said.count("\n") == 1, said
+    assert path.name in said
+    assert not (tmp_path / "out.mcap").exists()
