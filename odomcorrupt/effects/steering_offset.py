@@ -24,6 +24,7 @@ class SteeringOffset(Effect):
     name = "steering_offset"
     summary = "the steering of a car or tricycle is not straight at zero, so that straight lines bend"
     drives = STEERED
+    unsteered = "unequal_wheels"
     about = About(
         equation="f_yaw = curvature v; times 1 + (axles omega / v)^2 where the steering angles are large",
         typical="0.2 to 2 degrees: 0.01 to 0.1 rad/m on 0.3 m between the axles, 0.001 to 0.01 rad/m on 2.7 m",

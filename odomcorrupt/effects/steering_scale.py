@@ -30,6 +30,7 @@ class SteeringScale(Effect):
     name = "steering_scale"
     summary = "the steering ratio of a car or tricycle is off, or the distance between its axles"
     drives = STEERED
+    unsteered = "wheelbase"
     about = About(
         equation="f_yaw = e omega; more in tight curves where the angles are large (axles)",
         typical="1 to 10 %: a nominal steering ratio, a servo's gain, an axle distance taken from a drawing",

@@ -171,10 +171,18 @@ def test_a_track_says_that_there_are_two_wheels():
 
 
 def test_other_readings_are_those_that_the_robot_can_have():
-    robot, steered = drive_type_of([hobby(1, as_commanded, seconds=30.0)]), drive_type_of([car(1, seconds=120.0)])
+    robot, guessed = drive_type_of([hobby(1, as_commanded, seconds=30.0)]), drive_type_of([car(1, seconds=120.0)])
+    stated = replace(guessed, stated=True)
     assert readings_of("lever_arm", robot) == ("icr_shift",)
-    assert readings_of("lever_arm", steered) == ("rear_axle_shift",)
-    assert readings_of("rear_axle_shift", steered) == ("lever_arm",)
+    assert readings_of("lever_arm", stated) == ("rear_axle_shift",)
+    assert readings_of("rear_axle_shift", stated) == ("lever_arm",)
+
+
+def test_a_guessed_drive_type_keeps_the_names_for_the_other_one_as_readings():
+    guessed = drive_type_of([car(1, seconds=120.0)])
+    assert guessed.name == "car"
+    assert "unequal_wheels" in readings_of("steering_offset", guessed)
+    assert "unequal_wheels" not in readings_of("steering_offset", replace(guessed, stated=True))
 
 
 def test_the_drive_type_goes_with_the_model(tmp_path):

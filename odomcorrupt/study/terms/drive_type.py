@@ -173,8 +173,11 @@ def readings_of(effect: Effect | str, drive: DriveType | None = None) -> tuple[s
     own = kinds[name].twin_of if name in kinds else None
     twins = [other for other, kind in kinds.items() if kind.twin_of == name]
     either = (*twins, *([own] if own else []))
-    # a guess may be wrong: the names for the other drive type stay beside it
-    if drive is not None and (drive.stated or not drive.steered):
+    guessed = drive is not None and drive.steered and not drive.stated
+    if guessed:  # and perhaps wrongly: the names for two driven wheels stay beside those of a steered robot
+        unsteered = kinds[name].unsteered if name in kinds else None
+        either = (*either, *([unsteered] if unsteered else []))
+    elif drive is not None:
         either = tuple(other for other in either if drive.admits(kinds[other]))
     return tuple(other for other in either if _admits(kinds[other], effect))
 
