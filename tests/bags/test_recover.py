@@ -28,7 +28,9 @@ def recover(source, target, stdin=None):
 @pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])
 def test_a_whole_bag_loses_nothing(source, tmp_path):
     assert recover(source, tmp_path / f"out{source.suffix}") == []
-    assert (tmp_path / f"out{source.suffix}").read_bytes() == copy(source, tmp_path / "plain").read_bytes()
+    assert (tmp_path / f"out{source.suffix}").read_bytes() == copy(
+        source, tmp_path / f"plain{source.suffix}"
+    ).read_bytes()
 
 
 @pytest.mark.parametrize("source", [OFFICE_MCAP, OFFICE_BAG])

@@ -352,7 +352,7 @@ def test_a_reader_that_leaves_early_is_no_traceback(bags):
 @pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
 def test_recovery_tells_what_it_lost_and_exits_with_3(kind, bags, tmp_path):
     data = bytearray(bags[kind].path.read_bytes())
-    at = int((0.6 if kind == "sqlite3 file" else 0.4) * len(data)) // 4096 * 4096
+    at = int((0.6 if kind == "sqlite3 file" else 0.35) * len(data)) // 4096 * 4096
     data[at : at + 4096] = b"\xff" * 4096
     source, target = laid(tmp_path, bytes(data), f"in{bags[kind].path.suffix}")
     assert "--recover" in refused(source, target)
