@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _ROUNDS, _SOLVED_M = 100, 1e-15
 _NARROW = 4.0
 """Concentration of the spot about its middle: half of it lies within a seventh of a turn (von Mises' form)."""
+_MEAN = float(np.i0(_NARROW) * np.exp(-_NARROW))
+"""The form's mean over a turn."""
 
 
 class _Turned(NamedTuple):
@@ -40,9 +42,11 @@ class _Turned(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlatSpot(Effect):
-    """f of one wheel = -depth u exp(4 (cos(q) - 1)), or with form = eccentric -depth u cos(q).
+    """f of one wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207), or with form = eccentric -depth u cos(q).
 
-    q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported.
+    q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported. The mean over a turn is
+    taken off (0.207: exp(-4) I0(4), I0 the modified Bessel function): what a wheel loses on average is a smaller
+    radius, `wheel_scale` and `unequal_wheels`, and a spot of any circumference would otherwise imitate these.
     """
 
     name = "flat_spot"
@@ -50,7 +54,7 @@ class FlatSpot(Effect):
     needs_track = True
     summary = "a wheel is flat on one side or out of round: it gains less once a turn"
     about = About(
-        equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn",
+        equation="f_wheel = -depth u where the wheel rolls over its flat side, once a turn, less its mean",
         typical="2 to 20 % of the way over a seventh of a turn on foam and cheap rubber tyres (an estimate)",
         source="engineering judgement; no published figures known to us",
         confused_with=("unequal_wheels", "wheel_scale", "slip_burst"),
@@ -116,4 +120,4 @@ class FlatSpot(Effect):
     def _at(self, way: Any) -> Any:
         """Return the part of the depth that a wheel loses after its way, of one number or of many."""
         near = np.cos(2.0 * np.pi * way / self.circumference - self.phase)
-        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0))
+        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0)) - _MEAN

@@ -120,8 +120,11 @@ def test_a_flat_side_of_one_wheel_has_its_name_and_circumference():
         turned = np.cumsum(u) / GRID_HZ / turn_m * 2.0 * np.pi
         return u * (1.0 - next(sides) * (np.abs((turned + 1.0 + np.pi) % (2.0 * np.pi) - np.pi) < 0.5))
 
-    effect, _ = only(learn([replace(hobby(1, flat_on_the_right), track_m=HOBBY_TRACK_M)]))
-    assert (effect.name, effect.wheel, effect.form) == ("flat_spot", "right", "flat")
+    learned = learn([replace(hobby(1, flat_on_the_right), track_m=HOBBY_TRACK_M)])
+    (effect,) = (effect for effect in learned.fit.effects if effect.name == "flat_spot")
+    # what the wheel loses on average, 12 % of a sixth of its way, is a smaller radius
+    assert set(learned.added) == {"flat_spot", "unequal_wheels", "wheel_scale"}
+    assert (effect.wheel, effect.form) == ("right", "flat")
     assert effect.circumference == pytest.approx(turn_m, rel=0.003)
 
 

@@ -72,6 +72,8 @@ class Decisions:
     reshape_nats : what a refined shape has to gain in the likelihood of a refit
     common, rare_nats : causes that every robot has a little of, and by how many nats the others are the less likely a
         priori: nominal radii and tracks are never exact (Borenstein & Feng 1996) and gyros have a bias; seven to one
+    commanded, commanded_nats : causes of odometry that is computed from commands or from counts that get lost, and by
+        how many nats these are the less likely a priori on top: most odometry is of encoders; four hundred to one
     unusual_nats : what a heading from a gyro has to explain on top where a whole model, or a basis function, says so
     unusual_shape_nats : the same in a shape search of one effect, before it is refitted
     known_gyro_nats : the same where a gyro's bias is in the model, so that there is a gyro
@@ -110,6 +112,8 @@ class Decisions:
     reshape_nats: float = 1.0
     common: tuple[str, ...] = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
     rare_nats: float = 2.0
+    commanded: tuple[str, ...] = ("dead_band", "truncated_velocity", "counts_lost")
+    commanded_nats: float = 6.0
     unusual_nats: float = 4.0
     unusual_shape_nats: float = 2.0
     known_gyro_nats: float = -1.0
@@ -137,4 +141,5 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
     """
     unusual = decisions.unusual_nats if term.unusual else 0.0
     rare = decisions.rare_nats if term.name in registry() and term.name not in decisions.common else 0.0
+    rare += decisions.commanded_nats if term.name in decisions.commanded else 0.0
     return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare
