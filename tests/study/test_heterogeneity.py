@@ -35,7 +35,7 @@ def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
     assert told["wheel_scale"].values == pytest.approx((0.0, -0.012), abs=0.002)
     text = found_text(learned, advise(learned))
     assert "the recordings disagree about wheel_scale: " in text
-    assert "in drive 802. Something was changed between them" in text
+    assert "in drive 802. The robot changed between them" in text
 
 
 @pytest.mark.slow
