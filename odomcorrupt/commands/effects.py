@@ -68,7 +68,7 @@ def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
         Line(label, ", ".join(name for name, one in kinds.items() if one.kind == kind))
         for kind, label in _FAMILIES.items()
     ]
-    return Summary((*lines, Line("next", "odomcorrupt effects NAME, or -v for all in words", "command")))
+    return Summary((*lines, Line("next", "odomcorrupt effects NAME, or -v for all in words", "command")), most=20)
 
 
 def _brief_page(kind: type[Effect]) -> Summary:

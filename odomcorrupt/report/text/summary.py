@@ -38,9 +38,13 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The lines of a summary: the verdict is the first one, a command the last one."""
+    """The lines of a summary: the verdict is the first one, a command the last one.
+
+    most : how many rows it may have; a list of names leaves out none, however many there are
+    """
 
     lines: tuple[Line, ...]
+    most: int = MOST_LINES
 
     def text(self, width: int = WIDTH, *, colour: bool = False) -> str:
         """Return the summary as text.
@@ -55,12 +59,12 @@ class Summary:
         Returns
         -------
         str
-            At most `MOST_LINES` lines; where findings are left out, one says so.
+            At most `most` lines; where findings are left out, one says so.
 
         """
         indent = max((len(line.label) for line in self.lines), default=0) + 2
         blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self.lines]
-        kept = _within(blocks)
+        kept = _within(blocks, self.most)
         rows = []
         for line, parts in kept:
             for number, part in enumerate(parts):
@@ -93,13 +97,13 @@ def _folded(tone: Tone, text: str, width: int) -> list[str]:
     return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
 
 
-def _within(blocks: Sequence[tuple[Line, list[str]]]) -> list[tuple[Line, list[str]]]:
-    """Keep what fits into `MOST_LINES`: the first line, the command at the end, and of the rest what comes first."""
-    if sum(len(parts) for _, parts in blocks) <= MOST_LINES:
+def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[Line, list[str]]]:
+    """Keep what fits into so many lines: the first line, the command at the end, and of the rest what comes first."""
+    if sum(len(parts) for _, parts in blocks) <= most:
         return list(blocks)
     commands = [block for block in blocks if block[0].tone == "command"]
     others = [block for block in blocks if block[0].tone != "command"]
-    room = MOST_LINES - sum(len(parts) for _, parts in commands) - 1
+    room = most - sum(len(parts) for _, parts in commands) - 1
     kept = []
     for line, parts in others:
         if len(parts) > room:
