@@ -52,6 +52,7 @@ def gaussian_windows(seed: int, count: int, scale: float = 1.0) -> WindowErrors:
     return WindowErrors(scale * error, roots @ np.swapaxes(roots, 1, 2))
 
 
+@pytest.mark.slow
 def test_nees_rejects_the_true_model_in_2_to_8_percent_of_clean_runs():
     looks, inside = [], []
     for seed in range(100):
