@@ -14,7 +14,7 @@ from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
     from odomcorrupt.model.motion_model import Origin
-    from odomcorrupt.study.io.reader import Source
+    from odomcorrupt.study.io import Source
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["PathLikes", "Recordings", "as_paths", "as_recordings", "describe", "read_recordings", "require_travel"]
@@ -173,7 +173,7 @@ def read_recordings(
 
     """
     require("scipy", "the study needs it", "study")
-    from odomcorrupt.study.io.reader import Source
+    from odomcorrupt.study.io import Source
 
     if drive_type not in (AUTO, *DRIVE_TYPES):
         raise RecordingError(f"drive_type: {drive_type!r}; it is one of {', '.join((AUTO, *DRIVE_TYPES))}")

@@ -158,7 +158,8 @@ def fit_returns(
 
     from odomcorrupt.study.estimate.returns import USUAL, closed_drive
     from odomcorrupt.study.estimate.returns import fit_returns as fit
-    from odomcorrupt.study.io.reader import Source, read_odometry
+    from odomcorrupt.study.io import Source
+    from odomcorrupt.study.io.reader import read_odometry
 
     files = as_paths(paths)
     if len(ends) not in (1, len(files)):

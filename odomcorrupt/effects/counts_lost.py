@@ -7,8 +7,13 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
-from odomcorrupt.effects.wheels import Rims, body_of, on_every_track, rims_of, track_parameter
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter
+from odomcorrupt.effects.wheels import (
+    driven_speeds,
+    error_of_each_wheel,
+    on_every_track,
+    track_parameter,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,7 +22,6 @@ if TYPE_CHECKING:
 
 _SPEEDS = (0.4, 0.6, 0.75, 0.88)
 """Parts of a drive's highest rim speed from which on counts are tried to be lost."""
-_STILL_MPS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class CountsLost(Effect):
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
         """Return limits among the higher speeds that are driven."""
-        moving = np.concatenate([np.abs(m.v[np.abs(m.v) > _STILL_MPS]) for m in motions])
+        moving = driven_speeds(motions)
         if not len(moving):
             return ()
         most = float(np.quantile(moving, 0.99))
@@ -63,12 +67,7 @@ class CountsLost(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: what was not counted."""
-        track_m = self.track or motion.track_m
-        if track_m is None:
-            part = np.divide(self._missed(motion.v), motion.v, out=np.zeros_like(motion.v), where=motion.v != 0.0)
-            return TwistError(stacked(part * motion.v, 0.0, part * motion.omega, motion.v), state)
-        missed = Rims(*(self._missed(u) for u in rims_of(motion.v, motion.omega, track_m)))
-        return TwistError(body_of(missed, track_m), state)
+        return TwistError(error_of_each_wheel(self._missed, motion, self.track or motion.track_m), state)
 
     def _missed(self, u: Array) -> Array:
         """Return the speed (n,) that is not counted at reported speeds."""

@@ -16,9 +16,16 @@ from odomcorrupt.effects.effect import (
     TwistError,
     choice,
     parameter,
-    stacked,
 )
-from odomcorrupt.effects.wheels import Rims, body_of, on_every_track, rims_of, track_parameter
+from odomcorrupt.effects.wheels import (
+    Rims,
+    body_of,
+    driven_speeds,
+    error_of_each_wheel,
+    on_every_track,
+    rims_of,
+    track_parameter,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +36,6 @@ _SPEEDS = (0.1, 0.25, 0.5)
 """Parts of a drive's usual speed at which the band is tried to end."""
 _RISE = 1.25
 """Where what is beyond the band is reached in full, it is from so many times the band's end on."""
-_STILL_MPS = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +68,7 @@ class DeadBand(Effect):
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:
         """Return bands that end at some of the speeds that are driven."""
-        moving = np.concatenate([np.abs(m.v[np.abs(m.v) > _STILL_MPS]) for m in motions])
+        moving = driven_speeds(motions)
         if not len(moving):
             return ()
         usual = float(np.quantile(moving, 0.9))
@@ -71,12 +77,7 @@ class DeadBand(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus what is lost at the commanded speed."""
-        track_m = self.track or motion.track_m
-        if track_m is None:
-            part = np.divide(self._lost(motion.v), motion.v, out=np.zeros_like(motion.v), where=motion.v != 0.0)
-            return TwistError(stacked(-part * motion.v, 0.0, -part * motion.omega, motion.v), state)
-        lost = Rims(*(-self._lost(u) for u in rims_of(motion.v, motion.omega, track_m)))
-        return TwistError(body_of(lost, track_m), state)
+        return TwistError(error_of_each_wheel(lambda u: -self._lost(u), motion, self.track or motion.track_m), state)
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:
         """Return the travel that has to be commanded for these increments."""

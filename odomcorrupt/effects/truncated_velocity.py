@@ -50,7 +50,7 @@ class TruncatedVelocity(Effect):
 
     @property
     def lost_m(self) -> float:
-        """What was cut off lies between nothing and a step, and is told by nothing."""
+        """What was cut off lies between nothing and a step; the odometry does not show how much it was."""
         return 0.5 * (self.step + self.turn) * _LONG_S
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

@@ -11,7 +11,7 @@ from odomcorrupt.effects.effect import Effect, Motion, choice, parameter, parame
 from odomcorrupt.errors import EffectError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.geometry.se2 import Array
 
@@ -20,6 +20,8 @@ __all__ = [
     "Rims",
     "body_of",
     "brings_track",
+    "driven_speeds",
+    "error_of_each_wheel",
     "heading_choice",
     "needed_track_m",
     "on_every_track",
@@ -29,6 +31,7 @@ __all__ = [
     "wheel_motions",
 ]
 
+_STILL_MPS = 1e-6
 TRACKS_M = (0.12, 0.22, 0.4, 0.7, 1.2)
 """Tracks on which an effect of single wheels is tried where the robot's is not known."""
 
@@ -92,6 +95,24 @@ def body_of(rims: Rims, track_m: float, heading: str = "wheels") -> Array:
     """Return what the odometry does, (n, 3), where the wheels do this."""
     yaw = turning(heading, (rims.right - rims.left) / track_m)
     return stacked(0.5 * (rims.right + rims.left), 0.0, yaw, rims.right)
+
+
+def error_of_each_wheel(error: Callable[[Array], Array], motion: Motion, track_m: float | None) -> Array:
+    """Return f (n, 3) of an error of each wheel by its speed; without a track, the body's, which then turns by as much.
+
+    error : of rim speeds (n,), m/s
+    """
+    if track_m is not None:
+        return body_of(Rims(*(error(u) for u in rims_of(motion.v, motion.omega, track_m))), track_m)
+    part = np.divide(error(motion.v), motion.v, out=np.zeros_like(motion.v), where=motion.v != 0.0)
+    return stacked(part * motion.v, 0.0, part * motion.omega, motion.v)
+
+
+def driven_speeds(motions: Sequence[Motion]) -> Array:
+    """Return the forward speeds (n,) of recordings where the robot moves, m/s, without their sign."""
+    speeds = np.abs(np.concatenate([m.v for m in motions]))
+    moving: Array = speeds[speeds > _STILL_MPS]
+    return moving
 
 
 def wheel_motions(motion: Motion, track_m: float) -> tuple[Motion, Motion]:

@@ -6,7 +6,7 @@ import raycaster
 
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.study.io.reader import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 
 def read(path, scan=None):

@@ -8,7 +8,7 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.simulation import Tracker, simulate
-from odomcorrupt.study.io.reader import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
 GAIN, BIAS, NOISE = 1.004, 0.01, 0.002

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.study.io.reader import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 
 LASER = Path(__file__).parents[3] / "shared" / "data" / "laser"
 needs_bags = pytest.mark.skipif(not LASER.is_dir(), reason="recordings of others are not beside this checkout")

@@ -14,7 +14,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.io.reader import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.relative_motions import read_motions
 
 KHEPERA = Path(__file__).parents[3] / "shared" / "data" / "laser" / "khepera_l90_tuples.csv"

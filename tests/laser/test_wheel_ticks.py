@@ -7,7 +7,7 @@ from test_gyro import drive, truth_of
 
 from odomcorrupt.cli import run
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
-from odomcorrupt.study.io.reader import Source, read_runs
+from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.wheel_ticks import find_joints
 
 RADIUS, TRACK = 0.08, 0.46

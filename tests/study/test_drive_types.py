@@ -13,7 +13,7 @@ from odomcorrupt.api.recordings import Recordings
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.io.reader import Source
+from odomcorrupt.study.io import Source
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.drive_type import drive_type_of, library_families, readings_of
 from odomcorrupt.study.terms.regressors import driving_motion

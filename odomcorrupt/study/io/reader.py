@@ -9,16 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.open import open_reader
-from odomcorrupt.drive_types import AUTO, STEERED
+from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.feedback import pull_of
-from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE_ACCURACY
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.laser_truth import SCALE_ACCURACY, laser_run, only_scan, truth_of
+from odomcorrupt.study.io.laser_truth import laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import corrections_alone
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
@@ -38,48 +37,13 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.address import Address
     from odomcorrupt.study.io.raw_trajectory import Samples
     from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.study.io.source import Source
     from odomcorrupt.study.io.topic_selection import Role
 
-__all__ = ["Source", "read_odometry", "read_runs", "recordings_of"]
+__all__ = ["read_odometry", "read_runs", "recordings_of"]
 
 _OTHER_TRACK = 0.01
 """Relative difference from which a track that is named is said to be another than the odometry's."""
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Where one run lies.
-
-    path : a bag, or a TUM or CSV file with the odometry
-    odom, truth : topics, or edges of TF as /tf:map.base_link; None takes the only topic that can be meant
-    truth_path : the bag, TUM or CSV file with the truth, where it is another one
-    truth_shift_s : what is added to the stamps of the truth, seconds
-    track_m : nominal distance between the wheels, where it is known
-    name : what to call the run, where not by its path
-    drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
-    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
-    truth_scale_error : standard deviation of the laser's own scale error
-    imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
-    gyro_scale_error : standard deviation of the gyro's own scale error
-    relative : file of relative motions that are to be the truth, see `relative_motions`
-    joints : left and right wheel in JointState, whose angles are to be the odometry; None takes what their names say
-        for the nominal track alone
-    """
-
-    path: Path
-    odom: str | None = None
-    truth: str | None = None
-    truth_path: Path | None = None
-    truth_shift_s: float = 0.0
-    track_m: float | None = None
-    name: str = ""
-    scan: str | None = None
-    truth_scale_error: float = SCALE_ACCURACY
-    drive_type: str = AUTO
-    imu: str | None = None
-    gyro_scale_error: float = GYRO_SCALE_ACCURACY
-    joints: tuple[str, str] | None = None
-    relative: Path | None = None
 
 
 def read_runs(source: Source, progress: Callable[[str, float], None] | None = None) -> list[Recording]:

@@ -127,8 +127,8 @@ def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[Rand
     if bursts is not None:
         return [RandomCoefficient(bursts, decisions.counted_nats)]
     # matches of a laser have heavy tails of their own, and a gyro shows one axis of three
-    told = tails and not _matched(fit) and sees_travel(fit.problem.recordings)
-    heavy = heavy_tails(fit) if told else None
+    testable = tails and not _matched(fit) and sees_travel(fit.problem.recordings)
+    heavy = heavy_tails(fit) if testable else None
     return [RandomCoefficient(*heavy)] if heavy is not None else []
 
 

@@ -131,7 +131,7 @@ def library_families(
 ) -> list[tuple[LibraryTerm, ...]]:
     """Return every systematic effect of the library that a robot can have and that can be tested, at every shape.
 
-    Clocks are apart, and a twin is named as another reading of the one it cannot be told from; where that is no effect
+    Clocks are apart, and a twin is named as another reading of the one with the same error; where that is no effect
     of this drive type, the twin takes its place. Single wheels need a track, given or their own.
 
     Parameters
