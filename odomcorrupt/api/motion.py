@@ -233,7 +233,20 @@ class Density(Result):
         return self.draw_beside(1000, 0)
 
     def draw_beside(self, count: int, seed: int) -> Figure:
-        """Return the density beside samples of the same motion."""
+        """Return a picture of the density beside samples of the same motion.
+
+        Parameters
+        ----------
+        count : int
+            How many samples.
+        seed : int
+            Of the draws.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        """
         from odomcorrupt.report.plots.samples import draw_density
         from odomcorrupt.rng import stream
         from odomcorrupt.sampling.samples import move_sampled
