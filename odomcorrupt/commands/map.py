@@ -72,7 +72,7 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
 
     \b
     odomcorrupt map drive.mcap -o map.png
-    odomcorrupt map drive.mcap --scan /scan --max-yaw-rate 0.1 --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
+    odomcorrupt map drive.mcap --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.errors import OdomCorruptError
