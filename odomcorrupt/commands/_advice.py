@@ -53,7 +53,8 @@ def advice_files(result: Findings, drive: Path | None, report: Path | None) -> F
 
     def save_drive(path: Path) -> str:
         words = result.save_next_drive(path, overwrite=True)
-        return f"wrote {path}: {words}" if words else f"{path} is not written: no drive would settle anything open"
+        nothing = f"{path} is not written: nothing is open that a drive would settle"
+        return f"wrote {path}: {words}" if words else nothing
 
     files: dict[Path, Callable[[], object]] = {}
     if drive is not None:
