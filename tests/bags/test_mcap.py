@@ -276,7 +276,7 @@ def test_recordings_of_others_go_through(path, tmp_path):
 
 
 @pytest.mark.recordings
-def test_recordings_of_others_were_looked_at():
+def test_recordings_of_others_were_read():
     assert list(RECORDINGS.rglob("*.mcap"))
 
 

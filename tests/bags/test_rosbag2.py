@@ -157,7 +157,7 @@ def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_want
     ]
 
 
-def test_what_is_not_asked_of_a_database_is_told_of_but_not_read():
+def test_what_is_not_asked_of_a_database_is_reported_but_not_read():
     with open_reader(OFFICE) as reader:
         wanted = {channel.id for channel in reader.channels.values() if channel.topic == "/odom"}
         every = np.concatenate([block.table for block in reader.blocks()])
@@ -396,7 +396,7 @@ def test_recordings_of_others_go_through(path, tmp_path):
 
 
 @pytest.mark.recordings
-def test_recordings_of_others_were_looked_at():
+def test_recordings_of_others_were_read():
     assert all(isinstance(path, Path) for path in DIRECTORIES)
     assert DIRECTORIES
 

@@ -94,7 +94,7 @@ def test_laser_pose_replaces_tf():
         (["--truth", "/imu"], "Imu"),
     ],
 )
-def test_what_cannot_be_mapped_is_told_in_one_line(arguments, word, capsys):
+def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, capsys):
     assert run(["map", str(OFFICE), "--seed", "1", *arguments]) == 1
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

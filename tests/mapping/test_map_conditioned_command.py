@@ -71,7 +71,7 @@ def test_lecture_star_is_not_reached_by_a_path(tmp_path):
         (["--map", "gone.yaml"], 1, "gone.yaml"),
     ],
 )
-def test_map_that_is_not_there_is_told_in_one_line(arguments, code, word, capsys):
+def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, capsys):
     assert run(["sample", "--seed", "1", *arguments]) == code
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
