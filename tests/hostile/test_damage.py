@@ -349,10 +349,15 @@ def test_a_reader_that_leaves_early_is_no_traceback(bags):
     assert said.count("\n") <= 1
 
 
-@pytest.mark.parametrize("kind", ["mcap zstd", "ros1 none", "sqlite3 file"])
-def test_recovery_tells_what_it_lost_and_exits_with_3(kind, bags, tmp_path):
+PLACES = {"mcap zstd": (0.25, 0.35), "mcap unchunked": (0.4, 0.6), "ros1 none": (0.4, 0.5), "sqlite3 file": (0.6, 0.8)}
+"""Parts of a small bag before which its messages lie."""
+
+
+@pytest.mark.parametrize(("kind", "place"), [(kind, place) for kind, places in PLACES.items() for place in places])
+def test_recovery_tells_what_it_lost_and_exits_with_3(kind, place, bags, tmp_path):
     data = bytearray(bags[kind].path.read_bytes())
-    at = int((0.6 if kind == "sqlite3 file" else 0.35) * len(data)) // 4096 * 4096
+    page = 4096 if kind == "sqlite3 file" else 1
+    at = int(place * len(data)) // page * page
     data[at : at + 4096] = b"\xff" * 4096
     source, target = laid(tmp_path, bytes(data), f"in{bags[kind].path.suffix}")
     assert "--recover" in refused(source, target)
