@@ -74,6 +74,7 @@ class ShapeSearch:
         self._fit, self._decisions, self._rest = fit, decisions, project_out(fit)
         self._design = CoarseDesign(fit.problem) if design is None else design
         self._gains: dict[Effect, float] = {}
+        self._coarse_gains: dict[Effect, float] = {}
 
     def gain(self, term: Term) -> float:
         """Return the nats that a term explains at its shape, from exact columns; 0 where it cannot act."""
@@ -92,6 +93,16 @@ class ShapeSearch:
 
     def coarse_gains(self, terms: Sequence[Term]) -> Array:
         """Return about the nats (J,) that terms explain at their shapes."""
+        of_library = [term for term in terms if isinstance(term, LibraryTerm)]
+        if len(of_library) < len(terms):
+            return self._gains_of(terms)
+        known = self._coarse_gains
+        new = {term.start: term for term in of_library if term.start not in known}
+        if new:
+            known.update(zip(new, self._gains_of(list(new.values())).tolist(), strict=True))
+        return np.array([known[term.start] for term in of_library])
+
+    def _gains_of(self, terms: Sequence[Term]) -> Array:
         return coarse_gains(self._fit, self._rest, self._design.columns(terms), [term.width for term in terms])
 
     def best(self, family: Sequence[LibraryTerm]) -> LibraryTerm:
@@ -116,7 +127,7 @@ class ShapeSearch:
 
         A fraction of the work of `best`, for families that explain little: see `Located.at_most`.
         """
-        if not len(family[0].shape) or (len(family) == 1 and not choices(family[0].start)):
+        if not any(len(term.shape) for term in family) or (len(family) == 1 and not choices(family[0].start)):
             return Located(self.best(family), exact=True)
         price = self._decisions.unusual_shape_nats
         usual = self._nearly(family)
