@@ -28,7 +28,7 @@ def left_arcs(duration_s=90.0):
 
 
 @pytest.mark.slow
-def test_told_correlations_are_those_of_many_fits():
+def test_reported_correlations_are_those_of_many_fits():
     steps = left_arcs()
     effects = [effect_from_values(name, {}) for name in ("wheelbase", "unequal_wheels")]
     estimates, told = [], []

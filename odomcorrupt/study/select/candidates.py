@@ -26,6 +26,7 @@ from odomcorrupt.study.select.closed_loop import (
     may_be_steering,
     of_pulls,
 )
+from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
@@ -34,7 +35,7 @@ from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -47,6 +48,7 @@ __all__ = [
     "Candidate",
     "channels_of",
     "include",
+    "levels_of",
     "library",
     "library_candidates",
     "objection",
@@ -125,7 +127,8 @@ def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
             search.refine(best)
             continue
         score = search.decide(best)
-        refused = objection(fit, score, decisions, still=still)
+        level = levels_of(search.scores, decisions)[score.term.name]
+        refused = objection(fit, score, decisions, level=level, still=still)
         if refused or unlikely or not best.exact:
             yield Candidate(score=score, refused=refused or "others explain it better")
             continue
@@ -137,8 +140,22 @@ def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
         yield candidate
 
 
-def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
-    """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
+def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]:
+    """Return the level for the p of each effect that was tested with the others, by name.
+
+    Every p counts the family as if its members were alike a priori; they are not, see `error_shares`.
+    """
+    names = [score.term.name for score in scores if score.separable]
+    shares = error_shares(names, decisions)
+    levels = {name: decisions.level * len(names) * share for name, share in zip(names, shares, strict=True)}
+    return {score.term.name: levels.get(score.term.name, decisions.level) for score in scores}
+
+
+def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, still: bool) -> str:
+    """Return why an effect of the library is out of question, or nothing.
+
+    level : what its p has to be below; still : the robot hardly turns
+    """
     if not score.separable:
         return "not separable from what is in the model"
     own = list(zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True))
@@ -147,8 +164,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> s
         bound = np.copysign(p.high if value > 0.0 else -p.low, value)
         if max(p.high, -p.low) < least and _first_order_room(fit, score.effect, p, bound) < least:
             return "not testable on this drive"
-    if not score.significant(decisions.level):
-        return "no evidence" if score.p >= decisions.level else "does not gain on held-out blocks"
+    if not score.significant(level):
+        return "no evidence" if score.p >= level else "does not gain on held-out blocks"
     for p, value, _ in own:
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):

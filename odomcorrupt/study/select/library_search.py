@@ -43,6 +43,10 @@ class LibrarySearch:
     ----------
     fit, families, decisions : the model, the families that are tested, and what the penalties are made of
 
+    Attributes
+    ----------
+    scores : of all effects, each where it is located so far
+
     """
 
     def __init__(self, fit: Fit, families: Sequence[Sequence[LibraryTerm]], decisions: Decisions) -> None:
@@ -51,7 +55,7 @@ class LibrarySearch:
         self._located = [self._search.located(family) for family in families]
         self._columns = [one.term.columns(fit.problem) for one in self._located]
         self._open = set(range(len(families)))
-        self._score()
+        self.scores = self._scored()
 
     def likeliest(self) -> Prospect | None:
         """Return the undecided effect that may have the largest robust gain, None where all are decided."""
@@ -63,12 +67,12 @@ class LibrarySearch:
         i = prospect.family
         self._located[i] = Located(self._search.best(self._families[i]), exact=True)
         self._columns[i] = self._located[i].term.columns(self._fit.problem)
-        self._score()
+        self.scores = self._scored()
 
     def decide(self, prospect: Prospect) -> Score:
         """Return the score of an effect, which is then no prospect any more."""
         self._open.remove(prospect.family)
-        return self._scores[prospect.family]
+        return self.scores[prospect.family]
 
     def scores_above(self, nats: float) -> list[Score]:
         """Return the scores of all effects that gain more than so many nats, each at its best shape."""
@@ -76,13 +80,13 @@ class LibrarySearch:
             prospect = self._prospect(i)
             if not prospect.exact and prospect.nats > nats:
                 self.refine(prospect)
-        return [score for score in self._scores if score.nats > nats]
+        return [score for score in self.scores if score.nats > nats]
 
-    def _score(self) -> None:
+    def _scored(self) -> list[Score]:
         terms = [one.term for one in self._located]
-        self._scores = score_terms(self._fit, terms, self._decisions, columns=self._columns)
+        return score_terms(self._fit, terms, self._decisions, columns=self._columns)
 
     def _prospect(self, i: int) -> Prospect:
-        score, located = self._scores[i], self._located[i]
+        score, located = self.scores[i], self._located[i]
         most = located.at_most(0.5 * score.statistic)
         return Prospect(i, most - score.penalty, most / score.inflation - score.penalty, located.exact)
