@@ -66,8 +66,8 @@ class Calibration:
 
     motion : the odometry seen by the laser
     mirrored : whether bearings run the other way round
-    turn_s : time that a whole turn of the laser takes, where the sweeps do not say; negative where it turns clockwise,
-        0 where each is taken at once
+    turn_s : time that a whole turn of the laser takes, where the sweeps do not say or have it the wrong way round;
+        negative where it turns clockwise, 0 where the sweeps' own times are right
     said : what was found, in words
     """
 
@@ -95,13 +95,14 @@ class _Pairs:
 def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
     """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep.
 
-    turn_s : see `Calibration`; such a sweep's stamp is taken to be its middle's
+    turn_s : see `Calibration`; the middle of the sweep stays at the same time
     """
     xy = sweep.xy.astype(np.float64)
     after = sweep.after_s.astype(np.float64)
-    if turn_s != 0.0 and len(after) and after[0] == after[-1]:
+    if turn_s != 0.0 and len(after):
         bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
-        after = (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
+        middle_s = 0.5 * (after[0] + after[-1])
+        after = middle_s + (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
     if mirrored:
         xy[:, 1] = -xy[:, 1]
     if not len(after) or after[0] == after[-1]:
@@ -135,15 +136,15 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
     found = None
     for _ in range(2):
-        motion = Motion(odometry, origin_ns, _lag(pairs, motion), motion.mount)
-        found = _mounting(pairs, motion)
-        if found is not None and (told is None or abs(wrap(np.asarray(found[2] - mount[2]))) > _DIFFERS_RAD):
-            motion = Motion(odometry, origin_ns, motion.lag_s, found)
+        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
     turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
     if turn_s:
+        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
+        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
+        why = "no times within a sweep" if not _stated_turn_s(sweeps) else "times within a sweep run the wrong way"
         said.append(
-            f"{sweeps.topic}: no times within a sweep; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
             f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
         )
     if found is not None and told is not None:
@@ -178,13 +179,41 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
     return best[1], best[2]
 
 
+def _refined(pairs: _Pairs, motion: Motion, *, told: Array | None) -> tuple[Motion, Array | None]:
+    """Return the motion with lag and mounting by matched pairs, and the mounting (3,) that these show, if any.
+
+    told : (3,) the mounting by TF, which is kept where the pairs do not plainly contradict it
+    """
+    motion = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
+    found = _mounting(pairs, motion)
+    if found is not None and (told is None or abs(wrap(np.asarray(found[2] - told[2]))) > _DIFFERS_RAD):
+        motion = Motion(motion.odometry, motion.origin_ns, motion.lag_s, found)
+    return motion, found
+
+
+def _stated_turn_s(sweeps: Sweeps) -> float:
+    """Return the time of a whole turn by the sweeps' own times, negative where clockwise; 0 where they have none."""
+    turns = []
+    for sweep in sweeps.sweeps[:: max(1, len(sweeps) // 50)]:
+        if len(sweep) > 1:
+            bearing = np.unwrap(np.arctan2(sweep.xy[:, 1], sweep.xy[:, 0]))
+            swept = float(bearing[-1] - bearing[0])
+            turns.append(2.0 * np.pi * float(sweep.after_s[-1] - sweep.after_s[0]) / swept if abs(swept) > 0.1 else 0.0)
+    return float(np.median(turns)) if turns else 0.0
+
+
 def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, *, mirrored: bool) -> float:
-    """Return the time of a whole turn at which sweeps without times fit each other best; 0 where none helps."""
-    if any(len(s) and s.after_s[0] != s.after_s[-1] for s in sweeps.sweeps[:50]) or not len(plain.pose):
+    """Return the time of a whole turn at which sweeps fit each other best; 0 where their own times do as well.
+
+    Sweeps without times may have been taken either way round; those with times the other way round: drivers of lasers
+    that turn clockwise reverse the order of the ranges, and keep the sign of the time between them.
+    """
+    if not len(plain.pose):
         return 0.0
+    stated_s = _stated_turn_s(sweeps)
     period = min(sweeps.period_s, 0.2)
     best, turn_s = _BETTER * _misfit(plain), 0.0
-    for candidate in (period, -period):
+    for candidate in (-stated_s,) if stated_s else (period, -period):
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
         if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
             best, turn_s = _misfit(pairs), candidate

@@ -35,8 +35,9 @@ def turned_too_far(recording):
         ({"jitter_s": 0.05, "told": (0.1, 0.0, 0.0)}, "stamps of the sweeps are off by"),
         ({"cloud": True, "told": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
         ({"spin": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "ruler"),
+        ({"backwards": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "times within a sweep run the wrong way"),
     ],
-    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning"],
+    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning", "clockwise"],
 )
 def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path, faults, said):
     topic = "/points" if "cloud" in faults else None
