@@ -2,11 +2,11 @@
 
     python docs/make_real_lasers.py FOLDER [BAG ...]
 
-FOLDER holds bags with odometry and laser scans, no truth. For each: lag, and scale, turns and bow of the odometry
-against the laser with their robust standard errors (all three fitted at once); what is learned from the whole drive;
-and the error of odometry after 10 s on each half of the drive, measured against the laser, clock and mounting right,
-before and after what was learned from the other half alone is taken out. A pair of recordings of one robot is learned
-on one and judged on the other in the same way.
+FOLDER holds bags with odometry and laser scans, no truth. For each: lag; scale and turns (what the odometry has to be
+multiplied by) and bow against the laser with their robust standard errors (all three fitted at once); what is learned
+from the whole drive; and the error of odometry after 10 s on each half of the drive, measured against the laser, clock
+and mounting right, before and after what was learned from the other half alone is taken out. A pair of recordings of
+one robot is learned on one and judged on the other in the same way.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ def against_the_laser(runs: Sequence[Recording]) -> list[str]:
     return [
         f"{lag_s:.2f} s",
         f"{1.0 + scale:.4f} +- {errors[0]:.4f}",
-        f"{1.0 + turns:.3f} +- {errors[1]:.3f}",
+        f"{1.0 / (1.0 + turns):.3f} +- {errors[1]:.3f}",
         f"{np.degrees(bow):+.2f} +- {np.degrees(errors[2]):.2f} deg/m",
     ]
 

@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
+from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.laser.deskewing import Deskewing, Motion
 from odomcorrupt.laser.icp import best_guess, match, surface_of
 from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.sweep import Sweep, Sweeps
+    from odomcorrupt.laser.sweep import Sweeps
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["Calibration", "Motion", "calibrate", "deskewed", "hand_eye"]
+__all__ = ["Calibration", "calibrate", "hand_eye"]
 
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15
@@ -35,29 +36,6 @@ _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
 """Times within a sweep are taken where they make the deviation of matched pairs at most this share of itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Odometry as a function of the laser's time.
-
-    lag_s : what is added to the laser's times to get the odometry's
-    mount : (3,) the laser's pose on the robot
-    """
-
-    odometry: Trajectory
-    origin_ns: int
-    lag_s: float
-    mount: Array
-
-    def robot(self, t_s: Array) -> Array:
-        """Return the odometry's poses (n, 3) at times (n,) of the laser; held at both ends."""
-        own = self.odometry.seconds_since(self.origin_ns)
-        return self.odometry.at(np.clip(t_s + self.lag_s, own[0], own[-1]), self.origin_ns)
-
-    def laser(self, t_s: Array) -> Array:
-        """Return the laser's poses (n, 3) in the odometry's frame at times (n,) of the laser."""
-        return compose(self.robot(t_s), self.mount)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +54,10 @@ class Calibration:
     said: tuple[str, ...]
     turn_s: float = 0.0
 
+    def deskewing(self, sweeps: Sweeps) -> Deskewing:
+        """Return the sweeps put right for the motion within them."""
+        return Deskewing(sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
+
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
@@ -90,29 +72,6 @@ class _Pairs:
     pose: Array
     deviation_m: Array
     ratio: Array
-
-
-def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
-    """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep.
-
-    turn_s : see `Calibration`; the middle of the sweep stays at the same time
-    """
-    xy = sweep.xy.astype(np.float64)
-    after = sweep.after_s.astype(np.float64)
-    if turn_s != 0.0 and len(after):
-        bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
-        middle_s = 0.5 * (after[0] + after[-1])
-        after = middle_s + (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
-    if mirrored:
-        xy[:, 1] = -xy[:, 1]
-    if not len(after) or after[0] == after[-1]:
-        return xy
-    stamp_s = float(sweep.stamp_ns - motion.origin_ns) * 1e-9
-    knots = np.linspace(float(after.min()), float(after.max()), 5)
-    poses = motion.laser(stamp_s + knots)
-    relative = between(poses[2], poses)
-    at = np.stack([np.interp(after, knots, relative[:, i]) for i in range(3)], axis=1)
-    return at[:, :2] + rotate(xy, at[:, 2])
 
 
 def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibration:
@@ -233,9 +192,11 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
     t_s = sweeps.middle_s(motion.origin_ns)
     poses = motion.laser(t_s)
     chosen = _spread(t_s, poses)
+    rows = np.array(chosen, dtype=np.int64).ravel()
+    scans = Deskewing(sweeps, motion, mirrored=mirrored, turn_s=turn_s, rows=rows)
     first, second, found, deviation, ratio = [], [], [], [], []
     for a, b in chosen:
-        one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored, turn_s=turn_s) for k in (a, b))
+        one, other = scans[a], scans[b]
         lines = lines_of(one)
         if len(lines.feet) < 20 or len(other) < 20:
             continue

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.laser.trajectory import UNKNOWN_M
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.calibrate import Motion
+    from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.trajectory import LaserPath
 
-__all__ = ["WhiteNoise", "white_noise", "with_noise", "without_spikes"]
+__all__ = ["WhiteNoise", "white_noise", "with_noise", "with_rests", "without_spikes"]
 
 _FEW = 60
 _EXTREME = 99.0
@@ -27,8 +28,11 @@ _GAP = 1.6
 _TURNS_RADPS, _MOVES_MPS = 0.1, 0.05
 _YAW = 2
 _LEAST_S = 1e-3
-_LARGEST = 400.0
+_SMALLEST, _LARGEST = 0.04, 400.0
 _SPIKE = 6.0
+_AROUND_S, _NEW_VIEW_M, _TURN_M, _AT_REST = 0.5, 0.1, 0.3, 0.1
+"""What is seen is another thing after 0.1 m, a radian counting as 0.3 m; where less is moved within a second, errors
+change less, to a tenth."""
 _USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
 
 
@@ -82,18 +86,41 @@ def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
     solution = inverse @ (scaled.T @ target)
     error = np.sqrt(np.diag(inverse)) * float(np.std(target - scaled @ solution))
     jitter = float(np.sqrt(solution[2] / scale[2])) if solution[2] > 2.0 * error[2] else 0.0
-    position, heading = np.clip(solution[:2] / scale[:2], 1.0, _LARGEST).tolist()
+    position, heading = np.clip(solution[:2] / scale[:2], (_SMALLEST, 1.0), _LARGEST).tolist()
     return WhiteNoise(position, heading, jitter if jitter > _LEAST_S else 0.0)
 
 
 def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
     """Return the path with covariances of that level, and with what jitter of its stamps does to each pose."""
-    level = np.sqrt([noise.position, noise.position, noise.heading])
-    covariance = path.covariance * np.outer(level, level)
+    covariance = _scaled(path.covariance, np.sqrt([noise.position, noise.position, noise.heading]))
     if noise.stamps_s > 0.0:
         rate = _rate(path, motion)
         covariance = covariance + noise.stamps_s**2 * rate[:, :, None] * rate[:, None, :]
     return replace(path, covariance=covariance)
+
+
+def with_rests(path: LaserPath, motion: Motion) -> LaserPath:
+    """Return the path with smaller covariances where the robot rests or creeps.
+
+    A match errs by what is seen: its error is another one after some way, and the same one as long as the robot stands.
+    Sweeps at rest that counted as much as others would make the noise seem smaller than it is on the way.
+    """
+    robot = [motion.robot(path.t_s + side) for side in (-_AROUND_S, _AROUND_S)]
+    moved = between(robot[0], robot[1])
+    gone_m = np.hypot(moved[:, 0], moved[:, 1]) + _TURN_M * np.abs(wrap(moved[:, 2]))
+    share = np.clip(gone_m / _NEW_VIEW_M, _AT_REST, 1.0)
+    return replace(path, covariance=_scaled(path.covariance, np.repeat(share[:, None], 3, axis=1)))
+
+
+def _scaled(covariance: Array, deviation: Array) -> Array:
+    """Return covariances (k, 3, 3) with deviations multiplied, (3,) or (k, 3); axes that are not seen stay so."""
+    values, vectors = np.linalg.eigh(covariance[:, :2, :2])
+    unseen = np.zeros_like(covariance)
+    blind = np.where(values > 0.25 * UNKNOWN_M**2, values, 0.0)
+    unseen[:, :2, :2] = (vectors * blind[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    both = deviation[..., :, None] * deviation[..., None, :]
+    out: Array = (covariance - unseen) * both + unseen
+    return out
 
 
 def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:

@@ -12,7 +12,7 @@ from odomcorrupt.errors import RecordingError
 from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, without_spikes
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_rests, without_spikes
 from odomcorrupt.laser.trajectory import relocalised
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
@@ -110,7 +110,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
         )
-    found = without_spikes(found, calibration.motion)
+    found = with_rests(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
     return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
 
