@@ -36,6 +36,15 @@ def path(duration_s=36.0, rate_hz=20.0, *, straight=False):
     return t_s, np.stack([np.interp(t_s, fine, column) for column in poses.T], axis=1), fine, poses
 
 
+def there_and_back(fine, every, half_s=10.0, short_s=0.6):
+    """A drive out and back in reverse along the same path, that ends a little short of where it began, and rests."""
+    back = np.arange(0.0, 2.0 * half_s - short_s + 1.5, 0.005)
+    along = 12.0 + np.maximum(half_s - np.abs(back - half_s), short_s * (back > half_s))
+    poses = np.stack([np.interp(along, fine, column) for column in every.T], axis=1)
+    t_s = np.arange(0.0, back[-1], 0.05)
+    return t_s, np.stack([np.interp(t_s, back, column) for column in poses.T], axis=1), back, poses
+
+
 def ranges(
     pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008, backwards=False
 ):  # fmt: skip
@@ -65,9 +74,12 @@ def ranges(
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
     blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
+    returns=False,
 ):  # fmt: skip
     """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them."""
     t_s, poses, fine, every = path(straight=corridor)
+    if returns:
+        t_s, poses, fine, every = there_and_back(fine, every)
     if spin:
         every = every.copy()
         every[:, 2] = 0.1 + 1.2 * fine
@@ -77,7 +89,7 @@ def drive(
         robot = np.stack([np.interp(at_s, fine, column) for column in every.T], axis=1)
         return compose(robot, np.array(mount))
 
-    starts = np.arange(0.1, t_s[-1] - 1.5, 1.0 / rate_hz)
+    starts = np.arange(0.1, t_s[-1] - (0.3 if returns else 1.5), 1.0 / rate_hz)
     walls = closed(CORRIDOR) if corridor else WALLS
     seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped, backwards=backwards)
     if blind:
