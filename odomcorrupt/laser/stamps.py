@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.trajectory import LaserPath
 
-__all__ = ["WhiteNoise", "white_noise", "with_noise", "with_rests", "without_spikes"]
+__all__ = ["WhiteNoise", "white_noise", "with_noise", "with_view_errors", "without_spikes"]
 
 _FEW = 60
 _EXTREME = 99.0
@@ -30,9 +30,11 @@ _YAW = 2
 _LEAST_S = 1e-3
 _SMALLEST, _LARGEST = 0.04, 400.0
 _SPIKE = 6.0
-_AROUND_S, _NEW_VIEW_M, _TURN_M, _AT_REST = 0.5, 0.1, 0.3, 0.1
-"""What is seen is another thing after 0.1 m, a radian counting as 0.3 m; where less is moved within a second, errors
-change less, to a tenth."""
+_AROUND_S, _NEW_VIEW_M, _TURN_M = 0.5, 0.1, 0.3
+"""What is seen is another thing after 0.1 m, a radian counting as 0.3 m; who moves less in a second sees less new."""
+_VIEW_M, _VIEW_RAD = 1e-3, 2e-4
+"""Errors that change with what is seen; their level is estimated with that of the matches."""
+_LEAST_M, _LEAST_RAD = 1e-4, 2e-5
 _USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
 
 
@@ -99,17 +101,18 @@ def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
     return replace(path, covariance=covariance)
 
 
-def with_rests(path: LaserPath, motion: Motion) -> LaserPath:
-    """Return the path with smaller covariances where the robot rests or creeps.
+def with_view_errors(path: LaserPath, motion: Motion) -> LaserPath:
+    """Return the path with the errors added that matches have by what is seen: corners, furniture, the map.
 
-    A match errs by what is seen: its error is another one after some way, and the same one as long as the robot stands.
-    Sweeps at rest that counted as much as others would make the noise seem smaller than it is on the way.
+    They are others after some way, and the same ones as long as the robot stands: there they are left out, for sweeps
+    at rest that counted as much as others would make the noise seem smaller than it is on the way.
     """
     robot = [motion.robot(path.t_s + side) for side in (-_AROUND_S, _AROUND_S)]
     moved = between(robot[0], robot[1])
     gone_m = np.hypot(moved[:, 0], moved[:, 1]) + _TURN_M * np.abs(wrap(moved[:, 2]))
-    share = np.clip(gone_m / _NEW_VIEW_M, _AT_REST, 1.0)
-    return replace(path, covariance=_scaled(path.covariance, np.repeat(share[:, None], 3, axis=1)))
+    share = np.clip(gone_m / _NEW_VIEW_M, 0.0, 1.0)
+    more = np.diag([_VIEW_M, _VIEW_M, _VIEW_RAD]) ** 2 * share[:, None, None] ** 2
+    return replace(path, covariance=path.covariance + more + np.diag([_LEAST_M, _LEAST_M, _LEAST_RAD]) ** 2)
 
 
 def _scaled(covariance: Array, deviation: Array) -> Array:

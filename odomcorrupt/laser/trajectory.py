@@ -26,7 +26,6 @@ __all__ = ["UNKNOWN_M", "LaserPath", "relocalised"]
 _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)
-_FLOOR_M, _FLOOR_RAD = 1e-3, 2e-4
 UNKNOWN_M = 2.0
 """Standard deviation along an axis that is not seen."""
 
@@ -83,7 +82,6 @@ def relocalised(
             continue
         covariance = np.linalg.inv(found.information + np.diag([1e-4, 1e-4, 1e-4]))
         unseen = found.ratio < WEAK
-        covariance += np.diag([_FLOOR_M, _FLOOR_M, _FLOOR_RAD]) ** 2
         if unseen:
             covariance[:2, :2] += UNKNOWN_M**2 * np.outer(found.weak_axis, found.weak_axis)
         # into the laser's own axes, then the robot's

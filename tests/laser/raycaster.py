@@ -121,6 +121,7 @@ def drive(
         groups.append(laserbags.scans(stamps(starts + 0.01), seen, "/scan_rear", turn_s=sweep_s))
     if gyro:
         rate = np.gradient(every[:, 2], fine)[::2]
+        rate = rate + 0.02 * np.random.default_rng(6).standard_normal(len(rate))
         groups.append(laserbags.imu(stamps(fine[::2]), np.column_stack((0.0 * rate, 0.0 * rate, rate + 0.004))))
     if told is not None:
         groups.append(laserbags.sits(x=told[0], y=told[1], yaw=told[2]))

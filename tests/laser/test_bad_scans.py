@@ -68,3 +68,13 @@ def test_of_two_lasers_one_has_to_be_named(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "/scan_rear" in said
     assert "--scan" in said
+
+
+@pytest.mark.slow
+def test_beside_a_laser_a_gyro_says_where_the_heading_comes_from_and_the_laser_is_the_truth(tmp_path):
+    recording, notes = read(raycaster.drive(tmp_path / "run.mcap", told=(0.1, 0.0, 0.0), gyro=True))
+    assert recording.matched
+    assert "the laser on /scan" in notes
+    assert "/imu/data: yaw is about its z axis" in notes
+    assert recording.heading_source != "gyro"
+    assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)

@@ -13,7 +13,7 @@ from odomcorrupt.laser.calibrate import calibrate
 from odomcorrupt.laser.closure import end_by_scans
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_rests, without_spikes
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.trajectory import relocalised
 from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
@@ -130,7 +130,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
         )
-    found = with_rests(without_spikes(found, calibration.motion), calibration.motion)
+    found = with_view_errors(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
     return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
 
