@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
+from odomcorrupt.bags.recovery_report import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
     Topic,
     columns,
@@ -177,6 +178,7 @@ class SqliteReader:
         self.lost_rows: list[int] = []
         self.count = 0
         self._recover = recover
+        self._undecodable = Undecodable()
         self._whole = whole_pages(path) if recover else None
         self.readable = path if self._whole is None else Path(self._whole.name)
         try:
@@ -204,6 +206,9 @@ class SqliteReader:
         self.losses.clear()
         self.lost_rows.clear()
         self.count = 0
+        self._undecodable = Undecodable()
+        if self._recover:
+            only = with_readable(only, self.channels)
         with (
             reported(self.path, recover=self._recover),
             closing(read_only(self.readable, whole=not self._recover)) as connection,
@@ -238,12 +243,26 @@ class SqliteReader:
                 self.count += 1
                 blob = None  # noqa: PLW2901 - the block holds the only reference
                 if size >= _BATCH_BYTES:
-                    block = _block(rows, of, times_ns, data)
+                    block = self._decodable(_block(rows, of, times_ns, data))
                     rows, of, times_ns, data, size = [], [], [], [], 0
                     yield block
                     del block
             if rows:
-                yield _block(rows, of, times_ns, data)
+                yield self._decodable(_block(rows, of, times_ns, data))
+        self.losses += self._undecodable.losses(self.name)
+
+    def _decodable(self, block: Block) -> Block:
+        """Return a block, with recovery without the messages that cannot be decoded."""
+        if not self._recover or self.packed:
+            return block
+        left_out = self._undecodable.find(block, self.channels)
+        if not left_out.any():
+            return block
+        rows: NDArray[np.int64] = block.raw.rows
+        self.lost_rows += rows[left_out].tolist()
+        self.count -= int(np.count_nonzero(left_out))
+        before = [one for one, lost in zip(block.raw.before, left_out.tolist(), strict=True) if not lost]
+        return Block(block.data, block.table[~left_out], SqliteFraming(rows[~left_out], before))
 
     def _lose(self, sentence: str) -> None:
         """Record a loss with recovery, else raise the error."""
