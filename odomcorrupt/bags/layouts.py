@@ -19,12 +19,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["PROGRAMS", "Item", "Template", "read_template"]
+__all__ = ["PROGRAMS", "Item", "Template", "UnreadableEncodingError", "read_template"]
 
 _PLAIN_CDR = {0x00: (">", 8), 0x01: ("<", 8), 0x06: (">", 4), 0x07: ("<", 4), 0x10: (">", 4), 0x11: ("<", 4)}
 """Representation identifiers of plain encodings: byte order and largest alignment. XCDR2 aligns doubles to 4 bytes."""
+_OTHER_CDR = frozenset({0x02, 0x03, 0x04, *range(0x08, 0x0C), *range(0x12, 0x16)})
+"""Those of other encodings (parameter lists, XML, delimited) in OMG's DDS-XTypes 1.2 and 1.3."""
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
+
+
+class UnreadableEncodingError(BagError):
+    """A message is in an encoding that is not read here; it need not be damaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,7 @@ class Template:
 def read_template(data: bytes, topic: str, msgtype: str, encoding: str) -> Template:
     """Return the layout of a serialised message."""
     if encoding not in ("ros1", "cdr"):
-        raise BagError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
+        raise UnreadableEncodingError(f"{topic}: encoding {encoding!r} cannot be read; only ros1 and cdr messages can")
     if msgtype not in PROGRAMS:
         raise BagError(f"{topic}: type {msgtype} has no layout here; choose a topic of {', '.join(sorted(PROGRAMS))}")
     cursor = _Ros1Cursor(data, topic) if encoding == "ros1" else _CdrCursor(data, topic)
@@ -101,7 +107,8 @@ class _Cursor:
         if end > len(self.data):
             raise BagError(
                 f"{self.topic}: a message of {len(self.data)} bytes ends before byte {end}, where its strings and "
-                "counts say a field lies; the bag is damaged or the topic's type is not what it says"
+                "counts say a field lies; the bag is damaged or the topic's type is not what it says, --recover leaves "
+                "such messages out"
             )
         if structural:
             self.mask[start:end] = b"\xff" * size
@@ -148,10 +155,13 @@ class _CdrCursor(_Cursor):
         self.take(4, structural=True)
         if data[0] != 0 or data[1] not in _PLAIN_CDR:
             if data[:4] == _ZSTD:
-                raise BagError(
+                raise UnreadableEncodingError(
                     f"{topic}: its messages are compressed one by one (zstd); `ros2 bag convert` can undo that"
                 )
-            raise BagError(f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one")
+            said = f"{topic}: CDR representation 0x{data[:2].hex()} is not a plain one"
+            if data[0] == 0 and data[1] in _OTHER_CDR:
+                raise UnreadableEncodingError(said)
+            raise BagError(f"{said}; the bag is damaged, --recover leaves such messages out")
         self.order, self.largest = _PLAIN_CDR[data[1]]
         # The options (bytes 2, 3) give the padding after the message: they are not structural.
         self.mask[2:4] = b"\0\0"

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.bags.gaps import windows
-from odomcorrupt.bags.layouts import PROGRAMS, Item, Template, read_template
+from odomcorrupt.bags.layouts import PROGRAMS, Item, Template, UnreadableEncodingError, read_template
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -33,6 +33,7 @@ __all__ = [
     "scatter",
     "scatter_columns",
     "scatter_stamps_ns",
+    "undecodable",
 ]
 
 READABLE = frozenset(PROGRAMS)
@@ -70,20 +71,43 @@ def locate(block: Block, channel: Channel) -> list[Layout]:
         If a message is shorter than its strings and numbers require, or its type or encoding is unknown.
 
     """
+    return list(_layouts(block, channel))
+
+
+def undecodable(block: Block, channel: Channel) -> dict[int, BagError]:
+    """Return why messages of a channel in a block cannot be decoded, by row of the block's table.
+
+    Those of types and encodings that are not read here are not among them.
+    """
+    failed: dict[int, BagError] = {}
+    if channel.msgtype in PROGRAMS and channel.encoding in ("ros1", "cdr"):
+        for _ in _layouts(block, channel, failed):
+            pass
+    return failed
+
+
+def _layouts(block: Block, channel: Channel, failed: dict[int, BagError] | None = None) -> Iterator[Layout]:
+    """Yield the layouts of a channel's messages; errors of single messages are put into `failed`, if given."""
     rows = np.flatnonzero(block.table["channel"] == channel.id)
     starts = block.table["offset"][rows]
     lengths = block.table["length"][rows]
     if np.any((starts < 0) | (lengths < 0) | (starts > block.data.size - lengths)):
         raise BagError(f"{channel.topic}: a message lies beyond its block of {block.data.size} bytes; damaged bag")
-    layouts: list[Layout] = []
     while rows.size:
         first = block.data[starts[0] : starts[0] + lengths[0]].tobytes()
-        template = read_template(first, channel.topic, channel.msgtype, channel.encoding)
+        try:
+            template = read_template(first, channel.topic, channel.msgtype, channel.encoding)
+        except BagError as error:
+            if failed is None:
+                raise
+            if not isinstance(error, UnreadableEncodingError):
+                failed[int(rows[0])] = error
+            rows, starts, lengths = rows[1:], starts[1:], lengths[1:]
+            continue
         same = _matches(block.data, starts, lengths, template)
         kind = (template.items, template.big_endian, template.unsigned_seconds, template.size)
-        layouts.append(Layout(rows[same], starts[same], *kind))
+        yield Layout(rows[same], starts[same], *kind)
         rows, starts, lengths = rows[~same], starts[~same], lengths[~same]
-    return layouts
 
 
 def gather(block: Block, layout: Layout, item: Item, field: str) -> NDArray[np.float64]:

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
-from odomcorrupt.corruption.summary import effect_words, moved_words, size_words, stream_oddities, travel_words
+from odomcorrupt.corruption.summary import (
+    effect_words,
+    lost_lines,
+    moved_words,
+    size_words,
+    stream_oddities,
+    travel_words,
+)
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -39,10 +46,12 @@ def brief(corrected: Corrected, target: str) -> Summary:
         ]
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
+    lines[1:1] = lost_lines(corrected.run)
     lines += [Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)})")]
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
-    lines += [Line("odd", sentence, "warning") for sentence in _oddities(corrected.run)]
+    odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
+    lines += [Line("odd", sentence, "warning") for sentence in odd]
     if corrected.unplaced:
         names = ", ".join(effect.name for effect in corrected.unplaced)
         lines.append(

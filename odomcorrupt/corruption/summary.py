@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import textwrap
 from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
@@ -26,6 +27,7 @@ __all__ = [
     "brief",
     "effect_words",
     "holonomic_words",
+    "lost_lines",
     "model_brief",
     "model_words",
     "moved_words",
@@ -42,6 +44,9 @@ SIDEWAYS = 0.1
 
 STRAIGHT = 0.001
 """One that goes less than this part of its way so is not."""
+
+_LOST_WIDTH = 120
+"""Characters of what is lost that a summary shows."""
 
 MOST_EDGES = 6
 """More need not be named."""
@@ -69,9 +74,10 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
         lines = [Line("MOVED", said, "good")]
         lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
+    lines[1:1] = lost_lines(outcome)
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
     lines.append(Line("odometry", _counted(outcome), "plain" if outcome.changes.edges or outcome.added else "warning"))
-    odd = oddities(outcome)
+    odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
         lines.append(Line("true", f"{', '.join(true)}: these still hold the true motion", "warning"))
@@ -81,6 +87,15 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
         lines.append(Line("rate", "the drift depends on the message rate: see --step and --law diffusion", "warning"))
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
+
+
+def lost_lines(outcome: Outcome) -> list[Line]:
+    """Return what recovery lost, on one line, or none: short, and above what may be left out of a summary."""
+    if not outcome.losses:
+        return []
+    _, _, first = outcome.losses[0].partition(": ")  # behind the name of the file
+    more = f" (and {len(outcome.losses) - 1} more: -v shows all)" if len(outcome.losses) > 1 else ""
+    return [Line("LOST", textwrap.shorten(first, _LOST_WIDTH, placeholder=" ...") + more, "bad")]
 
 
 def _counted(outcome: Outcome) -> str:
@@ -280,6 +295,7 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
         f"/tf_static holds {edge}: published once for all time, it cannot follow {follow}."
         for edge in sorted(changes.static)
     ]
-    lost = [f"Lost: {loss}." for loss in outcome.losses] + [f"{remark}." for remark in outcome.remarks]
-    said = [*static, *lost, *(sentence for sentence, count in counted.items() if count > 0)]
+    remarks = [f"{remark}." for remark in outcome.remarks]
+    lost = [f"Lost: {loss}." for loss in outcome.losses]
+    said = [*static, *lost, *remarks, *(sentence for sentence, count in counted.items() if count > 0)]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

@@ -23,7 +23,7 @@ from odomcorrupt.bags.mcap.records import (
     SCHEMA,
     string,
 )
-from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here
+from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here, without
 from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.section_checksums import (
     FOOTER_BYTES,
@@ -33,7 +33,7 @@ from odomcorrupt.bags.mcap.section_checksums import (
 )
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
 from odomcorrupt.bags.pipeline import read_ahead
-from odomcorrupt.bags.recovery_report import loss_of
+from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
@@ -82,6 +82,7 @@ class McapReader:
         self._threads = threads
         self._source = self._reading = source
         self._first_losses = 0
+        self._undecodable = Undecodable()
         try:
             self.header = self._read_header(source)
         except BagError as error:
@@ -123,6 +124,7 @@ class McapReader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; repeatable for a file, once for a pipe."""
         del self.losses[self._first_losses :]
+        self._undecodable = Undecodable()
         self.count = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
@@ -134,6 +136,7 @@ class McapReader:
                 raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
             self._begun = True
             yield from self._blocks(self._source)
+        self.losses += self._undecodable.losses(self.name)
         stated = self.summary.message_count
         if stated is not None and self.count < stated and not self.losses:
             self._lose(
@@ -280,6 +283,8 @@ class McapReader:
         except BagError as error:
             self._lose(error)
             block = self._known.salvaged(part)
+        if self._recover:
+            block = without(block, self._undecodable.find(block, self.channels))
         self.count += len(block.table)
         yield block
 

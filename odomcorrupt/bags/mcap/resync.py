@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "only_known", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records"]
+__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records", "without"]
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
@@ -159,13 +159,12 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return data[:at]
 
 
-def only_known(block: Block, channels: Container[int]) -> Block:
-    """Return a block of message records without messages of undefined channels."""
-    known = np.array([number in channels for number in block.table["channel"].tolist()], dtype=bool)
-    if known.all():
+def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
+    """Return a block of records without some of its messages (n,)."""
+    if not left_out.any():
         return block
     keep = np.ones(block.data.size, dtype=bool)
-    for offset, length in block.table[["offset", "length"]][~known].tolist():
+    for offset, length in block.table[["offset", "length"]][left_out].tolist():
         keep[offset - MESSAGE_HEADER_BYTES : offset + length] = False
     data = block.data[keep]
     return Block(data, read_contents(data, [], "").table, block.raw)

@@ -12,7 +12,7 @@ from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming
 from odomcorrupt.bags.mcap.chunk_messages import read_contents
 from odomcorrupt.bags.mcap.records import CHANNEL, SCHEMA, ChannelRecord, SchemaRecord
-from odomcorrupt.bags.mcap.resync import only_known, whole_records
+from odomcorrupt.bags.mcap.resync import whole_records, without
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -91,7 +91,8 @@ class Known:
             with suppress(BagError):
                 self._learn_within(data, other)
         framing = McapFraming("chunk", part.codec) if isinstance(part, Chunk) else McapFraming("loose")
-        return only_known(Block(data, contents.table, framing), self.channels)
+        unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
+        return without(Block(data, contents.table, framing), unknown)
 
     def _learn_within(self, data: NDArray[np.uint8], other: Record) -> None:
         """Register a record in a chunk's data if it is a schema or channel."""

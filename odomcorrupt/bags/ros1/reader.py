@@ -11,7 +11,7 @@ from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.pipeline import read_ahead
-from odomcorrupt.bags.recovery_report import loss_of
+from odomcorrupt.bags.recovery_report import Undecodable, loss_of
 from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import (
@@ -32,6 +32,7 @@ from odomcorrupt.bags.ros1.resync import (
     stands_behind,
     stands_here,
     whole_records,
+    without,
 )
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
@@ -75,6 +76,7 @@ class Ros1Reader:
         self._threads = threads
         self._source = self._reading = source
         self._begun = False
+        self._undecodable = Undecodable()
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
         self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self.count = 0
@@ -130,6 +132,7 @@ class Ros1Reader:
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
         """Yield the blocks in file order; repeatable for a file, once for a pipe."""
         del self.losses[self._header_losses :]
+        self._undecodable = Undecodable()
         self.count = self._seen = 0
         if self.complete:
             with Source.of_file(self.paths[0]) as source:
@@ -143,6 +146,7 @@ class Ros1Reader:
             yield from self._blocks(self._source)
             if not self._recover:
                 self._read_index(self._source)
+        self.losses += self._undecodable.losses(self.name)
         if self.count < self._stated and not self.losses:
             self._lose(
                 BagError(
@@ -241,6 +245,8 @@ class Ros1Reader:
         except BagError as error:
             self._lose(error)
             block = self._salvaged(chunk)
+        if self._recover:
+            block = without(block, self._undecodable.find(block, self.channels))
         self.count += len(block.table)
         yield block
 
@@ -252,15 +258,9 @@ class Ros1Reader:
             # An unreadable one matters only if messages use it.
             with suppress(BagError):
                 self._learn(header, fields)
-        known = np.array([number in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
-        keep = np.ones(data.size, dtype=bool)
-        ends = contents.table["offset"] + contents.table["length"]
-        for begin, end in zip(contents.starts[~known].tolist(), ends[~known].tolist(), strict=True):
-            keep[begin:end] = False
-        if not keep.all():
-            data = data[keep]
-            contents = read_contents(data, [], "")
-        return Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
+        block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
+        unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
+        return without(block, unknown)
 
     def _lose(self, error: BagError) -> None:
         """Record a loss with recovery, else raise the error."""

@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.codecs import beginning
-from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, read_chunk, read_head
+from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, Ros1Framing, read_chunk, read_head
+from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records"]
+__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records", "without"]
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 1 << 13
@@ -109,6 +111,19 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
             break
         at = after
     return data[:at]
+
+
+def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
+    """Return a block of records without some of its messages (n,)."""
+    if not left_out.any():
+        return block
+    keep = np.ones(block.data.size, dtype=bool)
+    ends = block.table["offset"] + block.table["length"]
+    for begin, end in zip(block.raw.starts[left_out].tolist(), ends[left_out].tolist(), strict=True):
+        keep[begin:end] = False
+    data = block.data[keep]
+    contents = read_contents(data, [], "")
+    return Block(data, contents.table, Ros1Framing(block.raw.codec, contents.starts))
 
 
 def _is_message(header: bytes) -> bool:

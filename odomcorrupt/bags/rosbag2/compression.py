@@ -14,6 +14,7 @@ import zstandard
 from odomcorrupt.bags.block import Block, Unframed
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.convert.rewritten import RewrittenReader, Rule
+from odomcorrupt.bags.recovery_report import Undecodable, with_readable
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -112,7 +113,16 @@ class UnpackedMessages(RewrittenReader):
     def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:
         """Yield the blocks with their messages decompressed."""
         self._budget = Budget()
-        yield from super().blocks(only)
+        if not self._recover:
+            yield from super().blocks(only)
+            return
+        undecodable = Undecodable()
+        for block in super().blocks(with_readable(only, self.channels)):
+            left_out = undecodable.find(block, self.channels)
+            self.count -= int(np.count_nonzero(left_out))
+            block.table = block.table[~left_out]
+            yield block
+        self._lost += undecodable.losses(self.name)
 
     def rule(self, channel: Channel) -> Rule:
         """Return the channel, whose messages are decompressed."""
