@@ -9,7 +9,7 @@ import pytest
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.study.design.advise import Advice, Ambiguity
 
-BACK = SimpleNamespace(manoeuvre=SimpleNamespace(sentence="straight there and back"), duration_s=180.0)
+BACK = SimpleNamespace(manoeuvre=SimpleNamespace(sentence="straights"), duration_s=180.0)
 TWINS = {"wheelbase": ("gyro_scale",)}
 
 
@@ -29,12 +29,11 @@ def choice(*names, plan=BACK):
         ((choice("wheelbase", "gyro_scale", plan=None),), ""),
         (
             (choice("gyro_bias", "unequal_wheels"),),
-            "These data cannot separate gyro_bias from unequal_wheels: drive straight there and back, for 3 minutes",
+            "These data cannot separate gyro_bias from unequal_wheels: drive straights",
         ),
         (
-            (choice("side_slip", "mount_yaw"), choice("side_slip", "lever_arm"), choice("a", "b")),
-            "These data cannot separate side_slip from mount_yaw or lever_arm, nor a from b: "
-            "drive straight there and back, for 3 minutes",
+            (choice("side_slip", "mount_yaw"), choice("side_slip", "icr_shift"), choice("a", "b")),
+            "These data cannot separate side_slip from mount_yaw or icr_shift, nor a from b: drive straights",
         ),
         (
             (choice("lever_arm", "icr_shift", plan=None),),
@@ -43,4 +42,5 @@ def choice(*names, plan=BACK):
     ],
 )
 def test_one_sentence_names_every_pair_once_and_the_drive(choices, sentence):
-    assert said(*choices) == sentence
+    assert said(*choices).removesuffix(", for 3 minutes") == sentence
+    assert said(*choices).endswith(", for 3 minutes") == ("drive straight" in sentence)
