@@ -7,3 +7,13 @@ takes milliseconds then takes minutes. The variable has to be there before numpy
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import pytest
+
+from recordings import RECORDINGS
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test that needs the recordings of others where they are absent."""
+    if item.get_closest_marker("recordings") and not RECORDINGS.is_dir():
+        pytest.skip(f"no recordings of others in {RECORDINGS}")

@@ -410,7 +410,7 @@ def test_the_shell_completes_commands_options_and_files():
     assert "plain,keep" in completed("odomcorrupt in.bag out.bag --twist k")
 
 
-def test_progress_is_told_on_terminals_only_and_wiped_away(tmp_path):
+def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
     """Run under a pseudo-terminal: the last thing on it is the folded summary."""
     import pty
 

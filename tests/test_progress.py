@@ -15,7 +15,7 @@ def block(log_s):
     return Block(np.zeros(3_000_000, dtype=np.uint8), table)
 
 
-def test_a_terminal_is_told_seconds_and_megabytes_and_wiped(monkeypatch, capsys):
+def test_a_terminal_gets_seconds_and_megabytes_and_wiped(monkeypatch, capsys):
     monkeypatch.setattr(_progress, "PAUSE_S", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     with _progress.Progress() as progress:
@@ -26,7 +26,7 @@ def test_a_terminal_is_told_seconds_and_megabytes_and_wiped(monkeypatch, capsys)
     assert captured.err.endswith("\r\x1b[K12 s of the bag, 6 MB\r\x1b[K")
 
 
-def test_what_is_no_terminal_is_told_nothing(monkeypatch, capsys):
+def test_what_is_no_terminal_gets_nothing(monkeypatch, capsys):
     monkeypatch.setattr(_progress, "PAUSE_S", 0.0)
     with _progress.Progress() as progress:
         progress(block(100.0))

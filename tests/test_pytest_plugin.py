@@ -35,7 +35,7 @@ def test_bags_are_made_once_and_by_content(cache, tmp_path):
     assert other[0].path.parent != first[0].path.parent
 
 
-def test_errors_of_a_run_are_told_against_the_odometry_before(cache):
+def test_errors_of_a_run_are_reported_against_the_odometry_before(cache):
     bag = corrupted(OFFICE, "typical", runs=2, seed=7, cache=cache)[1]
     assert bag.errors(bag.clean_tum).metrics()["ate_m"] < 1e-9
     drifted = bag.errors(bag.path, "/odom", align="origin").metrics()

@@ -124,7 +124,7 @@ def test_a_library_that_is_missing_is_named_with_what_to_install(library, words,
     assert 'in a copy of the repository, pip install ".[study]"' in line
 
 
-def test_a_directory_that_is_not_there_is_told(here, capsys):
+def test_a_directory_that_is_not_there_is_reported(here, capsys):
     line = refused("sample -o gone/out.csv", capsys)
     assert line == "odomcorrupt: gone/out.csv: the directory gone does not exist; create it first\n"
 

@@ -20,11 +20,11 @@ from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.typesys import Stores, get_typestore
 
 from odomcorrupt.cli import run
+from recordings import RECORDINGS
 
 ROOT = Path(__file__).parent.parent
-BAGS = ROOT.parent / "shared" / "data" / "bags"
+BAGS = RECORDINGS / "bags"
 FIXTURES = ROOT / "fixtures"
-ABSENT = f"no recordings in {BAGS}"
 
 TYPES = get_typestore(Stores.LATEST)
 
@@ -132,8 +132,6 @@ def corrupt(tmp_path, capsys):
     """Corrupt a bag of that folder; return exit code, what was said, and the output."""
 
     def call(path, *args):
-        if not BAGS.exists():
-            pytest.skip(ABSENT)
         target = tmp_path / Path(path).name
         code = run([str(BAGS / path), str(target), "-v", "--seed", "7", *args])
         return code, capsys.readouterr().err, target
@@ -141,13 +139,13 @@ def corrupt(tmp_path, capsys):
     return call
 
 
+@pytest.mark.recordings
 def test_every_bag_of_the_folder_is_tried():
-    if not BAGS.exists():
-        pytest.skip(ABSENT)
     found = {path.relative_to(BAGS).as_posix() for kind in ("bag", "mcap", "db3") for path in BAGS.rglob(f"*.{kind}")}
     assert found == {case.path for case in (*THROUGH, *REFUSED)} & found
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize("case", THROUGH, ids=lambda case: case.path)
 def test_it_goes_through_and_what_is_not_moved_is_bit_identical(corrupt, case):
     code, said, target = corrupt(case.path, *case.args)
@@ -161,6 +159,7 @@ def test_it_goes_through_and_what_is_not_moved_is_bit_identical(corrupt, case):
     assert changed == case.moved
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize("case", REFUSED, ids=lambda case: case.path)
 def test_it_is_refused_in_one_line_and_leaves_nothing(corrupt, case, tmp_path):
     code, said, _ = corrupt(case.path, *case.args)
@@ -171,6 +170,7 @@ def test_it_is_refused_in_one_line_and_leaves_nothing(corrupt, case, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.recordings
 def test_the_bag_that_was_never_closed_is_read_on_request(corrupt):
     code, said, target = corrupt("malformed/unindexed.bag", "--recover")
     assert code == 0, "nothing is lost: all its chunks are whole"
@@ -231,14 +231,12 @@ def sources(suffix, codecs):
     office = FIXTURES / f"office{suffix}"
     ours = [pytest.param(office, ("--compression", codec), id=f"{office.name}-{codec}") for codec in codecs]
     theirs = [case for case in THROUGH if case.path.endswith(suffix)]
-    return ours + [pytest.param(BAGS / case.path, case.args, id=case.path) for case in theirs]
+    return ours + [pytest.param(BAGS / c.path, c.args, id=c.path, marks=pytest.mark.recordings) for c in theirs]
 
 
 @pytest.mark.parametrize(("source", "args"), sources(".bag", ("none", "lz4", "bz2")))
 def test_ros_1_itself_counts_the_same_messages(tmp_path, source, args):
     python = debian()
-    if not source.exists():
-        pytest.skip(ABSENT)
     assert run([str(source), str(tmp_path / "out.bag"), "--seed", "7", *args]) == 0
     expected = Counter(topic for topic, _, _ in messages(source))
     done = subprocess.run(
@@ -252,8 +250,6 @@ def test_ros_1_itself_counts_the_same_messages(tmp_path, source, args):
 )
 def test_mcaps_own_reader_counts_the_same_messages(tmp_path, source, args):
     environment = node()
-    if not source.exists():
-        pytest.skip(ABSENT)
     target = tmp_path / "out.mcap"
     assert run([str(source), str(target), "--seed", "7", *args]) == 0
     done = subprocess.run(["node", "-e", NODE_PROGRAM, target], env=environment, capture_output=True, check=True)

@@ -32,7 +32,7 @@ def plain_answer(learned: Learned) -> dict[str, Any]:
             "values": {p.name: getattr(effect, p.name) for p in parameters(effect)},
             "errors": {p.name: float(error) for p, error in zip(own, errors, strict=True)},
         }
-    looks = [_look(r, learned) for r in learned.rounds]
+    looks = [_step(r, learned) for r in learned.rounds]
     return {
         "clocks": clock_names,
         "added": list(learned.added),
@@ -66,15 +66,15 @@ def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[
     return {"relative": relative, "covered": covered}
 
 
-def _look(look: Step, learned: Learned) -> dict[str, Any]:
+def _step(step: Step, learned: Learned) -> dict[str, Any]:
     row: dict[str, Any] = {
-        "added": look.added,
-        "alternatives": list(look.alternatives),
-        "gains": _gains(look.candidates),
+        "added": step.added,
+        "alternatives": list(step.alternatives),
+        "gains": _gains(step.candidates),
     }
-    if look.added is not None:
-        row["evidence"] = asdict(evidence_of(look, learned))
-        row["confidence"] = confidence(evidence_of(look, learned))
+    if step.added is not None:
+        row["evidence"] = asdict(evidence_of(step, learned))
+        row["confidence"] = confidence(evidence_of(step, learned))
     return row
 
 

@@ -200,7 +200,7 @@ def reliability(rows: Rows) -> Lines:
 
 def _confidences(row: dict[str, Any]) -> list[tuple[str, float | None]]:
     kept = row["answer"]["added"]
-    return [(look["added"], look.get("confidence")) for look in row["answer"]["looks"] if look["added"] in kept]
+    return [(step["added"], step.get("confidence")) for step in row["answer"]["looks"] if step["added"] in kept]
 
 
 def _drive(row: dict[str, Any]) -> str:

@@ -39,9 +39,9 @@ def alternatives(row: dict[str, Any]) -> list[str]:
     if not found:
         return []
     listed = [found[0]]
-    for look in row["answer"]["looks"]:
-        if look["added"] == found[0]:
-            listed += look["alternatives"]
+    for step in row["answer"]["looks"]:
+        if step["added"] == found[0]:
+            listed += step["alternatives"]
     return list(dict.fromkeys(same_class(name) for name in listed))
 
 

@@ -31,9 +31,9 @@ def tables(rows: list[dict[str, Any]]) -> str:
     lines.append(_row("parameters within their 95 % interval", _share(covered), _share(theirs), "90 to 98 %"))
     ratio = np.array([r["error"]["laser"] / r["error"]["mocap"] for r in good])
     if len(ratio):
-        told = f"{np.median(ratio):.3f}, {np.percentile(ratio, 90):.3f}"
+        ratios = f"{np.median(ratio):.3f}, {np.percentile(ratio, 90):.3f}"
         lines.append(
-            _row("held-out 10 s error over motion capture's: median, 90th percentile", told, "1", "1.02, 1.10")
+            _row("held-out 10 s error over motion capture's: median, 90th percentile", ratios, "1", "1.02, 1.10")
         )
     sure = [_wrong_and_sure(r) for r in [*controls, *single]]
     lines.append(_row("wrong and sure (0.9)", _share(sure), "", "at most 1 %"))
@@ -44,7 +44,7 @@ def tables(rows: list[dict[str, Any]]) -> str:
     lines.append(_row("corridor: anything false", _share([bool(f) for f in false]), "", "none"))
     blind = [r for r in corridor if r["case"]["causes"] and r["case"]["causes"][0] in ("wheel_scale", "speed_scale")]
     said = [r["case"]["causes"][0] in r["untestable"] for r in blind]
-    lines.append(_row("corridor: scale told to be not testable", _share(said), "", "where it is"))
+    lines.append(_row("corridor: scale reported as not testable", _share(said), "", "where it is"))
     lines += ["", "Misses:", ""]
     for row in [*controls, *single, *corridor]:
         wanted = "+".join(row["case"]["causes"]) or "nothing"
@@ -91,8 +91,8 @@ def _extras(row: dict[str, Any], who: str) -> list[str]:
 
 def _wrong_and_sure(row: dict[str, Any]) -> bool:
     return any(
-        look["added"] and not right(look["added"], row) and look.get("confidence", 0.0) >= _SURE
-        for look in row["answer"]["looks"]
+        step["added"] and not right(step["added"], row) and step.get("confidence", 0.0) >= _SURE
+        for step in row["answer"]["looks"]
     )
 
 

@@ -83,8 +83,8 @@ def _goals(rows: Rows) -> Lines:
     named = [row for row in excited if not CAUSES[row["case"]["cause"]].event]
     events = [row for row in excited if CAUSES[row["case"]["cause"]].event]
     high = [
-        (v.grade(name, row) != "wrong") for row in rows for name, told in v.names(row)
-        if (told or 0.0) >= v.SURE and v.grade(name, row) != "equal"
+        (v.grade(name, row) != "wrong") for row in rows for name, confidence in v.names(row)
+        if (confidence or 0.0) >= v.SURE and v.grade(name, row) != "equal"
     ]  # fmt: skip
     used = [row for row in rows if row.get("after_m") is not None]
     return table(
@@ -99,7 +99,7 @@ def _goals(rows: Rows) -> Lines:
             ["the same over what is attainable", _spread(_judged(rows, "attainable_m")), ""],
             ["above the error without a model by more than 3 %", part([v.harmed(row) for row in used]), "none"],
             ["a command failed or refused the model", part([bool(v.refusals(row)) for row in rows]), "none"],
-            ["names told with 0.9 or more that are right", part(high), "85 to 95 % at 0.9"],
+            ["names of confidence 0.9 or more that are right", part(high), "85 to 95 % at 0.9"],
         ],
     )
 
@@ -125,13 +125,13 @@ def _situations(rows: Rows) -> Lines:
 
 
 def _calibration(rows: Rows) -> Lines:
-    told = [
+    named = [
         (confidence, v.grade(name, row) != "wrong") for row in rows for name, confidence in v.names(row)
         if confidence is not None and v.grade(name, row) != "equal"
     ]  # fmt: skip
     out = []
     for low, high in pairwise(BINS):
-        own = [(c, hit) for c, hit in told if low <= c < high]
+        own = [(c, hit) for c, hit in named if low <= c < high]
         if own:
             mean = float(np.mean([c for c, _ in own]))
             out.append([f"{low:g} to {min(high, 1.0):g}", f"{mean:.3f}", part([hit for _, hit in own])])
@@ -165,7 +165,7 @@ def _miss(row: dict[str, Any]) -> str:
 
 
 def _said(row: dict[str, Any]) -> str:
-    shown = [name if told is None else f"{name} {told:.2f}" for name, told in v.names(row)]
+    shown = [name if confidence is None else f"{name} {confidence:.2f}" for name, confidence in v.names(row)]
     shown += [f"unknown {u['channel']} over {u['depends_on']}{' (in the model)' if u.get('in_model') else ''}"
               for u in row.get("answer", {}).get("unknown", [])]  # fmt: skip
     return ", ".join(shown) or "nothing"

@@ -99,7 +99,7 @@ def false_alarms(row: Row) -> list[str]:
     """Return what was named of a robot without a flaw: names, and unknown dependences, in the model or offered."""
     if not is_control(row):
         return []
-    wrong = [_with(name, told) for name, told in names(row) if grade(name, row) == "wrong"]
+    wrong = [_with(name, confidence) for name, confidence in names(row) if grade(name, row) == "wrong"]
     unknown = [
         f"unknown ({one['channel']} over {one['depends_on']}{', in the model' if one.get('in_model') else ''})"
         for one in _unknown(row)
@@ -109,11 +109,12 @@ def false_alarms(row: Row) -> list[str]:
 
 def wrong_and_sure(row: Row) -> list[str]:
     """Return wrong names with a confidence of 0.9 or more."""
-    return [_with(name, told) for name, told in names(row) if (told or 0.0) >= SURE and grade(name, row) == "wrong"]
+    sure = ((name, confidence) for name, confidence in names(row) if (confidence or 0.0) >= SURE)
+    return [_with(name, confidence) for name, confidence in sure if grade(name, row) == "wrong"]
 
 
-def _with(name: str, told: float | None) -> str:
-    return name if told is None else f"{name} {told:.3f}"
+def _with(name: str, confidence: float | None) -> str:
+    return name if confidence is None else f"{name} {confidence:.3f}"
 
 
 def harmed(row: Row) -> bool:

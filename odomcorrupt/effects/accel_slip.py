@@ -36,6 +36,7 @@ class AccelSlip(Effect):
     """
 
     name = "accel_slip"
+    odd = True
     summary = "wheels slip when the robot speeds up, and skid when it brakes"
     reads_truth = True
     about = About(

@@ -46,6 +46,7 @@ class Backlash(Effect):
     """
 
     name = "backlash"
+    odd = True
     layer = "record"
     needs_track = True
     summary = "gears have play: travel is lost at each reversal of a wheel"

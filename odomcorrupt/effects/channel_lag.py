@@ -26,6 +26,7 @@ class ChannelLag(Effect):
     """
 
     name = "channel_lag"
+    odd = True
     layer = "record"
     summary = "the odometry's turns, or its travel, come late: a filter, a servo, a delay of one channel"
     about = About(

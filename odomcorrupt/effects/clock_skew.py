@@ -19,6 +19,7 @@ class ClockSkew(Effect):
     """
 
     name = "clock_skew"
+    odd = True
     kind = "setup"
     summary = "the odometry's clock runs fast or slow against the truth's"
     clock = True

@@ -32,6 +32,7 @@ class CountsLost(Effect):
     """
 
     name = "counts_lost"
+    odd = True
     summary = "encoder counts are lost above a speed: fast wheels go farther than is counted"
     about = About(
         equation="f_wheel = part (abs(u) - speed) sign(u) where abs(u) > speed",

@@ -47,6 +47,7 @@ class DeadBand(Effect):
     """
 
     name = "dead_band"
+    odd = True
     layer = "record"
     summary = "wheels do not follow slow commands: the robot moves less than its odometry says"
     about = About(

@@ -126,6 +126,7 @@ class Effect:
     restorable : the odometry itself shows what it did, so that it can be undone although it is random
     reads_truth : f depends on acceleration, pose or distance, which a correction estimates on the way
     reads_places : f depends on position or heading in the world frame, which may differ from the odometry's
+    odd : near their identity f changes sign with its amplitudes, to the bit: one evaluation gives its slope there
     twin_of : name of the effect with the same f: an alias, which no recording can separate from it
     unsteered : name of the effect of a robot with two driven wheels that a steered robot's is at small angles
     """
@@ -143,6 +144,7 @@ class Effect:
     restorable: ClassVar[bool] = False
     reads_truth: ClassVar[bool] = False
     reads_places: ClassVar[bool] = False
+    odd: ClassVar[bool] = False
     twin_of: ClassVar[str | None] = None
     unsteered: ClassVar[str | None] = None
 

@@ -50,6 +50,7 @@ class FlatSpot(Effect):
     """
 
     name = "flat_spot"
+    odd = True
     layer = "record"
     needs_track = True
     summary = "a wheel is flat on one side or out of round: it gains less once a turn"

@@ -15,6 +15,7 @@ class LeverArm(Effect):
     """
 
     name = "lever_arm"
+    odd = True
     kind = "setup"
     summary = "the point that the truth follows is not the origin of the base frame"
     about = About(

@@ -28,6 +28,7 @@ class RegionSlip(Effect):
     """
 
     name = "region_slip"
+    odd = True
     summary = "the wheels slip on one patch of the floor"
     reads_truth = True
     reads_places = True

@@ -13,6 +13,7 @@ class ScaleDrift(Effect):
     """f = rate t (v, vy, omega), t since the first odometry stamp."""
 
     name = "scale_drift"
+    odd = True
     summary = "the scale of distance and turn changes with time"
     about = About(
         equation="f = rate t (v, vy, omega); rate t (v, vy, 0) with a gyro",

@@ -15,6 +15,7 @@ class SideSlip(Effect):
     """
 
     name = "side_slip"
+    odd = True
     summary = "the robot slips outwards in turns, in proportion to speed times yaw rate"
     about = About(
         equation="f_across = -k v omega",

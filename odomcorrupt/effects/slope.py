@@ -24,6 +24,7 @@ class Slope(Effect):
     """
 
     name = "slope"
+    odd = True
     summary = "the robot creeps towards one side of the world as it drives"
     reads_truth = True
     reads_places = True

@@ -18,6 +18,7 @@ class SpeedScale(Effect):
     """
 
     name = "speed_scale"
+    odd = True
     summary = "the wheels' radius changes with their speed"
     about = About(
         equation="f_wheel = k abs(u) u for each wheel's rim speed u; no yaw with a gyro",

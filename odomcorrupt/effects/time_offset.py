@@ -21,6 +21,7 @@ class TimeOffset(Effect):
     """
 
     name = "time_offset"
+    odd = True
     kind = "setup"
     summary = "the odometry's clock is ahead of the truth's by a constant"
     clock = True

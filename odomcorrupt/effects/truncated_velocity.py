@@ -35,6 +35,7 @@ class TruncatedVelocity(Effect):
     """
 
     name = "truncated_velocity"
+    odd = True
     layer = "record"
     summary = "velocities are cut down to whole steps before they are summed up"
     about = About(

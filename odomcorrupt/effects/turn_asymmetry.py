@@ -14,6 +14,7 @@ class TurnAsymmetry(Effect):
     """f = (0, 0, k abs(omega)): the true turn is 1 + k of the odometry's to the left and 1 - k to the right."""
 
     name = "turn_asymmetry"
+    odd = True
     summary = "left turns come out larger than right turns, or the other way round"
     about = About(
         equation="f_yaw = k abs(omega)",

@@ -16,6 +16,7 @@ class WheelScale(Effect):
     """
 
     name = "wheel_scale"
+    odd = True
     summary = "the wheels' true radius differs from the nominal one"
     about = About(
         equation="f = e (v, vy, omega); e (v, vy, 0) with a gyro",

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SMOOTHING_S",
     "TRAIL_S",
+    "LineFits",
     "SpeedMemory",
     "accelerations",
     "corrected_increments",
@@ -50,33 +51,49 @@ _RUNAWAY = 1e6
 """An increment that changes by more metres than this diverges."""
 
 
-def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
-    """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of line fits within +- width_s / 2.
+class LineFits:
+    """Line fits to samples within +- width_s / 2 of some times: all of them that the times alone decide.
 
-    Linear in n at any rate by running sums; stamps may be uneven. Where a window holds fewer than two samples, the
-    nearest ones on both sides are used.
+    Linear in the number of samples at any rate by running sums; stamps may be uneven. Where a window holds fewer than
+    two samples, the nearest ones on both sides are used.
+
+    Parameters
+    ----------
+    t_s : (n,) times of the samples, seconds
+    at_s : (m,) middles of the windows, seconds
+    width_s : width of the windows
+
     """
-    first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
-    last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
-    here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-    first, last = np.minimum(first, here - 1), np.maximum(last, here + 1)
-    count = (last - first).astype(np.float64)
-    centred = t_s - t_s.mean()
-    running = np.zeros(len(t_s) + 1)
 
-    def window_sum(x: Array) -> Array:
-        np.cumsum(x, out=running[1:])
-        summed: Array = running[last] - running[first]
+    def __init__(self, t_s: Array, at_s: Array, width_s: float) -> None:
+        first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
+        last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
+        here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+        self._first, self._last = np.minimum(first, here - 1), np.maximum(last, here + 1)
+        count = (self._last - self._first).astype(np.float64)
+        self._centred = t_s - t_s.mean()
+        self._running = np.zeros(len(t_s) + 1)
+        st, stt = self._window_sum(self._centred), self._window_sum(self._centred**2)
+        self._spread, self._middle = np.maximum(stt - st**2 / count, 1e-12), st / count
+
+    def slopes(self, values: Array) -> Array:
+        """Return the time derivatives (m, c) of values (n, c): the slopes of the lines."""
+        slope = np.empty((len(self._first), values.shape[1]))
+        # channel by channel, for contiguous memory
+        for i, origin in enumerate(values.mean(axis=0)):
+            x = values[:, i] - origin
+            slope[:, i] = (self._window_sum(x * self._centred) - self._window_sum(x) * self._middle) / self._spread
+        return slope
+
+    def _window_sum(self, x: Array) -> Array:
+        np.cumsum(x, out=self._running[1:])
+        summed: Array = self._running[self._last] - self._running[self._first]
         return summed
 
-    st, stt = window_sum(centred), window_sum(centred**2)
-    spread, middle = np.maximum(stt - st**2 / count, 1e-12), st / count
-    slope = np.empty((len(at_s), values.shape[1]))
-    # channel by channel, for contiguous memory
-    for i, origin in enumerate(values.mean(axis=0)):
-        x = values[:, i] - origin
-        slope[:, i] = (window_sum(x * centred) - window_sum(x) * middle) / spread
-    return slope
+
+def slopes(t_s: Array, values: Array, at_s: Array, width_s: float) -> Array:
+    """Return time derivatives (m, c) of values (n, c) at times at_s (m,): slopes of `LineFits`."""
+    return LineFits(t_s, at_s, width_s).slopes(values)
 
 
 @dataclass(frozen=True, slots=True)

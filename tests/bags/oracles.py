@@ -18,7 +18,6 @@ from odomcorrupt.bags.open import open_reader, open_writer
 
 ROOT = Path(__file__).parents[2]
 FIXTURES = ROOT / "fixtures"
-SHARED = ROOT.parent / "shared" / "data"
 OFFICE_MCAP = FIXTURES / "office.mcap"
 OFFICE_BAG = FIXTURES / "office.bag"
 

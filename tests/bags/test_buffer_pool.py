@@ -16,7 +16,7 @@ def test_what_is_given_lies_side_by_side_and_is_not_shared():
     assert other.__array_interface__["data"][0] == one.__array_interface__["data"][0] + 1000
 
 
-def test_a_buffer_is_used_again_when_nobody_looks_at_it():
+def test_a_buffer_is_used_again_when_nobody_holds_it():
     shelf = BufferPool()
     one = shelf.place(SHELF_BYTES)
     where = one.__array_interface__["data"][0]

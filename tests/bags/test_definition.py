@@ -58,7 +58,7 @@ def test_a_retyped_topic_keeps_its_publisher_and_takes_the_bags_own_definition()
             retyped(reader, "office_msgs/msg/Window", "cdr", like)
 
 
-def test_a_type_nobody_knows_stays_without_text():
+def test_a_type_that_is_unknown_stays_without_text():
     nothing = Definition("office_msgs/msg/Window", "", b"", {})
     assert with_common_text(nothing, "office_msgs/msg/Window", "cdr") == nothing
     assert b"geometry_msgs/TransformStamped" in with_common_text(nothing, "tf2_msgs/msg/TFMessage", "cdr").text

@@ -10,7 +10,6 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from oracles import (
     OFFICE_MCAP,
-    SHARED,
     VARIANTS,
     copy,
     copy_through_pipes,
@@ -26,6 +25,7 @@ from odomcorrupt.bags.block import Message
 from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.errors import BagError
+from recordings import RECORDINGS
 
 SHIFT = np.array([10.0, 20.0, 30.0])
 CHUNK, MESSAGE_INDEX, FOOTER, DATA_END = 6, 7, 2, 15
@@ -267,16 +267,17 @@ def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
             assert not list(tmp_path.glob(".*"))
 
 
-@pytest.mark.parametrize("path", sorted(SHARED.rglob("*.mcap")), ids=lambda path: path.name)
+@pytest.mark.recordings
+@pytest.mark.parametrize("path", sorted(RECORDINGS.rglob("*.mcap")), ids=lambda path: path.name)
 def test_recordings_of_others_go_through(path, tmp_path):
     out = copy(path, tmp_path / "out.mcap")
     assert mcap_messages(out) == mcap_messages(path)
     assert mcap_extras(out) == mcap_extras(path)
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
-def test_recordings_of_others_were_looked_at():
-    assert list(SHARED.rglob("*.mcap"))
+@pytest.mark.recordings
+def test_recordings_of_others_were_read():
+    assert list(RECORDINGS.rglob("*.mcap"))
 
 
 def test_a_file_can_be_read_twice_and_a_pipe_once():

@@ -61,7 +61,7 @@ def test_every_byte_of_data_outside_of_chunks_is_covered(bag, piped, tmp_path):
 
 
 @pytest.mark.parametrize("piped", [False, True])
-def test_what_only_the_checksum_of_all_tells_is_told_with_the_way_out(bag, piped, tmp_path):
+def test_what_only_the_checksum_of_all_tells_is_reported_with_the_way_out(bag, piped, tmp_path):
     path = None if piped else tmp_path / "in.mcap"
     harmed = flipped(bag, bag.index(b"floor"))
     with pytest.raises(BagError, match=f"{DATA}: outside of its chunks the bag is damaged; --recover saves"):

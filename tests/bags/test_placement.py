@@ -154,7 +154,7 @@ def test_an_output_inside_of_the_input_is_refused(name, tmp_path):
     assert sorted(source.rglob("*")) == before
 
 
-def test_an_error_of_the_file_system_is_told_and_nothing_is_left(tmp_path, monkeypatch):
+def test_an_error_of_the_file_system_is_reported_and_nothing_is_left(tmp_path, monkeypatch):
     def fail(*_args):
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 

@@ -7,11 +7,12 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, SHARED, copy, mcap_messages, mcap_record_places, ros1_messages
+from oracles import FIXTURES, OFFICE_BAG, OFFICE_MCAP, copy, mcap_messages, mcap_record_places, ros1_messages
 from test_ros1 import packed, records
 
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.errors import BagError
+from recordings import RECORDINGS
 
 SEEN = {".mcap": mcap_messages, ".bag": ros1_messages}
 
@@ -100,9 +101,9 @@ def test_any_damage_leaves_a_readable_bag_of_true_messages(source, tmp_path):
         assert losses or len(saved) == len(everything)
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
+@pytest.mark.recordings
 def test_the_unindexed_recording_is_read(tmp_path):
-    source = SHARED / "bags" / "malformed" / "unindexed.bag"
+    source = RECORDINGS / "bags" / "malformed" / "unindexed.bag"
     losses = recover(source, tmp_path / "out.bag")
     assert len(ros1_messages(tmp_path / "out.bag")) == 608
     assert losses == []

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from oracles import (
     OFFICE_BAG,
-    SHARED,
     copy,
     copy_through_pipes,
     damaged_copies_fail,
@@ -23,10 +22,11 @@ from odomcorrupt.bags.block import Message
 from odomcorrupt.bags.messages import gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.errors import BagError
+from recordings import RECORDINGS
 
 SHIFT = np.array([10.0, 20.0, 30.0])
 CODECS = ["none", "lz4", "bz2"]
-INDEXED = [path for path in sorted(SHARED.rglob("*.bag")) if "malformed" not in path.parts]
+INDEXED = [path for path in sorted(RECORDINGS.rglob("*.bag")) if "malformed" not in path.parts]
 MESSAGE, BAG_HEADER, INDEX, CHUNK = 2, 3, 4, 5
 
 
@@ -300,12 +300,13 @@ def test_real_ros_1_reads_what_is_written(bag, tmp_path):
     assert seen[0].count(b"\n") == 9325
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize("path", INDEXED, ids=lambda path: path.name)
 def test_recordings_of_others_go_through(path, tmp_path):
     assert ros1_messages(copy(path, tmp_path / "out.bag")) == ros1_messages(path)
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
+@pytest.mark.recordings
 def test_the_unindexed_recording_is_refused():
     with pytest.raises(BagError, match=r"not indexed.*--recover"):
-        open_reader(SHARED / "bags" / "malformed" / "unindexed.bag")
+        open_reader(RECORDINGS / "bags" / "malformed" / "unindexed.bag")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from oracles import FIXTURES, OFFICE_MCAP, SHARED, copy, damaged_copies_fail, mcap_extras, mcap_messages
+from oracles import FIXTURES, OFFICE_MCAP, copy, damaged_copies_fail, mcap_extras, mcap_messages
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2LibraryWriter
 from rosbags.typesys import Stores, get_typestore
@@ -18,11 +18,12 @@ from odomcorrupt.bags.messages import READABLE, gather, locate, scatter
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
 from odomcorrupt.errors import BagError
+from recordings import RECORDINGS
 
 OFFICE = FIXTURES / "office_ros2"
 OFFICE_DB = OFFICE / "office_ros2.db3"
 SHIFT = np.array([10.0, 20.0, 30.0])
-DIRECTORIES = [path.parent for path in sorted(SHARED.rglob("metadata.yaml"))]
+DIRECTORIES = [path.parent for path in sorted(RECORDINGS.rglob("metadata.yaml"))]
 
 
 def dump(path):
@@ -156,7 +157,7 @@ def test_patched_numbers_are_what_another_decoder_reads(bag, tmp_path, only_want
     ]
 
 
-def test_what_is_not_asked_of_a_database_is_told_of_but_not_read():
+def test_what_is_not_asked_of_a_database_is_reported_but_not_read():
     with open_reader(OFFICE) as reader:
         wanted = {channel.id for channel in reader.channels.values() if channel.topic == "/odom"}
         every = np.concatenate([block.table for block in reader.blocks()])
@@ -383,6 +384,7 @@ def test_messages_of_ros_1_do_not_become_a_ros_2_bag_as_they_are(tmp_path):
             open_writer(tmp_path / name, reader)
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize("path", DIRECTORIES, ids=lambda path: path.name)
 def test_recordings_of_others_go_through(path, tmp_path):
     out = copy(path, tmp_path / "out")
@@ -393,8 +395,8 @@ def test_recordings_of_others_go_through(path, tmp_path):
     assert len(mcap_messages(mcap)) == info_of(path)["message_count"]
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"no recordings in {SHARED}")
-def test_recordings_of_others_were_looked_at():
+@pytest.mark.recordings
+def test_recordings_of_others_were_read():
     assert all(isinstance(path, Path) for path in DIRECTORIES)
     assert DIRECTORIES
 

@@ -26,7 +26,7 @@ OFFICE_DB = FIXTURES / "office_ros2" / "office_ros2.db3"
         "ALTER TABLE messages RENAME TO mesages",
     ],
 )
-def test_a_name_that_is_damaged_is_told_in_a_line_that_advises_nothing(change, recovering, tmp_path):
+def test_a_name_that_is_damaged_is_reported_in_a_line_that_advises_nothing(change, recovering, tmp_path):
     path = tmp_path / "in.db3"
     shutil.copyfile(OFFICE_DB, path)
     with closing(sqlite3.connect(path)) as connection:
@@ -62,7 +62,7 @@ def test_a_message_without_a_topic_data_or_time_is_lost_alone(change, directory,
 
 
 @pytest.mark.parametrize("recovering", [False, True])
-def test_text_that_is_none_is_told_in_a_line(recovering, tmp_path):
+def test_text_that_is_none_is_reported_in_a_line(recovering, tmp_path):
     path = tmp_path / "in.db3"
     shutil.copyfile(OFFICE_DB, path)
     with closing(sqlite3.connect(path)) as connection, connection:
@@ -137,7 +137,7 @@ def test_ids_of_topics_that_no_recorder_gives_are_refused(number, recovering, tm
         open_reader(tmp_path / "in.db3", recover=recovering)
 
 
-def test_metadata_that_is_none_is_told_in_a_line(tmp_path):
+def test_metadata_that_is_none_is_reported_in_a_line(tmp_path):
     shutil.copytree(OFFICE_DB.parent, tmp_path / "in")
     metadata = tmp_path / "in" / "metadata.yaml"
     text = metadata.read_text()

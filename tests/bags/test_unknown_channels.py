@@ -36,7 +36,7 @@ class Broken(io.RawIOBase):
     readinto = read
 
 
-def test_a_pipe_that_fails_is_told_of():
+def test_a_pipe_that_fails_is_reported():
     with pytest.raises(BagError, match="stdin: cannot be kept while it is read: Input/output error; name a file"):
         Source(Broken(), "stdin").spooled()
     with pytest.raises(BagError, match="stdin: cannot be read: Input/output error"):

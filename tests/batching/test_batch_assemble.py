@@ -38,7 +38,7 @@ def test_an_overlay_in_its_bag_is_the_whole_bag(runs, capsys):
     assert "in the place of those of in.mcap" in capsys.readouterr().err
 
 
-def test_an_input_that_is_gone_or_another_is_told(runs, capsys):
+def test_an_input_that_is_gone_or_another_is_reported(runs, capsys):
     shutil.move("in.mcap", "moved.mcap")
     assert "the batch's input is not there; name it with --input" in refused(capsys, runs, "out.mcap")
     shutil.copy("whole.mcap", "in.mcap")

@@ -127,7 +127,7 @@ def test_one_option_of_a_correction_without_the_other_is_refused(here, capsys):
 
 
 @pytest.mark.parametrize("output", ["full", "overlay"])
-def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_told(output, here, capsys):
+def test_damaged_bag_is_recovered_for_every_run_and_what_is_lost_is_reported(output, here, capsys):
     whole = (FIXTURES / "office.mcap").read_bytes()
     (here / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     words = ["batch", "cut.mcap", "runs", "--runs", "2", *NOISE, "--output", output]

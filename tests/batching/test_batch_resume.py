@@ -171,7 +171,7 @@ def test_a_directory_of_other_things_is_refused(here, capsys):
     assert [path.name for path in (here / "runs").iterdir()] == ["precious"]
 
 
-def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_told(here, monkeypatch, capsys):
+def test_a_run_that_fails_once_is_made_the_second_time_and_one_that_fails_always_is_reported(here, monkeypatch, capsys):
     failed = {2: 1, 3: 99}
     begin = making._begin
 
@@ -283,7 +283,7 @@ def test_lines_of_the_manifest_that_are_none_are_passed_over(here, capsys):
 
 @pytest.mark.parametrize("text", ["[]", "5", "{}", "[" * 100_000, '{"seed": "x"}', "\xff", '{"seed": -1}', "null", ""])
 @pytest.mark.parametrize("seed", [True, False])
-def test_a_beginning_that_is_none_is_told_in_a_line(text, seed, here, capsys):
+def test_a_beginning_that_is_none_is_reported_in_a_line(text, seed, here, capsys):
     assert batch(1) == 0
     (here / "runs" / "batch.json").write_text(text, encoding="latin1")
     capsys.readouterr()
@@ -294,7 +294,7 @@ def test_a_beginning_that_is_none_is_told_in_a_line(text, seed, here, capsys):
         assert said.count("\n") == 1
 
 
-def test_parts_that_is_no_directory_is_told_in_a_line(here, capsys):
+def test_parts_that_is_no_directory_is_reported_in_a_line(here, capsys):
     assert batch(1) == 0
     shutil.rmtree(here / "runs" / ".parts")
     (here / "runs" / ".parts").touch()

@@ -60,7 +60,7 @@ def test_a_preset_that_is_none_is_wrong_usage_of_this_command(capsys):
         (["presest"], "did you mean presets?"),
     ],
 )
-def test_one_word_alone_is_told_what_it_is_not(words, sentence, capsys):
+def test_one_word_alone_is_reported_what_it_is_not(words, sentence, capsys):
     assert run(words) == 2
     assert sentence in capsys.readouterr().err
 

@@ -148,7 +148,7 @@ def test_an_effect_that_draws_is_the_same_however_the_path_is_cut():
     assert not np.array_equal(NoisyPath(twin, 4).feed(t, poses).error_xyt, whole.error_xyt)
 
 
-def test_acceleration_looks_back_and_does_not_depend_on_cuts():
+def test_acceleration_uses_the_past_and_does_not_depend_on_cuts():
     seen = []
 
     @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ def test_a_container_option_is_heeded(bag, tmp_path):
     assert piped.stdout == (tmp_path / "out.mcap").read_bytes()
 
 
-def test_what_stands_in_the_log_of_a_database_is_not_left_behind(tmp_path):
+def test_what_is_in_the_log_of_a_database_is_not_left_behind(tmp_path):
     source = tmp_path / "in.db3"
     shutil.copy(FIXTURES / "office_ros2/office_ros2.db3", source)
     with closing(sqlite3.connect(source)) as writer:

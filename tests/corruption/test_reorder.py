@@ -111,7 +111,7 @@ def test_a_gap_in_the_stamps_that_stays_is_a_gap(cuts):
 
 
 @pytest.mark.parametrize("cuts", [[], [21], [20, 21]])
-def test_a_leap_that_nothing_follows_for_a_second_is_believed(cuts):
+def test_a_leap_that_nothing_follows_for_a_second_is_accepted(cuts):
     t = np.concatenate((np.arange(21) / 10, np.arange(35, 50) / 10))
     stamps = t.copy()
     stamps[20] += 50.0

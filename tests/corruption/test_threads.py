@@ -90,7 +90,7 @@ def test_the_bytes_of_a_long_bag_are_the_same_from_a_pipe_too(long, compression,
 
 
 @pytest.mark.parametrize("place", [0.3, 0.9])
-def test_damage_is_told_in_the_same_words_and_nothing_stays(long, place, tmp_path):
+def test_damage_is_reported_in_the_same_words_and_nothing_stays(long, place, tmp_path):
     data = bytearray(long.read_bytes())
     at = int(len(data) * place)
     data[at : at + 100] = bytes(100)

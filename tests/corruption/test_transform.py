@@ -376,7 +376,7 @@ def test_what_cannot_drive_the_model_is_said_with_the_way_out(channels, options,
         run([], channels=channels, **options)
 
 
-def test_a_pipe_needs_to_be_told_the_topic_and_says_so():
+def test_a_pipe_needs_to_be_given_the_topic_and_says_so():
     with pytest.raises(TopicError, match=r"on a pipe.*--odom-topic"):
         run(robot(*DRIVE), complete=False)
     with pytest.raises(TopicError, match="no topic /elsewhere"):

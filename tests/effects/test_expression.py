@@ -136,7 +136,7 @@ def test_statements_add_up():
         ("yaw += where(v > w, k * v, 1)", {"k"}, False),
     ],
 )
-def test_parameters_that_a_linear_fit_may_move_are_told_from_shapes(text, linear, vanishes):
+def test_parameters_that_a_linear_fit_may_move_are_distinguished_from_shapes(text, linear, vanishes):
     names = tuple(n for n in ("k", "w") if n in text.replace("where", ""))
     parsed = parse_expression(text, names)
     assert parsed.linear == linear
@@ -187,7 +187,7 @@ def test_names_and_values_are_checked(name, text, values, complaint):
         user_effect(name, text, values)
 
 
-def test_what_is_not_finite_is_told_with_its_place():
+def test_what_is_not_finite_is_reported_with_its_place():
     with pytest.raises(EffectError, match=r"not a finite number where v = 0, omega = 1.*where\(\)"):
         error_of(user_effect("mine", "yaw += k * omega / v", {"k": 0.1}), motion(0.0, 1.0))
 

@@ -39,7 +39,7 @@ def test_another_packages_effect_is_found(plugged):
         ("odomcorrupt.effects.wheelbase:Wheelbase", "taken"),
     ],
 )
-def test_a_broken_one_is_told_and_stops_nothing(plugged, value, complaint):
+def test_a_broken_one_is_reported_and_stops_nothing(plugged, value, complaint):
     before = set(registry())
     with pytest.warns(UserWarning, match=complaint):
         found = plugged(("bad", value))

@@ -124,7 +124,7 @@ def test_effects_of_single_wheels_ask_for_the_track(name):
         error(name, {"travel": 0.004}, motion(**STRAIGHT))
 
 
-def test_a_slope_is_told_as_a_creep_towards_where_it_goes():
+def test_a_slope_is_reported_as_a_creep_towards_where_it_goes():
     drive = motion(**CIRCLE)
     for creep, direction in ((-0.015, 0.5), (0.01, 4.0)):
         told = (slope := Slope(creep=creep, direction=direction)).plain()

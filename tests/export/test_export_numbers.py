@@ -148,7 +148,7 @@ def test_amcls_own_law_at_its_own_step_comes_back():
     assert values == pytest.approx((0.2, 0.1, 0.3, 0.15, 0.05))
 
 
-def test_what_depends_on_the_rate_is_told_by_the_alphas():
+def test_what_depends_on_the_rate_is_reported_by_the_alphas():
     assert amcl_alphas(NOISES["linear per message"], 0.25, 0.2, drive=DRIVE).depends_on == DRIVE
     assert amcl_alphas(NOISES["with white twists"], 0.25, 0.2, drive=DRIVE).depends_on == DRIVE
     slow, fast = (amcl_alphas(DIFFUSION, 0.25, 0.2, drive=Steady(v, v, h)) for v, h in ((0.1, 10.0), (1.0, 100.0)))

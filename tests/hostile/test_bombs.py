@@ -109,7 +109,7 @@ def test_what_unpacks_to_more_than_its_budget_is_a_line(name, recover, tmp_path,
     assert "\n" not in str(caught.value)
 
 
-def test_the_allowance_can_be_lifted_and_a_wrong_one_is_told(tmp_path, monkeypatch):
+def test_the_allowance_can_be_lifted_and_a_wrong_one_is_reported(tmp_path, monkeypatch):
     path = tmp_path / "in.mcap"
     path.write_bytes(mcap_of([message(3 * MB)] * 3))
     monkeypatch.setenv(VARIABLE, "1MB")

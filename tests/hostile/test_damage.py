@@ -193,7 +193,7 @@ def test_a_quaternion_of_another_length_turns_by_as_much(bags, tmp_path):
     np.testing.assert_allclose(unit, one[:, 3:], atol=1e-12)
 
 
-def test_a_wrong_definition_is_carried_and_a_wrong_type_is_told(bags, tmp_path):
+def test_a_wrong_definition_is_carried_and_a_wrong_type_is_reported(bags, tmp_path):
     data = bags["mcap none"].path.read_bytes()
     garbled = data.replace(b"float64[36] covariance", b"float64[99] covariance")
     assert garbled != data
@@ -371,6 +371,6 @@ def test_recovery_tells_what_it_lost_and_exits_with_3(kind, place, bags, tmp_pat
 
 
 @pytest.mark.parametrize("data", [b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0", b"", b"nothing"])
-def test_what_cannot_be_recovered_is_not_told_to_recover(data, tmp_path):
+def test_what_cannot_be_recovered_is_not_advised_to_recover(data, tmp_path):
     source, target = laid(tmp_path, data)
     assert "--recover" not in refused(source, target, "--recover")

@@ -26,7 +26,7 @@ def test_every_kind_is_tried(fuzz):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damage_is_refused_in_a_line_or_changes_nothing_that_is_not_told(fuzz, kind):
+def test_damage_is_refused_in_a_line_or_changes_nothing_that_is_not_reported(fuzz, kind):
     begun = time.monotonic()
     number = 0
     while number < CASES and (number < CASES // 5 or time.monotonic() - begun < SECONDS):

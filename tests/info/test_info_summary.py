@@ -31,7 +31,7 @@ def alone(t, poses, **options):
     return [(ODOM, int(s), odometry(s, p, w, **options)) for s, p, w in zip(t, poses, twists(t, poses), strict=True)]
 
 
-def test_a_sound_bag_has_its_topics_edges_and_drive_told_and_no_oddities():
+def test_a_sound_bag_has_its_topics_edges_and_drive_reported_and_no_oddities():
     values = look(robot(*DRIVE))
     assert (values["odometry_source"], values["odom_frame"], values["base_frame"]) == ("/odom", "odom", "base_link")
     assert {t["topic"]: t["messages"] for t in values["topics"]} == {"/imu": 401, "/odom": 401, "/tf": 401}
@@ -73,7 +73,7 @@ def test_twists_in_the_odom_frame_zero_twists_and_wrong_ones_are_noticed():
     ("broken", "said"),
     [(1e300, "do not fit"), (-1e300, "do not fit"), (np.inf, "1 twists are not"), (np.nan, "1 twists are not")],
 )
-def test_a_damaged_twist_is_told_of_and_overflows_nothing(broken, said):
+def test_a_damaged_twist_is_reported_and_overflows_nothing(broken, said):
     t, poses = DRIVE
     made = twists(t, poses)
     made[100] = broken

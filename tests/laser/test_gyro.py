@@ -55,7 +55,7 @@ def test_the_upward_axis_bias_and_lag_are_found_without_tf(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["encoders", "gyro"])
-def test_wheels_or_gyro_as_the_source_of_the_heading_is_told_by_what_they_say_at_rest(tmp_path, source):
+def test_wheels_or_gyro_as_the_source_of_the_heading_is_reported_by_what_they_say_at_rest(tmp_path, source):
     simulated = drive(yaw_from="encoders")
     stamps, rates = gyro_of(simulated)
     odometry = simulated.odom_xyt.copy()

@@ -1,19 +1,19 @@
 """The laser as the truth: real bags, where they are there, against what others measured on them."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.study.io import Source, read_runs
+from recordings import RECORDINGS
 
-LASER = Path(__file__).parents[3] / "shared" / "data" / "laser"
-needs_bags = pytest.mark.skipif(not LASER.is_dir(), reason="recordings of others are not beside this checkout")
+LASER = RECORDINGS / "laser"
+
+pytestmark = pytest.mark.recordings
 
 
-@needs_bags
 @pytest.mark.slow
 def test_a_bag_without_truth_is_learned_from_its_only_laser_and_says_so():
     (run,) = read_runs(Source(LASER / "cmu_wean_1.mcap"))
@@ -23,7 +23,6 @@ def test_a_bag_without_truth_is_learned_from_its_only_laser_and_says_so():
     assert np.linalg.eigvalsh(run.truth.covariance).min() > 0.0
 
 
-@needs_bags
 @pytest.mark.slow
 def test_the_map_of_a_real_rover_is_thinner_than_its_odometry_draws_it(tmp_path, capsys):
     out = tmp_path / "map.yaml"

@@ -1,7 +1,5 @@
 """Relative motions as the truth: those of a simulated sensor, and the Khepera's beside Censi et al.'s own figures."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from test_gyro import drive
@@ -16,8 +14,9 @@ from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.relative_motions import read_motions
+from recordings import RECORDINGS
 
-KHEPERA = Path(__file__).parents[3] / "shared" / "data" / "laser" / "khepera_l90_tuples.csv"
+KHEPERA = RECORDINGS / "laser" / "khepera_l90_tuples.csv"
 
 
 def written(path, header, *columns):
@@ -85,7 +84,7 @@ def test_motions_that_do_not_join_are_refused_and_loop_closures_left_out(tmp_pat
     assert any("loop closures" in note for note in recording.notes)
 
 
-@pytest.mark.skipif(not KHEPERA.is_file(), reason="recordings of others are not beside this checkout")
+@pytest.mark.recordings
 @pytest.mark.slow
 def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     """IEEE T-RO 29(2), 2013: diameters 41.18 and 41.44 mm, axle 88.0 mm, sensor at -89.3 deg (their own output)."""

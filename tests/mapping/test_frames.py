@@ -28,6 +28,6 @@ def test_laser_hung_upside_down_mirrors():
     np.testing.assert_allclose(mount.plane @ [np.cos(0.3), np.sin(0.3)], [np.cos(0.3), -np.sin(0.3)], atol=1e-12)
 
 
-def test_missing_link_and_loop_are_told():
+def test_missing_link_and_loop_are_reported():
     with pytest.raises(TopicError, match="--laser-pose"):
         tree(("a", "b", (0, 0, 0), (0, 0, 0, 1)), ("b", "a", (0, 0, 0), (0, 0, 0, 1))).mount("base", "a", "bag")

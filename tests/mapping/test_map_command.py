@@ -15,22 +15,19 @@ from odomcorrupt.model.motion_model import MotionModel
 from odomcorrupt.model.presets import preset_named
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.trajectories.reader import read_drive, read_poses
+from recordings import RECORDINGS
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
-GAZEBO = SHARED / "real" / "rob521_gazebo.mcap"
-OLIN = SHARED / "bags" / "olin_tb4" / "macfirst_floor_take_2"
+GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"
+OLIN = RECORDINGS / "bags" / "olin_tb4" / "macfirst_floor_take_2"
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
-needs_gazebo = pytest.mark.skipif(not GAZEBO.exists(), reason="shared data absent: no rob521_gazebo.mcap")
-needs_olin = pytest.mark.skipif(not OLIN.exists(), reason="shared data absent: no olin_tb4")
 
-
-@needs_gazebo
+@pytest.mark.recordings
 def test_rays_placed_by_the_truth_end_in_the_walls_of_the_real_map():
     truth = read_poses(GAZEBO, "/ground_truth")
     rays = slow_rays(read_rays(GAZEBO, "/scan", "base_link", None), read_drive(GAZEBO, None), 0.1).rays
     ends = place(rays, truth).to_xy[::50]
-    real = read_map(SHARED / "bags" / "maps" / "rob521_gazebo.yaml")
+    real = read_map(RECORDINGS / "bags" / "maps" / "rob521_gazebo.yaml")
     near = np.zeros(len(ends), dtype=bool)
     for dx in (-0.05, 0.0, 0.05):
         for dy in (-0.05, 0.0, 0.05):
@@ -38,7 +35,7 @@ def test_rays_placed_by_the_truth_end_in_the_walls_of_the_real_map():
     assert near.mean() > 0.98
 
 
-@needs_gazebo
+@pytest.mark.recordings
 def test_walls_thicken_with_distance_through_noisy_odometry_and_stay_crisp_through_the_truth():
     drive, truth = read_drive(GAZEBO, None), read_poses(GAZEBO, "/ground_truth")
     slow = slow_rays(read_rays(GAZEBO, "/scan", "base_link", None), drive, 0.1)
@@ -65,7 +62,7 @@ def test_walls_thicken_with_distance_through_noisy_odometry_and_stay_crisp_throu
 
 
 @pytest.mark.slow
-@needs_olin
+@pytest.mark.recordings
 def test_turtlebot_recorded_as_sqlite_is_mapped(tmp_path):
     out = tmp_path / "olin.png"
     assert run(["map", str(OLIN), "-o", str(out), "--seed", "1", "--resolution", "0.1"]) == 0
@@ -97,7 +94,7 @@ def test_laser_pose_replaces_tf():
         (["--truth", "/imu"], "Imu"),
     ],
 )
-def test_what_cannot_be_mapped_is_told_in_one_line(arguments, word, capsys):
+def test_what_cannot_be_mapped_is_reported_in_one_line(arguments, word, capsys):
     assert run(["map", str(OFFICE), "--seed", "1", *arguments]) == 1
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

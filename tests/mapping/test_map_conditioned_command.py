@@ -13,13 +13,11 @@ from odomcorrupt.mapping import map_condition
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom, read_recorded_map
 from odomcorrupt.mapping.mapfile import FREE, OCCUPIED, UNKNOWN, read_map
+from recordings import RECORDINGS
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
-GAZEBO, MAPS = SHARED / "real" / "rob521_gazebo.mcap", SHARED / "bags" / "maps"
-OLIN = SHARED / "bags" / "olin_tb4"
-TURTLEBOT = SHARED / "bags" / "evo" / "nav2_turtlebot.mcap"
-
-needs_shared = pytest.mark.skipif(not MAPS.exists(), reason="shared data absent: no maps")
+GAZEBO, MAPS = RECORDINGS / "real" / "rob521_gazebo.mcap", RECORDINGS / "bags" / "maps"
+OLIN = RECORDINGS / "bags" / "olin_tb4"
+TURTLEBOT = RECORDINGS / "bags" / "evo" / "nav2_turtlebot.mcap"
 
 
 def ends(path):
@@ -28,7 +26,7 @@ def ends(path):
 
 
 @pytest.mark.slow
-@needs_shared
+@pytest.mark.recordings
 @pytest.mark.parametrize(
     ("bag", "yaml", "pose"),
     [
@@ -39,8 +37,6 @@ def ends(path):
     ],
 )
 def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, yaml, pose, tmp_path, capsys):
-    if not (bag.exists() and yaml.exists()):
-        pytest.skip(f"shared data absent: no {bag.name} with its map")
     arguments = ["sample", str(bag), "-n", "40", "--every", "0.5", "--seed", "3", "--alpha", *["0.1"] * 4, "-o"]
     where = [] if pose is None else ["--map-pose", pose]
     with_map = ["--map", str(yaml), *where, "--robot-radius", "0.1", "--unknown", "free"]
@@ -53,7 +49,7 @@ def test_no_pose_is_in_a_wall_with_the_map_and_some_are_without(bag, yaml, pose,
     assert not walls.free(ends(tmp_path / "without.csv")).all()
 
 
-@needs_shared
+@pytest.mark.recordings
 def test_lecture_star_is_not_reached_by_a_path(tmp_path):
     arguments = ["sample", "--start", "4,1,20deg", "--end", "6,1.3,0", "--alpha", "0.3", "0.4", "0.2", "0.1"]
     arguments += ["--map", str(MAPS / "rob521_gazebo.yaml"), "--unknown", "free", "--seed", "2", "-o"]
@@ -75,7 +71,7 @@ def test_lecture_star_is_not_reached_by_a_path(tmp_path):
         (["--map", "gone.yaml"], 1, "gone.yaml"),
     ],
 )
-def test_map_that_is_not_there_is_told_in_one_line(arguments, code, word, capsys):
+def test_map_that_is_not_there_is_reported_in_one_line(arguments, code, word, capsys):
     assert run(["sample", "--seed", "1", *arguments]) == code
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

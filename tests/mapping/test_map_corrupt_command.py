@@ -15,25 +15,23 @@ from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom
 from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, format_map, read_map
 from odomcorrupt.trajectories.reader import read_drive
+from recordings import RECORDINGS
 
-SHARED = Path(__file__).parents[3] / "shared" / "data"
-MAPS, OLIN = SHARED / "bags" / "maps", SHARED / "bags" / "olin_tb4"
+MAPS, OLIN = RECORDINGS / "bags" / "maps", RECORDINGS / "bags" / "olin_tb4"
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 OFFICE = FIXTURES / "office.mcap"
 ALPHA = ["--alpha", "0.1", "0.1", "0.1", "0.1"]
 
 
 @pytest.mark.slow
+@pytest.mark.recordings
 def test_no_pose_is_written_into_a_wall_and_without_the_map_some_are(tmp_path, capsys):
     cases = (
-        (SHARED / "real" / "rob521_gazebo.mcap", MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
-        (SHARED / "bags" / "evo" / "nav2_turtlebot.mcap", MAPS / "depot.yaml", None, 7),
+        (RECORDINGS / "real" / "rob521_gazebo.mcap", MAPS / "rob521_gazebo.yaml", "0,0,0", 3),
+        (RECORDINGS / "bags" / "evo" / "nav2_turtlebot.mcap", MAPS / "depot.yaml", None, 7),
         (OLIN / "macfirst_floor_take_2", OLIN / "maps" / "mac_1st_floor_final.yaml", "-0.25,0.12,4deg", 7),
     )
-    there = [case for case in cases if case[0].exists() and case[1].exists()]
-    if not there:
-        pytest.skip("shared data absent: no bags with maps")
-    for bag, yaml, pose, seed in there:
+    for bag, yaml, pose, seed in cases:
         where = [] if pose is None else ["--map-pose", pose]
         arguments = [str(bag), *ALPHA, "--seed", str(seed)]
         found = read_map_from_odom(bag, "map", "odom") if pose is None else np.array(POSE.convert(pose, None, None))

@@ -45,7 +45,7 @@ def bag(path, *topics):
         ([("/map", GRID, [])], "/map", r"\(found none\)"),
     ],
 )
-def test_laser_that_is_not_there_is_told_with_those_that_are(tmp_path, topics, asked, words):
+def test_laser_that_is_not_there_is_reported_with_those_that_are(tmp_path, topics, asked, words):
     with pytest.raises(TopicError, match=words):
         read_rays(bag(tmp_path / "b.mcap", *topics), asked, "base_link", MOUNT)
 
@@ -99,7 +99,7 @@ def test_grid_of_any_plain_cdr_is_read(kind, order, align):
     np.testing.assert_array_equal(read.origin_xyt, [1.0, -2.0, 0.0])
 
 
-def test_grid_that_makes_no_sense_and_cdr_that_is_not_plain_are_told():
+def test_grid_that_makes_no_sense_and_cdr_that_is_not_plain_are_reported():
     whole = grid(np.zeros((2, 2)))
     at = whole.index(struct.pack("<f", 0.05))
     for wrong in (0.0, -1.0, float("nan")):
@@ -121,7 +121,7 @@ def test_recorded_map_is_read_with_map_servers_thresholds(tmp_path):
     assert found.frame_id == "map"
 
 
-def test_map_that_is_not_in_the_bag_is_told_with_those_that_are(tmp_path):
+def test_map_that_is_not_in_the_bag_is_reported_with_those_that_are(tmp_path):
     path = bag(tmp_path / "b.mcap", ("/map", GRID, []), ("/scan", SCAN, [scan([1.0])]))
     with pytest.raises(TopicError, match=r"no nav_msgs/OccupancyGrid on /costmap \(found /map\)"):
         read_recorded_map(path, "/costmap")
@@ -151,7 +151,7 @@ def test_map_of_fewer_greys_and_a_list_below_its_key(tmp_path):
 
 
 @pytest.mark.parametrize("name", [".", "a" * 5000, "../m.pgm"])
-def test_image_that_is_no_file_beside_its_map_is_told(tmp_path, name):
+def test_image_that_is_no_file_beside_its_map_is_reported(tmp_path, name):
     yaml = f"image: {name}\nresolution: 0.5\norigin: [0, 0, 0]\n"
     with pytest.raises(MapError):
         read_map(map_file(tmp_path, yaml, b"P5 1 1 255\n\0"))

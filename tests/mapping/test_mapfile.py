@@ -66,7 +66,7 @@ def test_modes_mean_what_map_server_means(tmp_path, extra, states):
         (YAML, b"P5 0 2 255\n" + bytes(8), "damaged"),
     ],
 )
-def test_map_that_makes_no_sense_is_told_in_one_sentence(tmp_path, yaml, pgm, word):
+def test_map_that_makes_no_sense_is_reported_in_one_sentence(tmp_path, yaml, pgm, word):
     with pytest.raises(MapError, match=word):
         read_map(written(tmp_path, yaml, pgm))
 

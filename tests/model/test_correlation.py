@@ -97,7 +97,7 @@ def test_file_keeps_it_in_the_order_of_its_parameters():
         ("[fit.correlation]", "[[fit.correlation]]", "it must be a table"),
     ],
 )
-def test_what_makes_no_sense_is_told_in_one_line(old, new, word):
+def test_what_makes_no_sense_is_reported_in_one_line(old, new, word):
     assert old in FILE
     with pytest.raises(ModelError) as caught:
         parse_model(FILE.replace(old, new))

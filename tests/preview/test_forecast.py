@@ -103,7 +103,7 @@ def test_a_robot_that_strafes_is_warned_of_a_law_that_does_not_know_it():
     assert not forecast_json(outlook_of(model("omni"), drive=aside), model("omni"), 1)["warnings"]
 
 
-def test_effects_are_told_as_the_constant_part():
+def test_effects_are_reported_as_the_constant_part():
     chosen = silent([effect_from_values("wheel_scale", {"e": 0.01})])
     outlook = outlook_of(chosen)
     assert outlook.rows[-1].position_mean_m == pytest.approx(outlook.rows[-1].position_rms_m)
@@ -154,7 +154,7 @@ def test_the_command_takes_the_options_of_corruption_and_shows_the_run_asked_for
 
 
 @pytest.mark.parametrize("command", ["info", "preview"])
-def test_damaged_bags_are_looked_at_on_request_and_what_is_lost_is_said(capsys, tmp_path, command):
+def test_damaged_bags_are_read_on_request_and_what_is_lost_is_said(capsys, tmp_path, command):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((FIXTURES / "office.mcap").read_bytes()[:200_000])
     assert run([command, str(cut)]) == 1

@@ -63,7 +63,7 @@ def test_the_cause_is_found_with_its_numbers(told, case):
     assert found["candidates"][0]["effect"] == "unequal_wheels"
 
 
-def test_what_is_open_is_told_with_a_drive(told):
+def test_what_is_open_is_reported_with_a_drive(told):
     found, files = told
     for one in found["not_testable"]:
         assert one["why"]

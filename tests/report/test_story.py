@@ -237,7 +237,7 @@ def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):
     assert rejection(replace(first, horizons=right)).endswith("the size of its errors is as predicted")
 
 
-def test_a_believed_law_is_told_with_the_numbers_of_the_model(searched):
+def test_an_included_law_is_reported_with_the_numbers_of_the_model(searched):
     found = replace(UNKNOWNS[0], best=found_as(BasisFunction("acceleration", "k * a", (lambda m: m.a,)), "yaw"))
     effect = user_effect("yaw_over_acceleration", "yaw += v * (k * a)", {"k": 0.0123})
     fit = SimpleNamespace(effects=(effect,), standard_errors=np.array([0.001]))
@@ -291,7 +291,7 @@ def test_candidates_that_were_refused_are_drawn_with_their_reason(rich):
     assert b"it says nothing" in rendered(draw_candidates(replace(rich, rounds=(look,))), "svg")
 
 
-def test_the_fall_of_the_error_is_told_for_ladders_alone(sequence):
+def test_the_fall_of_the_error_is_reported_for_ladders_alone(sequence):
     text = shares_text(sequence.judgements)
     assert text.startswith("held-out position error (RMS):\n  + unequal_wheels")
     assert "10 s: " in text
@@ -325,7 +325,7 @@ def fitted(searched, case):
     return fit_robot([case.recording], searched.fit.effects, law_name="quadratic", clocks=searched.clocks)
 
 
-def test_a_fit_is_told_with_its_coefficients_as_the_law_has_them(fitted):
+def test_a_fit_is_reported_with_its_coefficients_as_the_law_has_them(fitted):
     text = fit_text(fitted)
     assert text.startswith("law quadratic, coefficients with 95 % intervals:")
     assert "as the law has it" in text
@@ -362,7 +362,7 @@ def test_diagnose_says_in_the_terminal_what_to_type_next(found, rich, case, tmp_
     assert "--overwrite" in capsys.readouterr().err
 
 
-def test_where_a_law_is_believed_learn_comes_next_because_it_alone_writes_laws(found, case, capsys):
+def test_where_a_law_is_included_learn_comes_next_because_it_alone_writes_laws(found, case, capsys):
     assert run(["diagnose", "-v", str(case.bag), "--track", str(case.recording.track_m)]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith(f"next: odomcorrupt learn {case.bag} ")

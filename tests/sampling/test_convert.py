@@ -61,7 +61,7 @@ def test_there_and_back_is_where_it_began(law):
     assert drift_of(other).rot_rot == pytest.approx(drift_of(QUADRATIC).rot_rot)
 
 
-def test_what_has_no_place_in_the_other_law_is_told():
+def test_what_has_no_place_in_the_other_law_is_reported():
     sideways = Noise("diffusion", Coefficients(0.1, 0.1, 0.1, 0.1, across_trans=0.02))
     with pytest.raises(ModelError, match="across_trans"):
         convert(sideways, law_named("quadratic"), STEP)
@@ -78,7 +78,7 @@ def test_what_has_no_place_in_the_other_law_is_told():
         (["1", "1", "1", "1", "--from", "cubic", "--to", "linear"], "cubic"),
     ],
 )
-def test_wrong_usage_is_told_in_one_line(arguments, word, capsys):
+def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):
     assert run(["convert-alpha", *arguments]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

@@ -12,7 +12,7 @@ from odomcorrupt.sampling.convert import convert, drift_of
 PAGE = (Path(__file__).parents[2] / "docs" / "laws.md").read_text()
 
 
-def test_every_law_stands_in_the_table():
+def test_every_law_is_in_the_table():
     table = [line for line in PAGE.splitlines() if line.startswith("| `")]
     named = {re.match(r"\| `([\w-]+)`", line)[1] for line in table}
     assert set(LAWS) <= named

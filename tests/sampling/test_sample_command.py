@@ -51,7 +51,7 @@ def test_article_code_says_what_it_means(capsys):
         (["--law", "article-code", "--preset", "typical"], "--alpha"),
     ],
 )
-def test_wrong_usage_is_told_in_one_line(arguments, word, capsys):
+def test_wrong_usage_is_reported_in_one_line(arguments, word, capsys):
     assert run(["sample", *arguments]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1

@@ -99,7 +99,7 @@ def with_jump(size_m, from_s, to_s):
     return path_errors(trajectory(own), trajectory(truth_path()), align="none")
 
 
-def test_a_loss_is_told_when_it_begins_and_only_where_it_lasts():
+def test_a_loss_is_reported_when_it_begins_and_only_where_it_lasts():
     limits = Limits(lost_m=1.0, lost_s=10.0)
     assert with_jump(1.5, 30.0, 38.0).failure(limits) is None
     lost = with_jump(1.5, 30.0, 45.0).failure(limits)

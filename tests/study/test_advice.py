@@ -105,7 +105,7 @@ def test_commands_come_back_from_the_bag_as_they_were_planned(tmp_path):
         (0.0, 0.5, ["hardly drove"], ["never turned on the spot"]),
     ],
 )
-def test_what_a_drive_never_did_is_told(v, omega, there, not_there):
+def test_what_a_drive_never_did_is_reported(v, omega, there, not_there):
     said = [why for why, _ in lacks_of(excitation([ideal_motion(steady(v, omega))]))]
     assert set(there) <= set(said)
     assert not set(not_there) & set(said)

@@ -89,7 +89,7 @@ def test_spins_do_not_settle_what_only_a_heading_from_the_wheels_would_show():
         assert plan.manoeuvre.name != "spins"
 
 
-def test_a_clock_that_was_not_put_to_the_test_is_told():
+def test_a_clock_that_was_not_put_to_the_test_is_reported():
     route = steadily(0.5, 0.0, 120.0)
     run = as_recording(simulate(3, None, route=route, duration_s=route.duration_s))
     steady = advise(learn([on_the_way(run)]))

@@ -45,7 +45,7 @@ def gain_of(run):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_turns_that_answer_to_the_noise_look_like_a_gain_and_are_told_from_one(seed):
+def test_turns_that_answer_to_the_noise_look_like_a_gain_and_are_distinguished_from_one(seed):
     fitted, columns, score = gain_of(kept_on_a_line(seed))
     assert score.p < 1e-6
     assert score.estimate[0] == pytest.approx(-1.0, abs=0.2)

@@ -65,7 +65,7 @@ def test_nees_rejects_the_true_model_in_2_to_8_percent_of_clean_runs():
 
 
 @pytest.mark.slow
-def test_at_every_length_of_path_and_in_every_look_a_right_model_keeps_its_level():
+def test_at_every_length_of_path_and_in_every_check_a_right_model_keeps_its_level():
     looks, rejected, told = {}, [], []
     for seed in range(120):
         piece = judged(seed, 300.0)
@@ -158,7 +158,7 @@ def test_ljung_box_is_the_textbook_sum_and_knows_no_pairs_across_breaks():
     assert ljung_box([walk]).p < 1e-6
 
 
-def test_a_verdict_is_one_level_for_all_looks_together():
+def test_a_verdict_is_one_level_for_all_checks_together():
     looks = tuple(Check(f"look {i}", p) for i, p in enumerate((0.006, 0.2, 0.3, 0.9, 0.01)))
     verdict = Verdict(0.05, looks)
     assert verdict.threshold == pytest.approx(0.01)

@@ -32,7 +32,7 @@ def found_in(piece) -> list[Failure]:
     return failures(piece.problem, piece.whitener, piece.innovations)
 
 
-def test_an_error_of_left_turns_is_told_as_one_with_size_and_sense():
+def test_an_error_of_left_turns_is_reported_as_one_with_size_and_sense():
     rate = 0.04
 
     def too_far_left(steps, _truth):
@@ -61,7 +61,7 @@ def test_the_sign_is_odometry_minus_truth(factor, sense):
     assert sense in sentence(first)
 
 
-def test_an_error_of_one_stretch_of_time_is_told_as_one():
+def test_an_error_of_one_stretch_of_time_is_reported_as_one():
     def drifting(steps, _truth):
         t = np.arange(len(steps)) / RATE_HZ
         added = np.zeros((len(steps), 3))
@@ -75,7 +75,7 @@ def test_an_error_of_one_stretch_of_time_is_told_as_one():
     assert overlap > 0.6 * (end - start)
 
 
-def test_an_error_of_one_place_is_told_as_one():
+def test_an_error_of_one_place_is_reported_as_one():
     # the path's densest metre or so, met several times
     truth = accumulate(np.zeros(3), wander(4, 600.0))[::25, :2]
     near = np.sum(np.linalg.norm(truth[:, None] - truth[None], axis=2) < 1.5, axis=1)
@@ -94,7 +94,7 @@ def test_an_error_of_one_place_is_told_as_one():
     assert places[0].channel == "along"
 
 
-def test_a_sudden_slip_is_told_with_its_moment():
+def test_a_sudden_slip_is_reported_with_its_moment():
     at = 100.0
 
     def jolt(steps, _truth):
@@ -110,7 +110,7 @@ def test_a_sudden_slip_is_told_with_its_moment():
     assert "too far behind" in sentence(worst)
 
 
-def test_one_cause_is_not_told_twice():
+def test_one_cause_is_not_reported_twice():
     def curved(steps, _truth):
         added = np.zeros((len(steps), 3))
         added[:, 2] = 0.03 * steps.ds_m * (steps.ds_m > 0.0)
@@ -120,7 +120,7 @@ def test_one_cause_is_not_told_twice():
     assert 1 <= len(yaw) <= 3
 
 
-def test_a_drift_is_told_with_what_was_measured_and_what_is_expected():
+def test_a_drift_is_reported_with_what_was_measured_and_what_is_expected():
     def curved(steps, _truth):
         added = np.zeros((len(steps), 3))
         added[:, 2] = 0.03 * steps.ds_m

@@ -11,7 +11,7 @@ from hidden import as_recording
 
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.select.confidence import Evidence, confidence, odds_against, odds_formula
-from odomcorrupt.study.select.decisions import DECISIONS, PriorOdds
+from odomcorrupt.study.select.decisions import DECISIONS, PriorOdds, error_shares
 from odomcorrupt.study.select.stepwise import learn
 
 PAGE = Path(__file__).parents[2] / "docs" / "json.md"
@@ -29,6 +29,16 @@ def test_the_printed_formula_is_what_is_computed(prior):
     printed = eval(odds_formula(prior), named)  # noqa: S307 - our own formula
     assert odds_against(EVIDENCE, prior) == pytest.approx(printed)
     assert confidence(EVIDENCE, prior) == pytest.approx(1.0 / (1.0 + printed))
+
+
+def test_the_probability_of_an_error_is_shared_by_prior_odds():
+    # breaks where shares are equal: ten more rare effects in the library hid the nominal radius of a real tricycle
+    rare = ["backlash", "dead_band", "side_slip", "scale_drift", "speed_scale"]
+    few, many = (error_shares(["wheel_scale", "wheelbase", *rare * times], DECISIONS) for times in (1, 3))
+    assert sum(few) == pytest.approx(1.0)
+    assert sum(many) == pytest.approx(1.0)
+    assert few[0] / few[2] == pytest.approx(exp(DECISIONS.rare_nats))
+    assert few[0] < 2.0 * many[0]
 
 
 def test_another_decision_selects_another_model():

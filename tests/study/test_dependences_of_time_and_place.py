@@ -65,7 +65,7 @@ CARPET = "where(abs(0.8 * x + 0.6 * y - 4.0) < 4.0, 1, 0) * where(abs(0.8 * y - 
         (98, f"yaw += 0.1 * v * {IRON}"),
     ],
 )
-def test_a_ramp_a_carpet_or_iron_near_a_compass_is_told_by_its_place(seed, text):
+def test_a_ramp_a_carpet_or_iron_near_a_compass_is_reported_by_its_place(seed, text):
     clean = as_recording(simulate(seed, None, duration_s=500.0))
     planted = _planted(clean, text)
     learned = learn([planted])

@@ -45,7 +45,7 @@ def test_a_marker_on_the_base_frame_leaves_the_setup_empty(clean):
     assert fit_robot([clean], (), law_name="diffusion").model.setup.effects == ()
 
 
-def test_what_cannot_be_told_from_an_effect_that_is_asked_for_is_not_looked_for(mounted):
+def test_what_cannot_be_separated_from_an_effect_that_is_asked_for_is_not_searched(mounted):
     result = fit_robot([mounted], effects_to_fit(None, ["icr_shift"]), law_name="diffusion")
     assert "lever_arm" not in {effect.name for effect in result.model.setup.effects}
 

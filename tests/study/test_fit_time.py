@@ -35,7 +35,7 @@ def looks(monkeypatch: pytest.MonkeyPatch, duration_s: float) -> tuple[int, int]
     return counted["evaluated"], counted["posed"]
 
 
-def test_a_long_drive_is_looked_at_no_more_often_than_a_short_one(monkeypatch):
+def test_a_long_drive_is_read_no_more_often_than_a_short_one(monkeypatch):
     short, long = looks(monkeypatch, 120.0), looks(monkeypatch, 600.0)
     # 420 evaluations and eleven layouts were needed once, and 90 000 steps took three times as long
     assert max(short[0], long[0]) < 330

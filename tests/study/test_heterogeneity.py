@@ -39,7 +39,7 @@ def test_a_load_that_was_put_on_is_said_and_not_only_called_noise():
 
 
 @pytest.mark.slow
-def test_a_gyro_that_was_switched_on_anew_is_said():
+def test_a_gyro_that_was_switched_on_again_is_said():
     learned = learn([run(803, bias=0.004), run(804, bias=-0.004)])
     assert learned.disagreements[0].effect == "gyro_bias"
     assert learned.disagreements[0].values == pytest.approx((0.004, -0.004), abs=0.001)

@@ -79,7 +79,7 @@ def test_coefficients_come_back_from_simulated_drives_with_a_truth_of_1_to_20_mm
         assert k.rot_trans == pytest.approx(PLANTED.rot_trans, rel=0.15)
         assert k.trans_trans == pytest.approx(PLANTED.trans_trans, rel=0.15)
         assert fitted.noise.truth.xy_m == pytest.approx(truth_mm * 1e-3, rel=0.15)
-        nothing = fitted.design_matrix()
+        nothing = fitted.design_matrix
         weak = next(i for i in coefficient_intervals(fitted, nothing) if i.name == "trans_rot")
         inside.append(weak.low <= PLANTED.trans_rot <= weak.high)
     assert sum(inside) >= 7, "a 95 % interval misses one in twenty, not two in eight"

@@ -67,7 +67,7 @@ def test_a_number_beyond_its_bounds_is_written_within_them_and_named(drive):
     assert any("gauss_markov.sigma = 0.5 stands on the bound" in change for change in found.changes)
 
 
-def test_a_robot_that_turns_4_times_as_far_is_told_that_its_nominal_values_are_wrong(drive):
+def test_a_robot_that_turns_4_times_as_far_is_informed_that_its_nominal_values_are_wrong(drive):
     found = verified_model(MotionModel(NOISE, (effect_from_values("wheelbase", {"e": 1.0 / 4.4 - 1.0}),)), [drive])
     assert len(found.changes) == 1
     assert "turns 4.4 times as far as its odometry says" in found.changes[0]

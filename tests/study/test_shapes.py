@@ -48,7 +48,7 @@ def test_a_patch_is_found_as_far_as_its_errors_say_and_where_the_map_begins_far_
     assert there.error_m == pytest.approx(here.error_m, rel=0.02)
 
 
-def test_the_error_of_a_slip_grows_where_its_place_was_looked_for_too():
+def test_the_error_of_a_slip_grows_where_its_place_was_searched_too():
     run = simulate(84, "region_slip", duration_s=300.0)
     recording = as_recording(run)
     patch = effect_from_values("region_slip", run.answer["parameters"])

@@ -31,7 +31,7 @@ def test_rollers_that_slip_have_a_name_and_the_right_size(drive):
     assert learned.error_m < 0.1 * learned.rounds[0].candidates[0].rmse[0]
 
 
-def test_a_robot_that_cannot_is_not_asked_and_not_told_to():
+def test_a_robot_that_cannot_is_not_asked_and_not_advised_to():
     steps = wander(312, 200.0)
     learned = learn([recording(steps, noisy_path(steps, QUIET, 312), seed=312)])
     assert learned.added == ()

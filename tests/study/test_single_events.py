@@ -31,7 +31,7 @@ def events_of(run):
     return single_events(fit([run], approach=choose_approach([run])))
 
 
-def test_a_push_is_told_with_its_time_place_and_size():
+def test_a_push_is_reported_with_its_time_place_and_size():
     run = pushed(3, yaw_deg=16.0)
     events = events_of(run)
     assert sum(np.degrees(event.yaw_rad) for event in events) == pytest.approx(-16.0, abs=3.0)
@@ -60,7 +60,7 @@ def hidden_from_the_truth(run, begin_s=99.0, end_s=104.0):
     return replace(run, truth=Trajectory(run.truth.stamps_ns[seen], run.truth.xyt[seen]))
 
 
-def test_a_push_while_the_truth_saw_nothing_is_told_by_the_gap():
+def test_a_push_while_the_truth_saw_nothing_is_reported_by_the_gap():
     (event,) = events_of(hidden_from_the_truth(pushed(3, yaw_deg=16.0)))
     assert 98.0 < event.start_s < 99.1
     assert 103.9 < event.end_s < 105.0

@@ -92,5 +92,5 @@ def test_a_refit_of_the_same_model_is_the_same_fit_and_keeps_its_clocks(fitted):
     assert again.free_clocks == ((True, False),)
     assert again.log_likelihood == pytest.approx(free.log_likelihood, abs=0.05)
     held = free.refit(free_clocks=[(False, False)])
-    assert held.design_matrix().shape[2] == 0
-    assert replace(free, free_clocks=((False, False),)).design_matrix().shape[2] == 0
+    assert held.design_matrix.shape[2] == 0
+    assert replace(free, free_clocks=((False, False),)).design_matrix.shape[2] == 0

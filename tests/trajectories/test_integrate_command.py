@@ -9,14 +9,13 @@ from odomcorrupt.bags.open import open_reader
 from odomcorrupt.cli import run
 from odomcorrupt.trajectories.integrate import integrate
 from odomcorrupt.trajectories.reader import read_drive, read_poses
+from recordings import RECORDINGS
 
-GAZEBO = Path(__file__).parents[3] / "shared" / "data" / "real" / "rob521_gazebo.mcap"
+GAZEBO = RECORDINGS / "real" / "rob521_gazebo.mcap"
 OFFICE = Path(__file__).parents[2] / "fixtures" / "office.mcap"
 
-needs_gazebo = pytest.mark.skipif(not GAZEBO.exists(), reason=f"{GAZEBO.name} is not there: shared data absent")
 
-
-@needs_gazebo
+@pytest.mark.recordings
 def test_euler_is_within_two_centimetres_of_the_truth(tmp_path, capsys):
     picture = tmp_path / "errors.png"
     assert run(["integrate", str(GAZEBO), "--integrate", "euler", "--plot", str(picture)]) == 0
@@ -26,7 +25,7 @@ def test_euler_is_within_two_centimetres_of_the_truth(tmp_path, capsys):
     assert picture.stat().st_size > 10_000
 
 
-@needs_gazebo
+@pytest.mark.recordings
 def test_hundred_noisy_runs_surround_the_truth(tmp_path, capsys):
     arguments = ["--twist-noise", "0.2", "0.04", "--runs", "100", "--seed", "1", "--plot", str(tmp_path / "runs.png")]
     assert run(["integrate", "-v", str(GAZEBO), "--integrate", "euler", *arguments]) == 0
@@ -97,7 +96,7 @@ def test_truth_of_a_wrong_type_is_named(capsys):
     assert "TFMessage" in capsys.readouterr().err
 
 
-@needs_gazebo
+@pytest.mark.recordings
 def test_truth_is_read_in_its_own_frame():
     truth = read_poses(GAZEBO, "ground_truth")
     assert len(truth) > 10_000

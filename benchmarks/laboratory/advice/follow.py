@@ -44,9 +44,9 @@ def follow(case: AdviceCase) -> dict[str, Any]:
         advice = advise(learned)
         spent = {"learn_s": between - begun, "advise_s": time.process_time() - between}
         looks.append({"answer": plain_answer(learned), **_plain(advice), **spent})
-        told_so_far = {"case": asdict(case), "looks": looks}
+        so_far = {"case": asdict(case), "looks": looks}
         route = _through_a_bag(advice)
-        if route is None or drive == MOST_DRIVES or (drive and settled(told_so_far, drive)):
+        if route is None or drive == MOST_DRIVES or (drive and settled(so_far, drive)):
             break
         recordings.append(as_recording(_run(case, drive + 1, route), f"next {drive + 1}"))
     return {"truth": first.answer["causes"], "looks": looks}

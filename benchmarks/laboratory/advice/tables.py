@@ -29,7 +29,7 @@ def advice_section(rows: Rows) -> list[str]:
     lines += ["By first drive and cause:", "", *_by_row(good)]
     lines += ["Not settled, or not shown, after one advised drive:", "", *_misses(good)]
     lines += ["Wrong, and named alone by a first drive that does not separate it:", "", *_silent(of_kind["open"])]
-    seconds = [look["advise_s"] for row in good for look in row["looks"]]
+    seconds = [step["advise_s"] for row in good for step in row["looks"]]
     return [
         *lines,
         f"CPU seconds of the advice: median {np.median(seconds):.1f}, largest {max(seconds):.1f}.",
@@ -114,18 +114,18 @@ def _line(row: dict[str, Any]) -> str:
     size = " ".join(f"{k}={v:.3g}" if not isinstance(v, str) else v for k, v in row["truth"][case["cause"]].items())
     said = [f"{key}: {case['first']}, `{case['cause']}` {size}" for key in (row["key"],)]
     said += [case["size"], case["yaw_from"], case["drive_type"]]
-    words = [_look(look) for look in row["looks"]]
+    words = [_step(step) for step in row["looks"]]
     return f"- {', '.join(said)}; first {'; then '.join(words)}"
 
 
-def _look(look: dict[str, Any]) -> str:
-    answer = look["answer"]
+def _step(step: dict[str, Any]) -> str:
+    answer = step["answer"]
     beside = {one["added"]: one["alternatives"] for one in answer["looks"] if one["added"] is not None}
     words = [f"{name} ({' or '.join(beside[name])})" if beside.get(name) else name
              for name in (*answer["clocks"], *answer["added"])]  # fmt: skip
     words += [f"noise {name}" for name, _ in answer["noise"]]
     words += [f"unknown: {u[1]} over {u[0]}" for u in answer["unknown"][:1]]
-    drive = look["best"]["drive"] if look["best"] else "nothing"
+    drive = step["best"]["drive"] if step["best"] else "nothing"
     return f"{', '.join(words) or 'nothing'}, advised {drive}"
 
 

@@ -11,15 +11,15 @@ __all__ = ["cause_of", "clear", "named", "named_first", "open_names", "said_unse
 Row = dict[str, Any]
 
 
-def named(row: Row, look: int) -> list[str]:
+def named(row: Row, step: int) -> list[str]:
     """Return everything systematic that was named after so many drives, clocks first, twins as one."""
-    answer = row["looks"][look]["answer"]
+    answer = row["looks"][step]["answer"]
     return [same_class(name) for name in (*answer["clocks"], *answer["added"])]
 
 
-def open_names(row: Row, look: int = 0) -> set[str]:
+def open_names(row: Row, step: int = 0) -> set[str]:
     """Return all names between which a choice was said to be open; twins, which no drive can tell apart, are one."""
-    found = [{same_class(name) for name in choice["names"]} for choice in row["looks"][look]["choices"]]
+    found = [{same_class(name) for name in choice["names"]} for choice in row["looks"][step]["choices"]]
     return set().union(*(names for names in found if len(names) > 1))
 
 
@@ -28,20 +28,20 @@ def cause_of(row: Row) -> str:
     return same_class(row["case"]["cause"])
 
 
-def named_first(row: Row, look: int) -> bool:
+def named_first(row: Row, step: int) -> bool:
     """Tell whether the cause was the first thing named."""
-    return named(row, look)[:1] == [cause_of(row)]
+    return named(row, step)[:1] == [cause_of(row)]
 
 
-def settled(row: Row, look: int) -> bool:
+def settled(row: Row, step: int) -> bool:
     """Tell whether the cause was named first, and what had been open beside it is neither an alternative nor named."""
     rivals = open_names(row) - {cause_of(row)}
-    return named_first(row, look) and not rivals & {*_beside(row, look), *named(row, look)}
+    return named_first(row, step) and not rivals & {*_beside(row, step), *named(row, step)}
 
 
-def clear(row: Row, look: int) -> bool:
+def clear(row: Row, step: int) -> bool:
     """Tell whether the cause was named first, with no alternative and nothing else beside it."""
-    return named_first(row, look) and not _beside(row, look) and len(named(row, look)) == 1
+    return named_first(row, step) and not _beside(row, step) and len(named(row, step)) == 1
 
 
 def said_unseen(row: Row) -> bool:
@@ -49,8 +49,8 @@ def said_unseen(row: Row) -> bool:
     return cause_of(row) in {same_class(one["effect"]) for one in row["looks"][0]["untestable"]}
 
 
-def _beside(row: Row, look: int) -> set[str]:
+def _beside(row: Row, step: int) -> set[str]:
     """Return the alternatives of the cause where it was added, its twins left out."""
-    own = [one for one in row["looks"][look]["answer"]["looks"] if one["added"] is not None]
+    own = [one for one in row["looks"][step]["answer"]["looks"] if one["added"] is not None]
     rivals = {same_class(n) for one in own if same_class(one["added"]) == cause_of(row) for n in one["alternatives"]}
     return rivals - {cause_of(row)}

@@ -69,7 +69,7 @@ class Field:
 def recorded_field(fit: Fit) -> Field:
     """Return the drives that were fitted."""
     own = sum(len(amplitudes(e)) for e in fit.problem.effects)
-    return Field(fit.problem, fit.noise.whitener, fit.design_matrix()[:, :, own:])
+    return Field(fit.problem, fit.noise.whitener, fit.design_matrix[:, :, own:])
 
 
 def planned_field(fit: Fit, plan: Plan) -> Field:

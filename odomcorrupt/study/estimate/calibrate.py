@@ -97,7 +97,7 @@ def fit_robot(
         recordings, effects, clocks=clocks.clocks, free_clocks=clocks.free, approach=approach, start=start_noise
     )
     fitted = with_robust_errors(fitted, shaped)
-    columns = fitted.design_matrix()
+    columns = fitted.design_matrix
     intervals = coefficient_intervals(fitted, columns)
     errors = {interval.name: interval.standard_error for interval in intervals if interval.value > 0.0}
     error = ten_second_error(fitted)

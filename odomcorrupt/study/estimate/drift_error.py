@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_misses
-from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
@@ -53,11 +51,7 @@ class Drift(NamedTuple):
 
 def drift(fitted: Fit) -> Drift:
     """Return how far odometry drifts in 10 s, a fit's effects taken out, on the fitted recordings themselves."""
-    problem = fitted.problem
-    left = [
-        with_recomputed_headings(undo(aligned(recording, clock), problem.effects))
-        for recording, clock in zip(problem.recordings, problem.clocks, strict=True)
-    ]
+    left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
     return Drift(tuple(phased_misses(left)))
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Fit", "carried", "design_matrix", "fit"]
+__all__ = ["Fit", "carried", "design_matrix", "fit", "orthonormal"]
 
 _ROUNDS = 6
 _NEAR, _SMALL = 2.0, 0.1
@@ -44,7 +45,7 @@ class NextStart(NamedTuple):
     clocks: tuple[Clock, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
     """A fitted model of some recordings.
 
@@ -77,9 +78,15 @@ class Fit:
         """Log likelihood in nats."""
         return self.noise.log_likelihood
 
+    @cached_property
     def design_matrix(self) -> Array:
-        """Return the columns (K, 3, q) of everything that was free: the effects' amplitudes first, then clocks."""
+        """Columns (K, 3, q) of everything that was free: the effects' amplitudes first, then clocks."""
         return design_matrix(self.problem, self.free_clocks)
+
+    @cached_property
+    def span(self) -> Array:
+        """Orthonormal basis (3 K, q) of the whitened design matrix."""
+        return orthonormal(self.noise.whitener.whiten(self.design_matrix))
 
     def refit(
         self,
@@ -108,6 +115,7 @@ class Fit:
             start=self.noise.free,
             weights=weights,
             random=self.random if random is None else random,
+            known=problem,
         )
 
     @property
@@ -136,12 +144,14 @@ def fit(
     weights: Array | None = None,
     random: Sequence[Effect] = (),
     nearly: bool = False,
+    known: Problem | None = None,
 ) -> Fit:
     """Fit effects (from the values they have), clocks (offset, rate) where free, and noise.
 
     random : random coefficients in the model, with their parameters
     start, weights : noise to start from, and robust weights to keep, both from an earlier fit of the same recordings
     nearly : end before a step within two standard errors: it is in `onward`, and nobody looks at what it leaves
+    known : an earlier problem of the same recordings; what is the same of it is not computed again
     """
     # a random effect is included or left out, never estimated here
     random = [*random, *(e for e in effects if e.name in CORRELATED_NOISE)]
@@ -153,7 +163,7 @@ def fit(
     effects = tuple(effects)
     before: Problem | None = None
     for _ in range(_ROUNDS):
-        problem = pose_problem(recordings, effects, clocks, approach=approach)
+        problem = pose_problem(recordings, effects, clocks, approach=approach, before=before or known)
         if before is not None and weights is not None:
             weights = carried(weights, before, problem)
         columns = design_matrix(problem, free)
@@ -198,6 +208,12 @@ def design_matrix(problem: Problem, free_clocks: Sequence[tuple[bool, bool]] | A
     if free.any():
         parts.append(problem.clock_columns()[:, :, free.ravel()])
     return np.concatenate(parts, axis=2) if parts else np.zeros((len(problem.nodes), 3, 0))
+
+
+def orthonormal(white: Array) -> Array:
+    """Return an orthonormal basis (n, c) of what columns (n, c) span."""
+    basis: Array = np.linalg.qr(white)[0] if white.shape[1] else white
+    return basis
 
 
 def carried(weights: Array, before: Problem, now: Problem) -> Array:

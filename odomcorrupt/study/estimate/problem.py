@@ -19,7 +19,7 @@ from odomcorrupt.geometry.motion import corrected_twist, error_of, followed, mot
 from odomcorrupt.study.estimate.intervals import Intervals, join, lay_nodes
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders
 from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.terms.regressors import drives_sideways, driving_motion
+from odomcorrupt.study.terms.regressors import MotionSmoother, drives_sideways
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,22 +35,24 @@ _TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
 """What effects read of the true motion; speeds they read of the odometry's."""
 
 
-def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None = None) -> Recording:
+def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmoother | None = None) -> Recording:
     """Return the recording with the effects taken out of its odometry: u = u' + f(u'), composed from the same start.
 
     Speeds are those of the increments. What some effects read of the true motion itself (accelerations, places) comes
-    from the smooth motion of the odometry (`seen`, where it is known already) and from the recorded truth, which is at
-    hand here.
+    from the smooth motion of the odometry (of `smoother`, where there is one already) and from the recorded truth,
+    which is at hand here.
     """
     if not effects:
         return recording
     motion = raw = motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m)
     left = recording
     reading = any(effect.reads_truth for effect in effects)
+    if reading and smoother is None:
+        smoother = MotionSmoother(recording, "odometry")
     # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
     for again in range(2 if reading else 1):
-        if reading:
-            smooth = seen = driving_motion(left, "odometry", place=seen) if again or seen is None else seen
+        if smoother is not None and reading:
+            smooth = smoother.motion(left) if again else smoother.recorded
             motion = replace(raw, **{name: getattr(smooth, name) for name in _TRUE_MOTION})
         robots = [e for e in effects if e.kind != "setup"]
         twist = corrected_twist([e for e in robots if not e.reads_truth], motion)
@@ -68,6 +70,8 @@ def undo(recording: Recording, effects: Sequence[Effect], *, seen: Motion | None
 class Problem:
     """Recordings, effects and clocks of a model, and the intervals of what these leave.
 
+    smoothers : per run, the recording on the truth's clock and its smooth motion
+    left : per run, what the effects leave of that recording; nothing where effects were changed to first order only
     nodes : the K intervals of all runs
     run : (K,) which recording an interval belongs to
     motions : per run, what drives the regressors (one entry per odometry interval)
@@ -77,6 +81,8 @@ class Problem:
     effects: tuple[Effect, ...]
     clocks: tuple[Clock, ...]
     approach: Approach
+    smoothers: tuple[MotionSmoother, ...]
+    left: tuple[Recording, ...]
     nodes: Intervals
     run: Array
     motions: tuple[Motion, ...]
@@ -124,26 +130,52 @@ def pose_problem(
     clocks: Sequence[Clock] | None = None,
     *,
     approach: Approach,
+    before: Problem | None = None,
 ) -> Problem:
-    """Take effects and clocks out of recordings and lay nodes over what is left."""
+    """Take effects and clocks out of recordings and lay nodes over what is left.
+
+    before : an earlier problem; what is the same of it is not computed again
+    """
+    recordings, effects = tuple(recordings), tuple(effects)
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
-    on_time = [aligned(recording, clock) for recording, clock in zip(recordings, clocks, strict=True)]
-    seen = [driving_motion(recording, approach.side) for recording in on_time]
+    smoothers = _smoothers(recordings, clocks, approach.side, before)
+    if before is not None and before.left and smoothers == before.smoothers:
+        if (effects, approach) == (before.effects, before.approach):
+            return before
+    seen = [smoother.recorded for smoother in smoothers]
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
-    own = seen if approach.side == "odometry" else [None] * len(seen)
-    left = [undo(recording, effects, seen=motion) for recording, motion in zip(on_time, own, strict=True)]
+    own = smoothers if approach.side == "odometry" else [None] * len(smoothers)
+    left = [undo(s.recording, effects, smoother=same) for s, same in zip(smoothers, own, strict=True)]
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
+    if approach.side == "odometry" and effects:
+        # speeds of the odometry as it was, accelerations of what is left of it
+        again = zip(seen, smoothers, left, strict=True)
+        seen = [replace(motion, acceleration=smoother.acceleration(now)) for motion, smoother, now in again]
     return Problem(
-        recordings=tuple(recordings),
-        effects=tuple(effects),
+        recordings=recordings,
+        effects=effects,
         clocks=clocks,
         approach=approach,
+        smoothers=smoothers,
+        left=tuple(left),
         nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
         run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
-        motions=tuple(
-            _seen(motion, now, approach.side) if effects else motion for motion, now in zip(seen, left, strict=True)
-        ),
+        motions=tuple(seen),
+    )
+
+
+def _smoothers(
+    recordings: tuple[Recording, ...], clocks: tuple[Clock, ...], side: Side, before: Problem | None
+) -> tuple[MotionSmoother, ...]:
+    """Return every recording on the truth's clock with its smooth motion; those of an earlier problem where it has them."""
+    known = {}
+    if before is not None and before.approach.side == side:
+        of_before = zip(before.recordings, before.clocks, before.smoothers, strict=True)
+        known = {(id(recording), clock): smoother for recording, clock, smoother in of_before}
+    return tuple(
+        known.get((id(recording), clock)) or MotionSmoother(aligned(recording, clock), side)
+        for recording, clock in zip(recordings, clocks, strict=True)
     )
 
 
@@ -157,13 +189,6 @@ def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:
     return replace(motion, v=v, vy=vy, omega=omega, acceleration=motion.acceleration @ back)
 
 
-def _seen(was: Motion, now: Recording, side: Side) -> Motion:
-    """Return the motion that effects see: speeds of the odometry as it was, accelerations of what is left of it."""
-    if side == "truth":
-        return was
-    return replace(was, acceleration=driving_motion(now, side, place=was).acceleration)
-
-
 def _follows(effect: Effect) -> bool:
     """Tell whether an effect is of what the truth follows on the robot."""
     return effect.kind == "setup" and not effect.clock
@@ -172,6 +197,9 @@ def _follows(effect: Effect) -> bool:
 def _slope(effect: Effect, name: str, step: float, motion: Motion) -> Array:
     """Return the derivative (n, 3) of f with respect to one parameter."""
     more = dataclasses.replace(effect, **{name: getattr(effect, name) + step})  # type: ignore[type-var]
+    if effect.odd and not effect.acts:
+        half: Array = error_of(more, motion) / step
+        return half
     less = dataclasses.replace(effect, **{name: getattr(effect, name) - step})  # type: ignore[type-var]
     slope: Array = (error_of(more, motion) - error_of(less, motion)) / (2.0 * step)
     return slope

@@ -23,7 +23,7 @@ from odomcorrupt.study.estimate.intervals import intervals, join
 from odomcorrupt.study.estimate.problem import Problem, undo
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Recording, Trajectory
-from odomcorrupt.study.terms.regressors import driving_motion
+from odomcorrupt.study.terms.regressors import MotionSmoother
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -123,17 +123,19 @@ def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
 
 def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Problem:
     """Return the ends as a regression problem, the effects taken out of the odometry."""
-    seen = [driving_motion(drive, "odometry") for drive in drives]
-    left = [undo(drive, effects, seen=motion) for drive, motion in zip(drives, seen, strict=True)]
+    smoothers = [MotionSmoother(drive, "odometry") for drive in drives]
+    left = [undo(drive, effects, smoother=smoother) for drive, smoother in zip(drives, smoothers, strict=True)]
     nodes = [intervals(drive, np.array([0, 1])) for drive in left]
     return Problem(
         recordings=tuple(drives),
         effects=effects,
         clocks=(Clock(),) * len(drives),
         approach=Approach(),
+        smoothers=tuple(smoothers),
+        left=tuple(left),
         nodes=join(nodes, [len(drive.odometry) - 1 for drive in left]),
         run=np.arange(float(len(nodes))),
-        motions=tuple(seen),
+        motions=tuple(smoother.recorded for smoother in smoothers),
     )
 
 

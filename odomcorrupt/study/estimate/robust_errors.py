@@ -36,7 +36,7 @@ def with_robust_errors(fitted: Fit, shaped: Container[str] = ()) -> Fit:
     shaped : names of effects whose shapes were searched in these data, too; those of others are taken as known
     """
     problem = fitted.problem
-    design = fitted.design_matrix()
+    design = fitted.design_matrix
     if not design.shape[2]:
         return fitted
     shapes = [

@@ -65,16 +65,19 @@ class Trajectory:
 
     def at(self, t_s: Array, origin_ns: int) -> Array:
         """Return poses (m, 3) at times within the trajectory, on arcs between neighbours."""
-        left, fraction = self._place(t_s, origin_ns)
+        left, fraction = self.place_of(t_s, origin_ns)
         return interpolate(self.xyt[left], self.xyt[left + 1], fraction)
 
     def heading_at(self, t_s: Array, origin_ns: int) -> Array:
         """Return the headings (m,) of `at`, alone: they cost a tenth."""
-        left, fraction = self._place(t_s, origin_ns)
+        return self.headings_between(*self.place_of(t_s, origin_ns))
+
+    def headings_between(self, left: NDArray[np.int64], fraction: Array) -> Array:
+        """Return the headings (m,) at parts of the way (m,) from poses (m,) to the next ones, see `place_of`."""
         heading = self.xyt[:, 2]
         return heading[left] + fraction * wrap(heading[left + 1] - heading[left])
 
-    def _place(self, t_s: Array, origin_ns: int) -> tuple[NDArray[np.int64], Array]:
+    def place_of(self, t_s: Array, origin_ns: int) -> tuple[NDArray[np.int64], Array]:
         """Return the poses (m,) that times come after, and the parts of the way to the next ones."""
         own = self.seconds_since(origin_ns)
         left = np.clip(np.searchsorted(own, t_s, side="right") - 1, 0, len(own) - 2)

@@ -26,6 +26,7 @@ from odomcorrupt.study.select.closed_loop import (
     may_be_steering,
     of_pulls,
 )
+from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.score import score_terms
@@ -34,6 +35,8 @@ from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
@@ -45,6 +48,7 @@ __all__ = [
     "Candidate",
     "channels_of",
     "include",
+    "levels_of",
     "library",
     "library_candidates",
     "objection",
@@ -112,12 +116,14 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
 def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
     search = ShapeSearch(fit, decisions)
     terms = [search.best(family) for family in library(fit)]
-    ranked = sorted(score_terms(fit, terms, decisions), key=lambda s: s.robust_nats, reverse=True)
+    scores = score_terms(fit, terms, decisions)
+    levels = levels_of(scores, decisions)
+    ranked = sorted(scores, key=lambda s: s.robust_nats, reverse=True)
     candidates: list[Candidate] = []
     still = hardly_turns(fit)
     refits, leader = 0, -np.inf
     for score in ranked:
-        refused = objection(fit, score, decisions, still=still)
+        refused = objection(fit, score, decisions, level=levels[score.term.name], still=still)
         unlikely = refits == decisions.shortlist or score.robust_nats < decisions.shortlist_share * leader
         if refused or unlikely:
             candidates.append(Candidate(score=score, refused=refused or "others explain it better"))
@@ -130,8 +136,22 @@ def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
     return sorted(candidates, key=_rank, reverse=True)
 
 
-def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> str:
-    """Return why an effect of the library is out of question, or nothing; `still`: the robot hardly turns."""
+def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]:
+    """Return the level for the p of each effect that was tested with the others, by name.
+
+    Every p counts the family as if its members were alike a priori; they are not, see `error_shares`.
+    """
+    names = [score.term.name for score in scores if score.separable]
+    shares = error_shares(names, decisions)
+    levels = {name: decisions.level * len(names) * share for name, share in zip(names, shares, strict=True)}
+    return {score.term.name: levels.get(score.term.name, decisions.level) for score in scores}
+
+
+def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, still: bool) -> str:
+    """Return why an effect of the library is out of question, or nothing.
+
+    level : what its p has to be below; still : the robot hardly turns
+    """
     if not score.separable:
         return "not separable from what is in the model"
     own = list(zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True))
@@ -140,8 +160,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, still: bool) -> s
         bound = np.copysign(p.high if value > 0.0 else -p.low, value)
         if max(p.high, -p.low) < least and _first_order_room(fit, score.effect, p, bound) < least:
             return "not testable on this drive"
-    if not score.significant(decisions.level):
-        return "no evidence" if score.p >= decisions.level else "does not gain on held-out blocks"
+    if not score.significant(level):
+        return "no evidence" if score.p >= level else "does not gain on held-out blocks"
     for p, value, _ in own:
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):

@@ -17,9 +17,11 @@ import numpy as np
 from odomcorrupt.effects import registry
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["DECISIONS", "Decisions", "PriorOdds", "penalty"]
+__all__ = ["DECISIONS", "Decisions", "PriorOdds", "error_shares", "penalty"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +73,8 @@ class Decisions:
     form_share : part of the best form's gain that other forms of a dependence need to be fitted beside it
     reshape_nats : what a refined shape has to gain in the likelihood of a refit
     common, rare_nats : causes that every robot has a little of, and by how many nats the others are the less likely a
-        priori: nominal radii and tracks are never exact (Borenstein & Feng 1996) and gyros have a bias; seven to one
+        priori: nominal radii and tracks are never exact (Borenstein & Feng 1996), gyros have a bias and a scale, and a
+        steering its zero and its ratio; seven to one
     commanded, commanded_nats : causes of odometry that is computed from commands or from counts that get lost, and by
         how many nats these are the less likely a priori on top: most odometry is of encoders; four hundred to one
     unusual_nats : what a heading from a gyro has to explain on top where a whole model, or a basis function, says so
@@ -110,7 +113,15 @@ class Decisions:
     copy_share: float = 0.985
     form_share: float = 0.7
     reshape_nats: float = 1.0
-    common: tuple[str, ...] = ("wheel_scale", "unequal_wheels", "wheelbase", "gyro_bias")
+    common: tuple[str, ...] = (
+        "wheel_scale",
+        "unequal_wheels",
+        "wheelbase",
+        "gyro_bias",
+        "gyro_scale",
+        "steering_offset",
+        "steering_scale",
+    )
     rare_nats: float = 2.0
     commanded: tuple[str, ...] = ("dead_band", "truncated_velocity", "counts_lost")
     commanded_nats: float = 6.0
@@ -140,6 +151,27 @@ def penalty(term: Term, count: int, decisions: Decisions) -> float:
     family that it was selected from, and what is the less likely a priori.
     """
     unusual = decisions.unusual_nats if term.unusual else 0.0
-    rare = decisions.rare_nats if term.name in registry() and term.name not in decisions.common else 0.0
+    rare = _rare_nats(term.name, decisions)
     rare += decisions.commanded_nats if term.name in decisions.commanded else 0.0
     return 0.5 * term.charged * float(np.log(count)) + float(np.log(term.trials)) + unusual + rare
+
+
+def error_shares(names: Sequence[str], decisions: Decisions) -> list[float]:
+    """Return the share (n,) of the probability of any false inclusion that each of the terms tested together may take.
+
+    In proportion to how likely each is a priori: weighted Bonferroni (Genovese, Roeder & Wasserman, Biometrika 93,
+    2006). With equal shares every rare effect that joins the library makes the common ones harder to find.
+
+    Parameters
+    ----------
+    names : names (n,) of the terms, the effects of a library that are separable from the model
+    decisions : which effects are common, and how much the less likely the others are
+
+    """
+    weights = [float(np.exp(-_rare_nats(name, decisions))) for name in names]
+    return [weight / sum(weights) for weight in weights]
+
+
+def _rare_nats(name: str, decisions: Decisions) -> float:
+    """Return by how many nats an effect of the library is the less likely a priori than a common one."""
+    return decisions.rare_nats if name in registry() and name not in decisions.common else 0.0

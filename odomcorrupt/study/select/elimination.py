@@ -37,7 +37,7 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
     explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
     noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
     others = tuple(e for e in fit.effects if e is not effect)
-    return replace(fit, noise=noise, problem=replace(fit.problem, effects=others))
+    return replace(fit, noise=noise, problem=replace(fit.problem, effects=others, left=()))
 
 
 def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:

@@ -67,7 +67,7 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     others = replace(
         fit, problem=replace(problem, effects=tuple(e for e in problem.effects if e.name not in _CHANGING))
     )
-    calm = replace(others, noise=without_random(fit.noise, problem, others.design_matrix()), random=())
+    calm = replace(others, noise=without_random(fit.noise, problem, others.design_matrix), random=())
     belongs = leaders[problem.run]
     common = [problem.columns(effect) for effect in asked]
     each = np.concatenate([column * (belongs == run)[:, None, None] for column in common for run in runs], axis=2)

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.select.candidates import FORBIDDEN, Candidate, library, objection, tried, with_shape_refined
+from odomcorrupt.study.select.candidates import (
+    FORBIDDEN,
+    Candidate,
+    levels_of,
+    library,
+    objection,
+    tried,
+    with_shape_refined,
+)
 from odomcorrupt.study.select.closed_loop import hardly_turns
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
@@ -106,10 +114,11 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     search, still = ShapeSearch(bare, decisions), hardly_turns(bare)
     scores = score_terms(bare, [search.best(family) for family in library(bare)], decisions)
     law_columns = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
+    levels = levels_of(scores, decisions)
     least = 0.5 * law_columns.statistic - law.best.score.penalty - decisions.replacement_nats
     near = sorted((s for s in scores if s.nats > max(least, 0.0)), key=lambda s: -s.nats)
     for score in near[: decisions.shortlist]:
-        refused = objection(bare, score, decisions, still=still)
+        refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
         if FORBIDDEN in refused:
             return Candidate(score=score, gain=score.nats, refused=refused)
         if refused:

@@ -106,7 +106,7 @@ def gain_in_refit(one: RandomCoefficient, without: Fit, with_it: Fit) -> float:
 
 def remeasured(fit: Fit, effect: Effect) -> Effect:
     """Return a random coefficient of a fit with its parameters estimated beside the noise of the fit."""
-    design = fit.design_matrix()
+    design = fit.design_matrix
     others = [e for e in fit.random if e is not effect]
     noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
     bare = replace(fit, noise=noise, random=tuple(others))

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
 from odomcorrupt.study.estimate.cluster_variance import PRIOR_DOF, between_blocks, block_of, inflation, shared_variance
+from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.select.decisions import penalty
 
 if TYPE_CHECKING:
@@ -117,10 +118,9 @@ class Projection:
 
 def project_out(fit: Fit, *more: Array) -> Projection:
     """Return the projection onto what the design matrix of a fit does not span, nor more columns (K, 3, c)."""
-    design = np.concatenate((fit.design_matrix(), *more), axis=2)
-    r = fit.noise.innovations
-    white = fit.noise.whitener.whiten(design) if design.shape[2] else np.zeros((len(r), 0))
-    basis = np.linalg.qr(white)[0] if white.shape[1] else white
+    r, basis = fit.noise.innovations, fit.span
+    if more:
+        basis = orthonormal(fit.noise.whitener.whiten(np.concatenate((fit.design_matrix, *more), axis=2)))
     return Projection(basis, r - basis @ (basis.T @ r))
 
 

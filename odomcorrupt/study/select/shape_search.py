@@ -22,6 +22,7 @@ from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm, Term, neighbour
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
@@ -53,9 +54,17 @@ class ShapeSearch:
     def __init__(self, fit: Fit, decisions: Decisions, design: CoarseDesign | None = None) -> None:
         self._fit, self._decisions, self._rest = fit, decisions, project_out(fit)
         self._design = CoarseDesign(fit.problem) if design is None else design
+        self._gains: dict[Effect, float] = {}
 
     def gain(self, term: Term) -> float:
         """Return the nats that a term explains at its shape, from exact columns; 0 where it cannot act."""
+        if not isinstance(term, LibraryTerm):
+            return self._gain(term)
+        if term.start not in self._gains:
+            self._gains[term.start] = self._gain(term)
+        return self._gains[term.start]
+
+    def _gain(self, term: Term) -> float:
         try:
             columns = term.columns(self._fit.problem)
         except EffectError:  # it acts on single wheels, and the track is not known

@@ -7,13 +7,14 @@ carries the noise itself, sample by sample: take the truth then. The odometry's 
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.effects.effect import Motion
 from odomcorrupt.geometry.increments import increments
-from odomcorrupt.geometry.motion import SMOOTHING_S, slopes
+from odomcorrupt.geometry.motion import SMOOTHING_S, LineFits
 from odomcorrupt.geometry.se2 import rotate
 from odomcorrupt.study.io.clock import aligned, coarse_clock
 
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording, Trajectory
 
-__all__ = ["Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
+__all__ = ["MotionSmoother", "Side", "choose_side", "drives_sideways", "driving_motion", "truth_noise"]
 
 Side = Literal["odometry", "truth"]
 
@@ -50,38 +51,68 @@ def drives_sideways(motions: Sequence[Motion]) -> bool:
     return across > _SIDEWAYS * along
 
 
-def driving_motion(recording: Recording, side: Side, *, place: Motion | None = None) -> Motion:
-    """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side.
+class MotionSmoother:
+    """Smooth motions over the odometry's intervals, whatever effects are taken out of it: its stamps stay the same.
 
-    It is for regressors and noise laws alone: it cannot be composed exactly. Where a motion over the same stamps is
-    known already, its poses, which are the truth's, are taken over as `place`.
+    They are for regressors and noise laws alone: they cannot be composed exactly.
+
+    Parameters
+    ----------
+    recording : as it was recorded, on the truth's clock; where the robot is, is its truth's to say
+    side : of which side's poses the speeds are local slopes
+
     """
-    source = recording.odometry if side == "odometry" else recording.truth
-    t_s, own = recording.odometry_s, source.seconds_since(recording.origin_ns)
-    width_s = SMOOTHING_S if side == "odometry" else _truth_window(source)
-    middle, dt = (t_s[:-1] + t_s[1:]) / 2.0, np.diff(t_s)
-    world = slopes(own, source.xyt, middle, width_s)
-    heading = source.heading_at(np.clip(middle, own[0], own[-1]), recording.origin_ns)
-    twist = np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
-    if place is None:
-        # slopes and regions lie in the world: where the robot is, is the truth's to say
+
+    def __init__(self, recording: Recording, side: Side) -> None:
+        source = recording.odometry if side == "odometry" else recording.truth
+        self.recording, self._side = recording, side
+        t_s, own = recording.odometry_s, source.seconds_since(recording.origin_ns)
+        width_s = SMOOTHING_S if side == "odometry" else _truth_window(source)
+        self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
+        self._poses, self._speeds = LineFits(own, middle, width_s), LineFits(middle, middle, width_s)
+        self._place = source.place_of(np.clip(middle, own[0], own[-1]), recording.origin_ns)
+        # slopes and regions lie in the world
         truth_s = recording.truth.seconds_since(recording.origin_ns)
-        pose = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns).T
-    else:
-        pose = np.stack((place.x, place.y, place.theta))
-    return Motion(
-        t_s=t_s[1:],
-        dt_s=dt,
-        v=twist[:, 0],
-        vy=twist[:, 1],
-        omega=twist[:, 2],
-        acceleration=slopes(middle, twist, middle, width_s),
-        x=pose[0],
-        y=pose[1],
-        theta=pose[2],
-        distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * dt),
-        track_m=recording.track_m,
-    )
+        at = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns)
+        self._x, self._y, self._theta = np.ascontiguousarray(at.T)
+
+    @cached_property
+    def recorded(self) -> Motion:
+        """The smooth motion of the recording as it was recorded."""
+        return self.motion(self.recording)
+
+    def motion(self, recording: Recording) -> Motion:
+        """Return the smooth motion of the recording with other odometry at the same stamps."""
+        twist = self._twist(recording)
+        v, vy, omega = np.ascontiguousarray(twist.T)
+        return Motion(
+            t_s=self._ends_s,
+            dt_s=self._dt_s,
+            v=v,
+            vy=vy,
+            omega=omega,
+            acceleration=self._speeds.slopes(twist),
+            x=self._x,
+            y=self._y,
+            theta=self._theta,
+            distance=np.cumsum(np.hypot(twist[:, 0], twist[:, 1]) * self._dt_s),
+            track_m=recording.track_m,
+        )
+
+    def acceleration(self, recording: Recording) -> Array:
+        """Return the acceleration (n, 3) of `motion` alone."""
+        return self._speeds.slopes(self._twist(recording))
+
+    def _twist(self, recording: Recording) -> Array:
+        source = recording.odometry if self._side == "odometry" else recording.truth
+        world = self._poses.slopes(source.xyt)
+        heading = source.headings_between(*self._place)
+        return np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+
+
+def driving_motion(recording: Recording, side: Side) -> Motion:
+    """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side."""
+    return MotionSmoother(recording, side).recorded
 
 
 def truth_noise(truth: Trajectory) -> Array:

@@ -189,7 +189,7 @@ def test_truth_inside_a_gap_of_the_odometry_is_left_out(read):
     noted(recordings, f"/odom: a gap of 2.0 s; {inside.sum()} poses of the truth inside left out")
 
 
-def test_a_tracker_that_repeats_its_last_pose_while_the_robot_moves_is_not_believed(read):
+def test_a_tracker_that_repeats_its_last_pose_while_the_robot_moves_is_rejected(read):
     real = truth()
     xyz, yaw = real.xyz.copy(), real.yaw.copy()
     xyz[400:450], yaw[400:450] = xyz[399], yaw[399]

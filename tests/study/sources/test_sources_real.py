@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.study.io import Source, read_runs
+from recordings import RECORDINGS
 
-DATA = Path(__file__).parents[4] / "shared" / "data"
-HALL = DATA / "real" / "tuc_lecture_hall.mcap"  # its truth jumps every half minute
-REAL = sorted(set((DATA / "real").glob("*.mcap")) - {HALL})
+HALL = RECORDINGS / "real" / "tuc_lecture_hall.mcap"  # its truth jumps every half minute
+REAL = sorted(set((RECORDINGS / "real").glob("*.mcap")) - {HALL})
 
-pytestmark = pytest.mark.skipif(not REAL, reason="the recordings of shared/data are not here")
+pytestmark = pytest.mark.recordings
 
 
 @pytest.mark.parametrize("path", REAL, ids=lambda path: path.stem)
@@ -63,7 +61,7 @@ def test_every_real_recording_says_so_when_its_truth_is_mirrored(path, monkeypat
     ],
 )
 def test_bags_as_found_say_what_is_odd_about_them(name, asked, said):
-    (recording,) = read_runs(Source(DATA / "bags" / name, **asked))
+    (recording,) = read_runs(Source(RECORDINGS / "bags" / name, **asked))
     assert any(said in note for note in recording.notes)
 
 
@@ -79,7 +77,7 @@ def test_bags_as_found_say_what_is_odd_about_them(name, asked, said):
 )
 def test_bags_that_hold_no_run_say_why(name, asked, words):
     with pytest.raises(OdomCorruptError, match=words):
-        read_runs(Source(DATA / "bags" / name, **asked))
+        read_runs(Source(RECORDINGS / "bags" / name, **asked))
 
 
 def test_a_bag_of_three_compressions_gives_one_trajectory():
@@ -89,7 +87,7 @@ def test_a_bag_of_three_compressions_gives_one_trajectory():
         from odomcorrupt.study.io.address import parse_address
         from odomcorrupt.study.io.bag import read_bag
 
-        path = DATA / "bags" / "foxglove_turtlesim" / f"{name}.bag"
+        path = RECORDINGS / "bags" / "foxglove_turtlesim" / f"{name}.bag"
         ways.append(read_bag(path, name, {"truth": parse_address("/tf:turtle1.turtle2")})["truth"])
     assert len(ways[0]) > 500
     for way in ways[1:]:

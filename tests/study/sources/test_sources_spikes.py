@@ -84,7 +84,7 @@ def test_a_map_that_is_turned_for_good_still_cuts_the_run(tmp_path, office):
     assert not left_out(office, recordings)
 
 
-def test_a_tracker_with_bad_moments_is_believed(tmp_path, office):
+def test_a_tracker_with_bad_moments_is_accepted(tmp_path, office):
     """White noise ten times as large for half of the time is noise, not outliers."""
     rng = np.random.default_rng(7)
     bad = np.flatnonzero(np.arange(len(office.truth_xyt)) % 1000 < 500)

@@ -73,14 +73,14 @@ WORST = Tracker(rate_hz=5.0, noise_m=0.05, noise_rad=0.05, dropouts_per_min=4.0,
 
 @pytest.mark.parametrize("headed", [True, False])
 @pytest.mark.parametrize("route", ROUTES)
-def test_dull_drives_with_a_bad_truth_are_believed(route, headed):
+def test_dull_drives_with_a_bad_truth_are_accepted(route, headed):
     run = simulate(45, None, duration_s=60.0, route=ROUTES[route], truth=WORST, drive_type="skid")
     seen = as_recording(run)
     check(seen.odometry, seen.truth, headed=headed)
 
 
 @pytest.mark.parametrize("headed", [True, False])
-def test_odometry_that_is_hardly_any_is_believed(headed):
+def test_odometry_that_is_hardly_any_is_accepted(headed):
     """Metres and radians off after a few metres: white noise of every step, and slip of a third."""
     steps = wander(46, 240.0)
     noisy = recording(steps, noisy_path(steps, Coefficients(0.5, 0.5, 0.3, 0.3), 46), seed=46)

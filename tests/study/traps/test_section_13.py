@@ -65,10 +65,10 @@ def test_2_what_a_drive_does_not_show_is_not_testable_and_never_huge():
     assert "not testable" in looked["turn_asymmetry"].refused
     known = looked["accel_slip"].score
     huge = replace(known, estimate=np.array([1.05]), standard_error=np.array([0.01]), p=0.0, statistic=1e4)
-    assert "physically possible" in objection(fitted, huge, DECISIONS, still=False)
+    assert "physically possible" in objection(fitted, huge, DECISIONS, level=DECISIONS.level, still=False)
 
 
-def test_3_a_cause_is_linearised_anew_where_it_was_found():
+def test_3_a_cause_is_linearised_again_where_it_was_found():
     # breaks where one linear step is all: 10 % of track is 1 % away from its own tangent
     run = as_recording(simulate(62, "wheelbase", duration_s=300.0, parameters={"e": 0.1}))
     fitted = fit([run], [registry()["wheelbase"]()], approach=choose_approach([run]))

@@ -117,7 +117,7 @@ def test_8_a_window_may_turn_more_than_once_and_a_coefficient_may_be_zero():
     assert np.abs(windows.residual[:, 2]).max() < 0.3
     moving = noisy(32, Coefficients(0.05, 0.02, 0.05, 0.0))
     fitted = fit([moving], approach=Approach("truth"))
-    intervals = coefficient_intervals(fitted, fitted.design_matrix())
+    intervals = coefficient_intervals(fitted, fitted.design_matrix)
     assert next(i for i in intervals if i.name == "trans_rot").low == 0.0
 
 

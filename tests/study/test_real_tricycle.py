@@ -1,0 +1,37 @@
+"""A real tricycle: every name that two drives of it have in common is found on one of them, and helps on the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.pipeline import learn_robot
+from odomcorrupt.study.select.confidence import confidence, evidence_of
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "real"
+NAMES = ("optiodom_tricyc_free_140120211508_run1", "optiodom_tricyc_free_140120211525_run1")
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not (DATA / f"{NAMES[0]}.mcap").exists(), reason="the recordings of shared/data are not here"),
+]
+
+
+@pytest.mark.parametrize(
+    ("drive_type", "geometry"),
+    [
+        ("auto", {"unequal_wheels", "wheelbase", "wheel_scale"}),
+        ("tricycle", {"steering_offset", "steering_scale", "wheel_scale"}),
+    ],
+)
+def test_the_geometry_of_the_drive_is_named_surely_and_halves_the_error_twice(drive_type, geometry):
+    learned, judged = (replace(read_runs(Source(DATA / f"{name}.mcap"))[0], drive_type=drive_type) for name in NAMES)
+    robot = learn_robot([learned], [judged])
+    assert geometry <= set(robot.search.added)
+    assert all(confidence(evidence_of(step, robot.search)) > 0.5 for step in robot.search.steps)
+    assert robot.comparison.clock_error_m > 0.025
+    # two versions were at 5.8 mm and 7.9 mm
+    assert robot.comparison.judgements[-1].ten_second_error_m < 5.9e-3
