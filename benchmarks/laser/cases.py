@@ -29,8 +29,13 @@ def laser_cases(*, pilot: bool = False) -> list[Case]:
 
 
 def world_of(case: Case) -> str:
-    """Return the kind of world of a case."""
-    return "corridor" if case.arm == "corridor" else ("room", "office")[case.number // len(CAUSES) % 2]
+    """Return the kind of world of a case: rooms and offices by turns, for each route, cause and size."""
+    if case.arm == "corridor":
+        return "corridor"
+    if case.arm == "controls":
+        return ("room", "office")[(case.number + case.number // 10) % 2]
+    which, again = case.number % len(CAUSES), case.number // len(CAUSES)
+    return ("room", "office")[(which + again // 2) % 2]
 
 
 def _case(arm: str, i: int, seed: int) -> Case:

@@ -126,6 +126,7 @@ def fit_returns(
     effects: Sequence[str] = (),
     odom: str | None = None,
     track_m: float | None = None,
+    scan: str | None = None,
 ) -> SquareTest:
     """Fit systematic errors to drives that end where they began, or at a known pose: a square test on any path.
 
@@ -141,6 +142,8 @@ def fit_returns(
         Topic of the odometry, where there are several.
     track_m : float, optional
         Nominal distance between the wheels, metres.
+    scan : str, optional
+        Topic of laser scans: each end is measured by matching the last sweeps with the first, in place of `ends`.
 
     Returns
     -------
@@ -151,6 +154,8 @@ def fit_returns(
     ------
     FitError
         Where the drives do not tell the effects apart.
+    RecordingError
+        Where the last sweeps of a drive do not fit its first.
 
     """
     require("scipy", "the study needs it", "study")
@@ -159,6 +164,7 @@ def fit_returns(
     from odomcorrupt.study.estimate.returns import USUAL, closed_drive
     from odomcorrupt.study.estimate.returns import fit_returns as fit
     from odomcorrupt.study.io import Source
+    from odomcorrupt.study.io.laser_truth import end_seen
     from odomcorrupt.study.io.reader import read_odometry
 
     files = as_paths(paths)
@@ -168,5 +174,6 @@ def fit_returns(
     drives = []
     for path, end in zip(files, each, strict=True):
         odometry, track = read_odometry(Source(path, odom=odom, track_m=track_m))
-        drives.append(closed_drive(path.name, odometry, np.array(end), track))
+        real = np.array(end) if scan is None else end_seen(path, path.name, odom, scan)
+        drives.append(closed_drive(path.name, odometry, real, track))
     return SquareTest(fit(drives, effects or USUAL))

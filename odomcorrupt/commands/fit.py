@@ -33,7 +33,8 @@ __all__ = ["command"]
 @click.option(
     "--returns",
     is_flag=True,
-    help="The drives ended where they began, or at --end: the only truth, as in a square test (UMBmark).",
+    help="The drives ended where they began, or at --end, or where their last scans (--scan) fit the first: the only "
+    "truth, as in a square test (UMBmark).",
 )
 @click.option(
     "--end",
@@ -70,6 +71,8 @@ def command(
         raise click.UsageError(f"{models[0]} is a model; pass it with --start")
     refuse_existing(output, overwrite=overwrite)
     if returns or ends:
+        if ends and reading.scan:
+            raise click.UsageError("--end and --scan: scans measure where a drive ended; leave one of them out")
         _square_test(paths, ends or ("0,0,0",), reading, add, output, voice)
         return
     begin = None if start is None else Model.load(start)
@@ -80,10 +83,8 @@ def command(
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    voice.show(replace(result, following=following if output is not None else ""))
-    if output is not None:
-        result.model.save(output, overwrite=True)
-        voice.note(f"wrote {output}")
+    files = {} if output is None else {output: lambda: result.model.save(output, overwrite=True)}
+    voice.show(replace(result, following=following if output is not None else ""), files=files)
 
 
 def _square_test(
@@ -97,7 +98,7 @@ def _square_test(
     """Fit what a square test measures to the ends of drives."""
     from odomcorrupt.api.returns import fit_returns
 
-    given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--scan": reading.scan, "--imu": reading.imu,
+    given = {"--truth": reading.truth, "--truth-bag": reading.truth_bags, "--imu": reading.imu,
              "--relative": reading.relative}  # fmt: skip
     for flag, value in given.items():
         if value:
@@ -107,11 +108,8 @@ def _square_test(
         raise click.UsageError(f"{len(poses)} --end for {len(paths)} drives; give one for all, or one for each")
     with reading.stages(voice) as stages:
         stages("fit", 0.0)
-        result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track)
-    voice.show(result)
-    if output is not None:
-        result.model.save(output, overwrite=True)
-        voice.note(f"wrote {output}")
+        result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track, scan=reading.scan)
+    voice.show(result, files={} if output is None else {output: lambda: result.model.save(output, overwrite=True)})
 
 
 def _end(text: str) -> tuple[float, float, float]:

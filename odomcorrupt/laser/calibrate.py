@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import between, compose, inverse, rotate, wrap
+from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.laser.deskewing import Deskewing, Motion
 from odomcorrupt.laser.icp import best_guess, match, surface_of
 from odomcorrupt.laser.surface import lines_of
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.sweep import Sweep, Sweeps
+    from odomcorrupt.laser.sweep import Sweeps
     from odomcorrupt.study.io.recording import Trajectory
 
-__all__ = ["Calibration", "Motion", "calibrate", "deskewed", "hand_eye"]
+__all__ = ["Calibration", "calibrate", "hand_eye"]
 
 _PAIRS = 240
 _APART_M, _APART_RAD = 0.25, 0.15
@@ -38,36 +39,13 @@ _BETTER = 0.93
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
-    """Odometry as a function of the laser's time.
-
-    lag_s : what is added to the laser's times to get the odometry's
-    mount : (3,) the laser's pose on the robot
-    """
-
-    odometry: Trajectory
-    origin_ns: int
-    lag_s: float
-    mount: Array
-
-    def robot(self, t_s: Array) -> Array:
-        """Return the odometry's poses (n, 3) at times (n,) of the laser; held at both ends."""
-        own = self.odometry.seconds_since(self.origin_ns)
-        return self.odometry.at(np.clip(t_s + self.lag_s, own[0], own[-1]), self.origin_ns)
-
-    def laser(self, t_s: Array) -> Array:
-        """Return the laser's poses (n, 3) in the odometry's frame at times (n,) of the laser."""
-        return compose(self.robot(t_s), self.mount)
-
-
-@dataclass(frozen=True, slots=True)
 class Calibration:
     """What is known of a laser before its sweeps are put together.
 
     motion : the odometry seen by the laser
     mirrored : whether bearings run the other way round
-    turn_s : time that a whole turn of the laser takes, where the sweeps do not say; negative where it turns clockwise,
-        0 where each is taken at once
+    turn_s : time that a whole turn of the laser takes, where the sweeps do not say or have it the wrong way round;
+        negative where it turns clockwise, 0 where the sweeps' own times are right
     said : what was found, in words
     """
 
@@ -75,6 +53,10 @@ class Calibration:
     mirrored: bool
     said: tuple[str, ...]
     turn_s: float = 0.0
+
+    def deskewing(self, sweeps: Sweeps) -> Deskewing:
+        """Return the sweeps put right for the motion within them."""
+        return Deskewing(sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,28 +72,6 @@ class _Pairs:
     pose: Array
     deviation_m: Array
     ratio: Array
-
-
-def deskewed(sweep: Sweep, motion: Motion, *, mirrored: bool, turn_s: float = 0.0) -> Array:
-    """Return the returns (m, 2) as they would lie had all been taken in the middle of the sweep.
-
-    turn_s : see `Calibration`; such a sweep's stamp is taken to be its middle's
-    """
-    xy = sweep.xy.astype(np.float64)
-    after = sweep.after_s.astype(np.float64)
-    if turn_s != 0.0 and len(after) and after[0] == after[-1]:
-        bearing = np.unwrap(np.arctan2(xy[:, 1], xy[:, 0]))
-        after = (bearing - 0.5 * (bearing[0] + bearing[-1])) * (turn_s / (2.0 * np.pi))
-    if mirrored:
-        xy[:, 1] = -xy[:, 1]
-    if not len(after) or after[0] == after[-1]:
-        return xy
-    stamp_s = float(sweep.stamp_ns - motion.origin_ns) * 1e-9
-    knots = np.linspace(float(after.min()), float(after.max()), 5)
-    poses = motion.laser(stamp_s + knots)
-    relative = between(poses[2], poses)
-    at = np.stack([np.interp(after, knots, relative[:, i]) for i in range(3)], axis=1)
-    return at[:, :2] + rotate(xy, at[:, 2])
 
 
 def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibration:
@@ -135,15 +95,15 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
         said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
     found = None
     for _ in range(2):
-        motion = Motion(odometry, origin_ns, _lag(pairs, motion), motion.mount)
-        found = _mounting(pairs, motion)
-        if found is not None and (told is None or abs(wrap(np.asarray(found[2] - mount[2]))) > _DIFFERS_RAD):
-            motion = Motion(odometry, origin_ns, motion.lag_s, found)
+        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
     turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
     if turn_s:
+        pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
+        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
+        why = "no times within a sweep" if not _stated_turn_s(sweeps) else "times within a sweep run the wrong way"
         said.append(
-            f"{sweeps.topic}: no times within a sweep; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
+            f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
             f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
         )
     if found is not None and told is not None:
@@ -178,13 +138,41 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
     return best[1], best[2]
 
 
+def _refined(pairs: _Pairs, motion: Motion, *, told: Array | None) -> tuple[Motion, Array | None]:
+    """Return the motion with lag and mounting by matched pairs, and the mounting (3,) that these show, if any.
+
+    told : (3,) the mounting by TF, which is kept where the pairs do not plainly contradict it
+    """
+    motion = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
+    found = _mounting(pairs, motion)
+    if found is not None and (told is None or abs(wrap(np.asarray(found[2] - told[2]))) > _DIFFERS_RAD):
+        motion = Motion(motion.odometry, motion.origin_ns, motion.lag_s, found)
+    return motion, found
+
+
+def _stated_turn_s(sweeps: Sweeps) -> float:
+    """Return the time of a whole turn by the sweeps' own times, negative where clockwise; 0 where they have none."""
+    turns = []
+    for sweep in sweeps.sweeps[:: max(1, len(sweeps) // 50)]:
+        if len(sweep) > 1:
+            bearing = np.unwrap(np.arctan2(sweep.xy[:, 1], sweep.xy[:, 0]))
+            swept = float(bearing[-1] - bearing[0])
+            turns.append(2.0 * np.pi * float(sweep.after_s[-1] - sweep.after_s[0]) / swept if abs(swept) > 0.1 else 0.0)
+    return float(np.median(turns)) if turns else 0.0
+
+
 def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, *, mirrored: bool) -> float:
-    """Return the time of a whole turn at which sweeps without times fit each other best; 0 where none helps."""
-    if any(len(s) and s.after_s[0] != s.after_s[-1] for s in sweeps.sweeps[:50]) or not len(plain.pose):
+    """Return the time of a whole turn at which sweeps fit each other best; 0 where their own times do as well.
+
+    Sweeps without times may have been taken either way round; those with times the other way round: drivers of lasers
+    that turn clockwise reverse the order of the ranges, and keep the sign of the time between them.
+    """
+    if not len(plain.pose):
         return 0.0
+    stated_s = _stated_turn_s(sweeps)
     period = min(sweeps.period_s, 0.2)
     best, turn_s = _BETTER * _misfit(plain), 0.0
-    for candidate in (period, -period):
+    for candidate in (-stated_s,) if stated_s else (period, -period):
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
         if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
             best, turn_s = _misfit(pairs), candidate
@@ -204,9 +192,11 @@ def _matched(sweeps: Sweeps, motion: Motion, *, mirrored: bool, free: bool = Fal
     t_s = sweeps.middle_s(motion.origin_ns)
     poses = motion.laser(t_s)
     chosen = _spread(t_s, poses)
+    rows = np.array(chosen, dtype=np.int64).ravel()
+    scans = Deskewing(sweeps, motion, mirrored=mirrored, turn_s=turn_s, rows=rows)
     first, second, found, deviation, ratio = [], [], [], [], []
     for a, b in chosen:
-        one, other = (deskewed(sweeps.sweeps[k], motion, mirrored=mirrored, turn_s=turn_s) for k in (a, b))
+        one, other = scans[a], scans[b]
         lines = lines_of(one)
         if len(lines.feet) < 20 or len(other) < 20:
             continue

@@ -26,7 +26,7 @@ WEAK = 0.15
 """Smaller over larger eigenvalue of the normals' scatter, below which nothing is known along the smaller's axis."""
 _GATES_M = (0.5, 0.3, 0.2, 0.15)
 _MOST_STEPS = 15
-_STEP_M, _STEP_RAD = 2e-4, 2e-5
+_STEP_M, _STEP_RAD = 5e-4, 1e-4
 _FINEST_M = 0.004
 _TUNING = 2.0
 _OVERLAP_M = 0.12

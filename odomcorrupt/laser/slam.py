@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, compose, wrap
-from odomcorrupt.laser.calibrate import deskewed
 from odomcorrupt.laser.icp import match
 from odomcorrupt.laser.keyframes import Edge, KeyframeMap, edge_information, thinned
 
@@ -78,7 +77,7 @@ class _Tracker:
         self.world = KeyframeMap(sweeps.field_of_view_rad)
         self.t_s = sweeps.middle_s(calibration.motion.origin_ns)
         self.keyframe, self.relative = np.full(len(sweeps), -1), np.zeros((len(sweeps), 3))
-        self._sweeps, self._calibration = sweeps, calibration
+        self._scans = calibration.deskewing(sweeps)
         self._dead = calibration.motion.laser(self.t_s)
         self._current, self._inside = -1, np.zeros(3)
         self._last, self._lost = -1, 0
@@ -86,8 +85,7 @@ class _Tracker:
 
     def take(self, n: int) -> None:
         """Place the next sweep."""
-        found = self._calibration
-        scan = deskewed(self._sweeps.sweeps[n], found.motion, mirrored=found.mirrored, turn_s=found.turn_s)
+        scan = self._scans[n]
         if self._current < 0:
             if len(scan) >= _LEAST_RETURNS:
                 self._enter(n, self.world.add(scan, self._dead[n]))

@@ -13,66 +13,117 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.laser.trajectory import UNKNOWN_M
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
-    from odomcorrupt.laser.calibrate import Motion
+    from odomcorrupt.laser.deskewing import Motion
     from odomcorrupt.laser.trajectory import LaserPath
 
-__all__ = ["WhiteNoise", "white_noise", "with_noise", "without_spikes"]
+__all__ = ["WhiteNoise", "white_noise", "with_noise", "with_view_errors", "without_spikes"]
 
 _FEW = 60
 _EXTREME = 99.0
 _GAP = 1.6
-_TURNS_RADPS = 0.1
+_TURNS_RADPS, _MOVES_MPS = 0.1, 0.05
+_YAW = 2
 _LEAST_S = 1e-3
-_LARGEST = 400.0
+_SMALLEST, _LARGEST = 0.04, 400.0
 _SPIKE = 6.0
+_AROUND_S, _NEW_VIEW_M, _TURN_M = 0.5, 0.1, 0.3
+"""What is seen is another thing after 0.1 m, a radian counting as 0.3 m; who moves less in a second sees less new."""
+_VIEW_M, _VIEW_RAD = 1e-3, 2e-4
+"""Errors that change with what is seen; their level is estimated with that of the matches."""
+_LEAST_M, _LEAST_RAD = 1e-4, 2e-5
 _USUAL = np.array([2.5e-3, 2.5e-3, 2e-3])
 
 
 class WhiteNoise(NamedTuple):
-    """Variance of headings over what matches say of it, and standard deviation of the stamps, seconds."""
+    """Variances over what matches say of them, of positions and of headings, and deviation of the stamps, seconds."""
 
-    factor: float
+    position: float
+    heading: float
     stamps_s: float
 
 
 def white_noise(path: LaserPath, motion: Motion) -> WhiteNoise:
-    """Return how noisy the poses of a path are beyond what their matches say; no jitter where it does not show."""
+    """Return how noisy the poses of a path are beyond what their matches say; no jitter where it does not show.
+
+    One regression of the three channels' variances: on what the matches say, a level for positions and one for
+    headings, and on the squares of the robot's twist, whose coefficient is the variance of the stamps.
+    """
     t_s = path.t_s
     if len(t_s) < _FEW:
-        return WhiteNoise(1.0, 0.0)
-    away = path.xyt[:, 2] - np.unwrap(motion.robot(t_s)[:, 2])
-    step = wrap(np.diff(away))
+        return WhiteNoise(1.0, 1.0, 0.0)
+    robot = motion.robot(t_s)
+    step = between(robot[:-1], robot[1:]) - between(path.xyt[:-1], path.xyt[1:])
+    step[:, 2] = wrap(step[:, 2])
     apart = np.diff(t_s)
-    whole = apart < _GAP * float(np.median(apart))
-    both = whole[:-1] & whole[1:] & (path.part[:-2] == path.part[2:])
-    white = -(step[:-1] * step[1:])[both]
-    if len(white) < _FEW:
-        return WhiteNoise(1.0, 0.0)
-    white = np.clip(white, *np.percentile(white, (100.0 - _EXTREME, _EXTREME)))
-    claimed = path.covariance[1:-1, 2, 2][both]
-    square = (_rate(path, motion)[1:-1, 2] ** 2)[both]
-    columns = np.stack((claimed, square), axis=1)
-    turning = bool(np.sqrt(np.mean(square)) > _TURNS_RADPS)
-    used = columns if turning else columns[:, :1]
-    scale = np.sqrt(np.mean(used**2, axis=0))
-    solution = np.linalg.lstsq(used / scale, white, rcond=None)[0] / scale
-    residual = white - used @ solution
-    error = np.sqrt(np.diag(np.linalg.pinv((used / scale).T @ (used / scale)))) / scale * float(np.std(residual))
-    jitter = float(np.sqrt(max(solution[1], 0.0))) if turning and solution[1] > 2.0 * error[1] else 0.0
-    factor = float(np.clip(solution[0], 1.0, _LARGEST))
-    return WhiteNoise(factor, jitter if jitter > _LEAST_S else 0.0)
+    whole = (apart < _GAP * float(np.median(apart))) & (path.part[:-1] == path.part[1:])
+    both = whole[:-1] & whole[1:]
+    seen = both & ~(path.weak[:-2] | path.weak[1:-1] | path.weak[2:])
+    rate = _rate(path, motion)[1:-1]
+    columns, targets = [], []
+    for channel in range(3):
+        rows = both if channel == _YAW else seen
+        if np.count_nonzero(rows) < _FEW:
+            continue
+        white = -(step[:-1, channel] * step[1:, channel])[rows]
+        white = np.clip(white, *np.percentile(white, (100.0 - _EXTREME, _EXTREME)))
+        claimed = path.covariance[1:-1, channel, channel][rows]
+        column = np.zeros((len(white), 3))
+        column[:, int(channel == _YAW)], column[:, 2] = claimed, rate[rows, channel] ** 2
+        spread = max(float(np.std(white)), 1e-12)
+        columns.append(column / spread)
+        targets.append(white / spread)
+    if not columns:
+        return WhiteNoise(1.0, 1.0, 0.0)
+    design, target = np.concatenate(columns), np.concatenate(targets)
+    moving = bool(np.sqrt(np.mean(rate[:, 2] ** 2)) > _TURNS_RADPS or np.sqrt(np.mean(rate[:, 0] ** 2)) > _MOVES_MPS)
+    design[:, 2] *= moving
+    scale = np.sqrt(np.mean(design**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    scaled = design / scale
+    inverse = np.linalg.pinv(scaled.T @ scaled)
+    solution = inverse @ (scaled.T @ target)
+    error = np.sqrt(np.diag(inverse)) * float(np.std(target - scaled @ solution))
+    jitter = float(np.sqrt(solution[2] / scale[2])) if solution[2] > 2.0 * error[2] else 0.0
+    position, heading = np.clip(solution[:2] / scale[:2], (_SMALLEST, 1.0), _LARGEST).tolist()
+    return WhiteNoise(position, heading, jitter if jitter > _LEAST_S else 0.0)
 
 
 def with_noise(path: LaserPath, motion: Motion, noise: WhiteNoise) -> LaserPath:
     """Return the path with covariances of that level, and with what jitter of its stamps does to each pose."""
-    covariance = path.covariance * noise.factor
+    covariance = _scaled(path.covariance, np.sqrt([noise.position, noise.position, noise.heading]))
     if noise.stamps_s > 0.0:
         rate = _rate(path, motion)
         covariance = covariance + noise.stamps_s**2 * rate[:, :, None] * rate[:, None, :]
     return replace(path, covariance=covariance)
+
+
+def with_view_errors(path: LaserPath, motion: Motion) -> LaserPath:
+    """Return the path with the errors added that matches have by what is seen: corners, furniture, the map.
+
+    They are others after some way, and the same ones as long as the robot stands: there they are left out, for sweeps
+    at rest that counted as much as others would make the noise seem smaller than it is on the way.
+    """
+    robot = [motion.robot(path.t_s + side) for side in (-_AROUND_S, _AROUND_S)]
+    moved = between(robot[0], robot[1])
+    gone_m = np.hypot(moved[:, 0], moved[:, 1]) + _TURN_M * np.abs(wrap(moved[:, 2]))
+    share = np.clip(gone_m / _NEW_VIEW_M, 0.0, 1.0)
+    more = np.diag([_VIEW_M, _VIEW_M, _VIEW_RAD]) ** 2 * share[:, None, None] ** 2
+    return replace(path, covariance=path.covariance + more + np.diag([_LEAST_M, _LEAST_M, _LEAST_RAD]) ** 2)
+
+
+def _scaled(covariance: Array, deviation: Array) -> Array:
+    """Return covariances (k, 3, 3) with deviations multiplied, (3,) or (k, 3); axes that are not seen stay so."""
+    values, vectors = np.linalg.eigh(covariance[:, :2, :2])
+    unseen = np.zeros_like(covariance)
+    blind = np.where(values > 0.25 * UNKNOWN_M**2, values, 0.0)
+    unseen[:, :2, :2] = (vectors * blind[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    both = deviation[..., :, None] * deviation[..., None, :]
+    out: Array = (covariance - unseen) * both + unseen
+    return out
 
 
 def without_spikes(path: LaserPath, motion: Motion) -> LaserPath:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import compose, inverse, rotate
-from odomcorrupt.laser.calibrate import deskewed
 from odomcorrupt.laser.icp import WEAK, match
 from odomcorrupt.laser.keyframes import thinned
 
@@ -22,13 +21,13 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.slam import Tracked
     from odomcorrupt.laser.sweep import Sweeps
 
-__all__ = ["LaserPath", "relocalised"]
+__all__ = ["UNKNOWN_M", "LaserPath", "relocalised"]
 
 _QUERY = 450
 _OVERLAP = 0.35
 _GATES_M = (0.2, 0.15)
-_FLOOR_M, _FLOOR_RAD = 1e-3, 2e-4
-_UNKNOWN_M = 2.0
+UNKNOWN_M = 2.0
+"""Standard deviation along an axis that is not seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,21 +70,20 @@ def relocalised(
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
     part_of = world.parts()
+    scans = calibration.deskewing(sweeps)
     rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
     tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
     for done, n in enumerate(tracked_rows):
         if progress is not None and done % 50 == 0:
             progress(done / len(tracked_rows))
         k = int(tracked.keyframe[n])
-        scan = deskewed(sweeps.sweeps[n], motion, mirrored=calibration.mirrored, turn_s=calibration.turn_s)
-        found = match(thinned(scan, _QUERY), world.local(k), tracked.relative[n], _GATES_M)
+        found = match(thinned(scans[int(n)], _QUERY), world.local(k), tracked.relative[n], _GATES_M)
         if found is None or found.overlap < _OVERLAP:
             continue
         covariance = np.linalg.inv(found.information + np.diag([1e-4, 1e-4, 1e-4]))
         unseen = found.ratio < WEAK
-        covariance += np.diag([_FLOOR_M, _FLOOR_M, _FLOOR_RAD]) ** 2
         if unseen:
-            covariance[:2, :2] += _UNKNOWN_M**2 * np.outer(found.weak_axis, found.weak_axis)
+            covariance[:2, :2] += UNKNOWN_M**2 * np.outer(found.weak_axis, found.weak_axis)
         # into the laser's own axes, then the robot's
         turn = np.eye(3)
         turn[:2, :2] = rotate(np.eye(2), np.full(2, found.pose[2] - motion.mount[2]))

@@ -36,13 +36,28 @@ def path(duration_s=36.0, rate_hz=20.0, *, straight=False):
     return t_s, np.stack([np.interp(t_s, fine, column) for column in poses.T], axis=1), fine, poses
 
 
-def ranges(pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008):
-    """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above."""
+def there_and_back(fine, every, half_s=10.0, short_s=0.6):
+    """A drive out and back in reverse along the same path, that ends a little short of where it began, and rests."""
+    back = np.arange(0.0, 2.0 * half_s - short_s + 1.5, 0.005)
+    along = 12.0 + np.maximum(half_s - np.abs(back - half_s), short_s * (back > half_s))
+    poses = np.stack([np.interp(along, fine, column) for column in every.T], axis=1)
+    t_s = np.arange(0.0, back[-1], 0.05)
+    return t_s, np.stack([np.interp(t_s, back, column) for column in poses.T], axis=1), back, poses
+
+
+def ranges(
+    pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=False, noise=0.008, backwards=False
+):  # fmt: skip
+    """Ranges (n, beams): each beam from where the laser is then; a flipped laser turns clockwise seen from above.
+
+    backwards : the last beam is measured first, as by a laser whose driver reverses the order
+    """
     rng = np.random.default_rng(1)
     bearing = -np.pi + 2 * np.pi * np.arange(beams) / beams
     out = []
     for start in starts_s:
-        pose = pose_at(start + sweep_s * np.arange(beams) / beams)
+        beam = np.arange(beams)[::-1] if backwards else np.arange(beams)
+        pose = pose_at(start + sweep_s * beam / beams)
         angle = pose[:, 2] + (-bearing if flipped else bearing)
         way = np.stack((np.cos(angle), np.sin(angle)), axis=1)
         a, along = walls[:, 0], walls[:, 1] - walls[:, 0]
@@ -58,10 +73,13 @@ def ranges(pose_at, starts_s, *, walls=WALLS, beams=180, sweep_s=0.15, flipped=F
 
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
-    blind=False, cloud=False, twice=False, off=1.02, spin=False,
+    blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
+    returns=False,
 ):  # fmt: skip
     """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them."""
     t_s, poses, fine, every = path(straight=corridor)
+    if returns:
+        t_s, poses, fine, every = there_and_back(fine, every)
     if spin:
         every = every.copy()
         every[:, 2] = 0.1 + 1.2 * fine
@@ -71,9 +89,9 @@ def drive(
         robot = np.stack([np.interp(at_s, fine, column) for column in every.T], axis=1)
         return compose(robot, np.array(mount))
 
-    starts = np.arange(0.1, t_s[-1] - 1.5, 1.0 / rate_hz)
+    starts = np.arange(0.1, t_s[-1] - (0.3 if returns else 1.5), 1.0 / rate_hz)
     walls = closed(CORRIDOR) if corridor else WALLS
-    seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped)
+    seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped, backwards=backwards)
     if blind:
         seen = 0.3 + 0.002 * np.random.default_rng(2).standard_normal(seen.shape)
     odometry = poses.copy()
@@ -101,6 +119,10 @@ def drive(
         groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=sweep_s))
     if twice:
         groups.append(laserbags.scans(stamps(starts + 0.01), seen, "/scan_rear", turn_s=sweep_s))
+    if gyro:
+        rate = np.gradient(every[:, 2], fine)[::2]
+        rate = rate + 0.02 * np.random.default_rng(6).standard_normal(len(rate))
+        groups.append(laserbags.imu(stamps(fine[::2]), np.column_stack((0.0 * rate, 0.0 * rate, rate + 0.004))))
     if told is not None:
         groups.append(laserbags.sits(x=told[0], y=told[1], yaw=told[2]))
     return laserbags.write(where, *groups)

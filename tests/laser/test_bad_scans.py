@@ -35,8 +35,9 @@ def turned_too_far(recording):
         ({"jitter_s": 0.05, "told": (0.1, 0.0, 0.0)}, "stamps of the sweeps are off by"),
         ({"cloud": True, "told": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
         ({"spin": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "ruler"),
+        ({"backwards": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "times within a sweep run the wrong way"),
     ],
-    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning"],
+    ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning", "clockwise"],
 )
 def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path, faults, said):
     topic = "/points" if "cloud" in faults else None
@@ -67,3 +68,13 @@ def test_of_two_lasers_one_has_to_be_named(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "/scan_rear" in said
     assert "--scan" in said
+
+
+@pytest.mark.slow
+def test_beside_a_laser_a_gyro_says_where_the_heading_comes_from_and_the_laser_is_the_truth(tmp_path):
+    recording, notes = read(raycaster.drive(tmp_path / "run.mcap", told=(0.1, 0.0, 0.0), gyro=True))
+    assert recording.matched
+    assert "the laser on /scan" in notes
+    assert "/imu/data: yaw is about its z axis" in notes
+    assert recording.heading_source != "gyro"
+    assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)

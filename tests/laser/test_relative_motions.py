@@ -108,7 +108,7 @@ def test_the_kheperas_wheels_are_those_of_censi_et_al(tmp_path):
     values = {f"{e.name}.{p.name}": getattr(e, p.name) for e in result.model.effects for p in amplitudes(e)}
     errors = result.model.standard_errors
     theirs = {"left": 0.0205898, "right": 0.0207204, "axle": 0.0880134}
-    # all within three standard errors, of a quarter of the data
+    # 1.2, 2.5 and 1.4 standard errors away, of a quarter of the data; the bound of three was set after these were seen
     mean = radius * (1.0 + values["wheel_scale.e"])
     assert abs(mean / (0.5 * (theirs["left"] + theirs["right"])) - 1.0) < 3.0 * errors["wheel_scale.e"]
     ratio, error = values["unequal_wheels.curvature"] * track, errors["unequal_wheels.curvature"] * track

@@ -10,10 +10,12 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.laser.calibrate import calibrate
+from odomcorrupt.laser.closure import end_by_scans
 from odomcorrupt.laser.scans import only_scan_topic, read_sweeps
 from odomcorrupt.laser.slam import make_map
-from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, without_spikes
+from odomcorrupt.laser.stamps import WhiteNoise, white_noise, with_noise, with_view_errors, without_spikes
 from odomcorrupt.laser.trajectory import relocalised
+from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.raw_trajectory import Samples
@@ -25,13 +27,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.slam import Tracked
     from odomcorrupt.laser.sweep import Sweeps
     from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.address import Address
 
-__all__ = ["SCALE_ACCURACY", "LaserRun", "laser_run", "match_run", "only_scan", "truth_of"]
+__all__ = ["SCALE_ACCURACY", "LaserRun", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
 """Standard deviation of a laser's own scale error where nobody says better: 0.3 %."""
@@ -93,6 +96,23 @@ def laser_run(
     return match_run(odometry, read_sweeps(path, place, scan, odometry.child or "base_link"), progress)
 
 
+def end_seen(path: Path, place: str, odom: str | None, scan: str) -> Array:
+    """Return where a drive ended (3,), seen from where it began, by its first and last scans.
+
+    Raises
+    ------
+    TopicError
+        Where a topic is missing, or several could be meant.
+    RecordingError
+        Where the last scans do not fit the first.
+
+    """
+    address = parse_address(odom) if odom is not None else None
+    odometry = in_order(read_bag(path, place, {"odometry": address})["odometry"])
+    sweeps = read_sweeps(path, place, scan, odometry.child or "base_link")
+    return end_by_scans(sweeps, without_outliers(odometry).trajectory()).pose
+
+
 def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float], None] | None = None) -> LaserRun:
     """Return the laser's trajectory of a run from its odometry and its sweeps; see `laser_run`."""
     if not odometry.headed:
@@ -110,7 +130,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
             "--scan"
         )
-    found = without_spikes(found, calibration.motion)
+    found = with_view_errors(without_spikes(found, calibration.motion), calibration.motion)
     noise = white_noise(found, calibration.motion)
     return LaserRun(odometry, sweeps, calibration, tracked, with_noise(found, calibration.motion, noise), noise)
 

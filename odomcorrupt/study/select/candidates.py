@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
@@ -254,8 +254,11 @@ def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
 def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms searched again, now that what it explains is no noise any more.
 
+    Words that are the same to first order (a filter, a delay) only a refit tells apart.
+
     score : the term as it is in the model; both come back as they were where another shape gains too little
     """
+    fit, score = _with_words_refined(fit, score, decisions)
     if not len(score.term.shape):
         return fit, score
     effect = next(e for e in fit.effects if e.name == score.term.name)
@@ -269,6 +272,24 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
         return fit, score
     return shaped, replace(score, term=moved)
+
+
+def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+    """Return the fit with those words of one of its terms, the source of the heading apart, that a refit prefers."""
+    if not isinstance(score.term, LibraryTerm):
+        return fit, score
+    effect = next(e for e in fit.effects if e.name == score.term.name)
+    for word in choices(effect):
+        best = fit
+        for other in score.term.with_words((word,)) if word != "heading" else ():
+            said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
+            tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
+            if tried_fit.log_likelihood > best.log_likelihood + decisions.reshape_nats:
+                best, chosen = tried_fit, other
+        if best is not fit:
+            fit, score = best, replace(score, term=chosen)
+            effect = next(e for e in fit.effects if e.name == score.term.name)
+    return fit, score
 
 
 def _nearby(search: ShapeSearch, term: Term, fit: Fit) -> Term:

@@ -125,7 +125,8 @@ def bound_notes(model: MotionModel) -> tuple[str, ...]:
 def _setup_note(model: MotionModel, recordings: Sequence[Recording]) -> list[str]:
     """Return why `correct` leaves another error than the fit, where the set-up makes a difference."""
     names = [effect.name for effect in model.setup.effects]
-    if not names:
+    # where a laser sits is the laser's own, and nothing to take out of the odometry
+    if not names or all(r.matched for r in recordings):
         return []
     on_time = [aligned(r, _clock(model, r)) for r in recordings]
     robot, both = (

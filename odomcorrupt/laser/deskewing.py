@@ -1,0 +1,108 @@
+"""Sweeps as they would be had all their returns been taken at once: the robot's motion within each is taken out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import between, compose
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.laser.sweep import Sweeps
+    from odomcorrupt.study.io.recording import Trajectory
+
+__all__ = ["Deskewing", "Motion"]
+
+_KNOTS = 5
+"""Poses looked up within each sweep, an odd number: the middle is one of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Odometry as a function of the laser's time.
+
+    lag_s : what is added to the laser's times to get the odometry's
+    mount : (3,) the laser's pose on the robot
+    """
+
+    odometry: Trajectory
+    origin_ns: int
+    lag_s: float
+    mount: Array
+
+    def robot(self, t_s: Array) -> Array:
+        """Return the odometry's poses (n, 3) at times (n,) of the laser; held at both ends."""
+        own = self.odometry.seconds_since(self.origin_ns)
+        return self.odometry.at(np.clip(t_s + self.lag_s, own[0], own[-1]), self.origin_ns)
+
+    def laser(self, t_s: Array) -> Array:
+        """Return the laser's poses (n, 3) in the odometry's frame at times (n,) of the laser."""
+        return compose(self.robot(t_s), self.mount)
+
+
+class Deskewing:
+    """Sweeps put right for the motion within them: returns as they would lie had all been taken in its middle.
+
+    The laser's poses at the ends and inside of all chosen sweeps are looked up at once: one by one they cost more than
+    the rest.
+
+    turn_s : see `Calibration`; the middle of each sweep stays at the same time
+    rows : (k,) which sweeps will be asked for, by default all
+    """
+
+    def __init__(
+        self,
+        sweeps: Sweeps,
+        motion: Motion,
+        *,
+        mirrored: bool,
+        turn_s: float = 0.0,
+        rows: NDArray[np.int64] | None = None,
+    ) -> None:
+        self._sweeps, self._mirrored, self._turn_s = sweeps.sweeps, mirrored, turn_s
+        rows = np.arange(len(sweeps)) if rows is None else np.unique(rows)
+        self._place = {int(row): place for place, row in enumerate(rows)}
+        spans = np.array([self._span(int(row)) for row in rows]).reshape(-1, 2)
+        stamps_s = (sweeps.stamps_ns[rows] - motion.origin_ns).astype(np.float64) * 1e-9
+        self._knots_s = spans[:, :1] + (spans[:, 1:] - spans[:, :1]) * (np.arange(_KNOTS) / (_KNOTS - 1.0))
+        poses = motion.laser((stamps_s[:, None] + self._knots_s).ravel()).reshape(-1, _KNOTS, 3)
+        middle = np.repeat(poses[:, _KNOTS // 2], _KNOTS, axis=0)
+        self._relative = between(middle, poses.reshape(-1, 3)).reshape(-1, _KNOTS, 3)
+
+    def __getitem__(self, row: int) -> Array:
+        """Return the returns (m, 2) of a sweep."""
+        sweep, place = self._sweeps[row], self._place[row]
+        xy = sweep.xy.astype(np.float64)
+        if self._mirrored:
+            xy[:, 1] = -xy[:, 1]
+        knots_s = self._knots_s[place]
+        if knots_s[0] == knots_s[-1]:
+            return xy
+        after_s = self._after_s(row)
+        relative = self._relative[place]
+        x, y, yaw = (np.interp(after_s, knots_s, relative[:, i]) for i in range(3))
+        c, s = np.cos(yaw), np.sin(yaw)
+        return np.stack((x + c * xy[:, 0] - s * xy[:, 1], y + s * xy[:, 0] + c * xy[:, 1]), axis=1)
+
+    def _after_s(self, row: int) -> Array:
+        """Return the times (m,) of a sweep's returns after its stamp."""
+        sweep = self._sweeps[row]
+        after_s = sweep.after_s.astype(np.float64)
+        if self._turn_s == 0.0 or not len(after_s):
+            return after_s
+        bearing = np.unwrap(np.arctan2(sweep.xy[:, 1].astype(np.float64), sweep.xy[:, 0].astype(np.float64)))
+        middle_s = 0.5 * (after_s[0] + after_s[-1])
+        turned: Array = middle_s + (bearing - 0.5 * (bearing[0] + bearing[-1])) * (self._turn_s / (2.0 * np.pi))
+        return turned
+
+    def _span(self, row: int) -> tuple[float, float]:
+        """Return when the first and the last return of a sweep were taken after its stamp; zeros where all at once."""
+        after_s = self._after_s(row)
+        if not len(after_s) or after_s[0] == after_s[-1]:
+            return 0.0, 0.0
+        return float(after_s.min()), float(after_s.max())
