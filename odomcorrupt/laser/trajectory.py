@@ -77,7 +77,7 @@ def relocalised(
         if progress is not None and done % 50 == 0:
             progress(done / len(tracked_rows))
         k = int(tracked.keyframe[n])
-        found = match(thinned(scans[n], _QUERY), world.local(k), tracked.relative[n], _GATES_M)
+        found = match(thinned(scans[int(n)], _QUERY), world.local(k), tracked.relative[n], _GATES_M)
         if found is None or found.overlap < _OVERLAP:
             continue
         covariance = np.linalg.inv(found.information + np.diag([1e-4, 1e-4, 1e-4]))
