@@ -20,6 +20,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from odomcorrupt import __version__, commands
+from odomcorrupt.commands._standard import WORDS
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.standard_streams import install, leave, visible
 
@@ -61,6 +62,7 @@ class _Group(click.Group):
             if not ctx.resilient_parsing:
                 _suggest(args[0], alone=len(args) == 1)
             args = [DEFAULT, *args]
+        ctx.meta[WORDS] = args[1:]
         return super().parse_args(ctx, args)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:

@@ -95,6 +95,8 @@ def check_effect(effect_class: type[Effect]) -> None:
         elif not sample.clock:
             _check_round_trip(sample)
     _check_identity(still)
+    if effect_class.odd:
+        _check_odd(still)
 
 
 def _require(promise: object, effect: Effect | type[Effect], what: str) -> None:
@@ -144,6 +146,14 @@ def _check_identity(still: Effect) -> None:
     normals = np.random.default_rng(1).standard_normal((50, 4))
     drawn = still.drawn(normals, still.start(stream(1, 0, still.name))).normals
     _require(np.array_equal(drawn, normals), still, "changes draws at its identity")
+
+
+def _check_odd(still: Effect) -> None:
+    motion = contract_drive(sideways=still.needs_sideways).motion
+    for p in amplitudes(still):
+        both = (replace(still, **{p.name: p.identity + step}) for step in (p.step, -p.step))  # type: ignore[type-var]
+        up, down = (_error(effect, motion)[0] for effect in both)
+        _require(np.array_equal(up, -down), still, f"f does not change sign with {p.name}: it is not odd")
 
 
 def _check_numbers(effect: Effect) -> None:

@@ -71,7 +71,14 @@ class Findings(Result):
         ]
 
     def save_next_drive(self, path: str | PathLike[str], *, overwrite: bool = False) -> str:
-        """Write the drive that settles most of what is open as /cmd_vel in an MCAP, and return it in words.
+        """Write the drive that separates most of the names that are open, as /cmd_vel in an MCAP.
+
+        Parameters
+        ----------
+        path : path
+            MCAP to write.
+        overwrite : bool
+            Whether an existing file is replaced.
 
         Returns
         -------
@@ -109,7 +116,14 @@ class Findings(Result):
         return learned_json(found.search, found.sequence.judgements, found.advice, judged=self._judged, fit=self._fit)
 
     def report(self) -> str:
-        """Return all of it as one page of HTML, pictures too."""
+        """Return what was found as one page of HTML.
+
+        Returns
+        -------
+        str
+            Tables and pictures in one text, which needs no network.
+
+        """
         from odomcorrupt import __version__
         from odomcorrupt.report.html.diagnosis import Story, found_html
 

@@ -77,7 +77,18 @@ class Learned(Findings):
         return Findings.to_dict(self) | {"comparison": self.comparison.to_dict()}
 
     def draw(self, picture: str) -> Figure:
-        """Return the errors without and with what was found; or another picture of a comparison by name."""
+        """Return a picture of the errors without and with what was found.
+
+        Parameters
+        ----------
+        picture : str
+            "" for that; or another picture of a comparison by name, as of `Comparison.draw`.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        """
         return self.comparison.draw(picture)
 
 

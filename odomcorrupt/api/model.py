@@ -58,6 +58,11 @@ class Noise:
     def as_motion_noise(self) -> motion_model.Noise:
         """Return the law and its coefficients.
 
+        Returns
+        -------
+        odomcorrupt.model.motion_model.Noise
+            The noise in radians and metres, with the step that the law is applied to.
+
         Raises
         ------
         ModelError
@@ -138,7 +143,20 @@ class Model:
 
     @classmethod
     def of(cls, motion_model: MotionModel, origin: str = "") -> Model:
-        """Return a motion model of the library, and where its numbers come from."""
+        """Return a motion model of the library as a model of the interface.
+
+        Parameters
+        ----------
+        motion_model : odomcorrupt.model.motion_model.MotionModel
+            Noise law and effects.
+        origin : str
+            Where its numbers come from, in words, for summaries.
+
+        Returns
+        -------
+        Model
+
+        """
         model = cls.__new__(cls)
         model.motion_model, model.origin = motion_model, origin
         return model
@@ -146,6 +164,15 @@ class Model:
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Model:
         """Return the model in a file, as `fit`, `learn` and `presets` write it.
+
+        Parameters
+        ----------
+        path : path
+            Model file, TOML.
+
+        Returns
+        -------
+        Model
 
         Raises
         ------
@@ -159,7 +186,24 @@ class Model:
 
     @classmethod
     def preset(cls, name: str = "typical") -> Model:
-        """Return ready-made noise by name: typical, article, or one fitted to a real robot."""
+        """Return ready-made noise by name.
+
+        Parameters
+        ----------
+        name : str
+            Preset: `typical`, `article`, or one that was fitted to a real robot, as `odomcorrupt presets` lists them.
+
+        Returns
+        -------
+        Model
+            Noise without effects.
+
+        Raises
+        ------
+        ModelError
+            Where there is no such preset.
+
+        """
         from odomcorrupt.model.motion_model import MotionModel
         from odomcorrupt.model.presets import preset_named
 
@@ -167,7 +211,26 @@ class Model:
         return cls.of(MotionModel(preset.noise), f"preset {preset.name}: {preset.source}")
 
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
-        """Write the model as TOML, which a person reads and edits; return the path."""
+        """Write the model as TOML, which a person reads and edits; return the path.
+
+        Parameters
+        ----------
+        path : path
+            File to write.
+        overwrite : bool
+            Whether an existing file is replaced.
+
+        Returns
+        -------
+        pathlib.Path
+            The file.
+
+        Raises
+        ------
+        OdomCorruptError
+            Where the file exists and is not to be replaced.
+
+        """
         from odomcorrupt.files import refuse_existing, write_text
         from odomcorrupt.model.model_file import format_model
 
@@ -177,7 +240,24 @@ class Model:
         return target
 
     def with_effects(self, effects: Sequence[str | Effect]) -> Model:
-        """Return this model with effects added, each as text or as an effect of the library."""
+        """Return this model with effects added.
+
+        Parameters
+        ----------
+        effects : sequence of str or Effect
+            Each as text, as in "unequal_wheels:curvature=0.005", or as an effect of the library.
+
+        Returns
+        -------
+        Model
+            This one stays as it is.
+
+        Raises
+        ------
+        EffectError
+            Where there is no such effect, or it does not have such a parameter.
+
+        """
         from odomcorrupt.model.effect_notation import parse_effect
 
         found, assumed = [], []

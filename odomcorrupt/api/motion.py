@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.model import as_model
-from odomcorrupt.api.result import Result
+from odomcorrupt.api.result import Result, next_line
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -34,10 +34,12 @@ class Samples(Result):
 
     drawn : the motion, its noise, the samples and where they come from
     space : the free space that they had to stay in, None without a map
+    following : the command to type next, "" for none
     """
 
     drawn: Drawn
     space: FreeSpace | None = None
+    following: str = ""
 
     @property
     def xyt(self) -> NDArray[Any]:
@@ -53,7 +55,7 @@ class Samples(Result):
         """Return mean and spread of the samples beside those of the linearised model."""
         from odomcorrupt.sampling.text import brief
 
-        return brief(self.drawn)
+        return brief(self.drawn, self.following)
 
     def details(self) -> str:
         """Return motion, noise, and both covariances."""
@@ -164,6 +166,7 @@ class Density(Result):
     reading : "pose", "product" or "hypothetical"
     grid : over x and y, the heading summed up
     within, free_part : the map that it respects, and which part of the density without the map is free
+    following : the command to type next, "" for none
     """
 
     poses: NDArray[Any]
@@ -175,6 +178,7 @@ class Density(Result):
     law: str
     free_part: float = 1.0
     within: MapCondition | None = None
+    following: str = ""
 
     @property
     def unit(self) -> str:
@@ -197,7 +201,10 @@ class Density(Result):
         """Return the density at each pose, and its integral over all."""
         from odomcorrupt.report.text.summary import Line, Summary
 
-        return Summary((Line("DENSITY", self.law), *(Line("", sentence) for sentence in self._sentences())))
+        *values, integral = self._sentences()
+        following = next_line(self.following)
+        lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
+        return Summary((*lines, Line("noise", self.law), *([following] if following else [])))
 
     def details(self) -> str:
         """Return the same, with the noise in full."""
@@ -226,7 +233,20 @@ class Density(Result):
         return self.draw_beside(1000, 0)
 
     def draw_beside(self, count: int, seed: int) -> Figure:
-        """Return the density beside samples of the same motion."""
+        """Return a picture of the density beside samples of the same motion.
+
+        Parameters
+        ----------
+        count : int
+            How many samples.
+        seed : int
+            Of the draws.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        """
         from odomcorrupt.report.plots.samples import draw_density
         from odomcorrupt.rng import stream
         from odomcorrupt.sampling.samples import move_sampled

@@ -59,7 +59,18 @@ class Recordings(Sequence["Recording"]):
         return tuple(f"{run.name}: {note}" for run in self.runs for note in run.notes[1:])
 
     def on_track(self, track_m: float | None) -> Recordings:
-        """Return the same recordings of a robot whose track is known, where they did not say it themselves."""
+        """Return the same recordings of a robot whose track is known, where they did not say it themselves.
+
+        Parameters
+        ----------
+        track_m : float or None
+            Nominal distance between the wheels, metres; None changes nothing.
+
+        Returns
+        -------
+        Recordings
+
+        """
         if track_m is None or self.track_m is not None:
             return self
         return Recordings(
@@ -68,7 +79,19 @@ class Recordings(Sequence["Recording"]):
         )
 
     def of_drive_type(self, drive_type: str) -> Recordings:
-        """Return the same recordings of a robot whose drive type is known, where they did not say it themselves."""
+        """Return the same recordings of a robot whose drive type is known, where they did not say it themselves.
+
+        Parameters
+        ----------
+        drive_type : str
+            As of `read_recordings`; "" and "auto" change nothing.
+
+        Returns
+        -------
+        Recordings
+            Of a steered drive without a track.
+
+        """
         said = all(source.drive_type == AUTO for source in self.sources)
         if drive_type in ("", AUTO) or not said:
             return self
@@ -84,13 +107,40 @@ class Recordings(Sequence["Recording"]):
         return next((run.geodetic_origin for run in self.runs if run.geodetic_origin is not None), None)
 
     def in_frame(self, origin: Origin | None) -> Recordings:
-        """Return the same recordings with satellite fixes in the frame of another origin; None leaves them."""
+        """Return the same recordings with satellite fixes in the frame of another origin.
+
+        Parameters
+        ----------
+        origin : odomcorrupt.study.io.geodesy.Origin or None
+            Origin of an east-north frame; None leaves them in the frame of their first fix.
+
+        Returns
+        -------
+        Recordings
+
+        """
         from odomcorrupt.study.io.geodesy import in_frame
 
         return replace(self, runs=tuple(in_frame(run, origin) for run in self.runs))
 
     def read_alike(self, paths: PathLikes) -> Recordings:
-        """Return other files, read with the topics, clock shift and track of the first of these."""
+        """Return other files, read with the topics, clock shift and track of the first of these.
+
+        Parameters
+        ----------
+        paths : path or sequence of paths
+            Bags or tables.
+
+        Returns
+        -------
+        Recordings
+
+        Raises
+        ------
+        RecordingError
+            Where the truth of the first recording is in a file of its own.
+
+        """
         first = self.sources[0]
         if first.truth_path is not None:
             raise RecordingError(

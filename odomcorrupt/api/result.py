@@ -41,7 +41,23 @@ class Result(ABC):
         """Return the rows of `to_pandas`, with units in the names of the columns."""
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture of this result by name; "" for the usual one."""
+        """Return a picture of this result.
+
+        Parameters
+        ----------
+        picture : str
+            Its name, where there are several; "" for the usual one.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        OdomCorruptError
+            Where there is no such picture.
+
+        """
         if picture:
             raise OdomCorruptError(f"{picture}: a {type(self).__name__} has one picture only; leave the name out")
         return self._figure()
@@ -50,7 +66,14 @@ class Result(ABC):
         raise OdomCorruptError(f"there is no picture of a {type(self).__name__}")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table as a pandas data frame; needs the extra `pandas`."""
+        """Return a table as a pandas data frame; needs the extra `pandas`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The rows of `rows()`, with units in the names of the columns.
+
+        """
         require("pandas", "tables need it", "pandas")
         import pandas as pd
 
@@ -67,6 +90,15 @@ class Result(ABC):
             Which picture, where there are several.
         overwrite : bool
             Whether an existing file is replaced.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+
+        Raises
+        ------
+        OdomCorruptError
+            Where there is no such picture, the file's name is not that of a picture, or the file exists and stays.
 
         """
         require("matplotlib", "pictures need it", "study")

@@ -213,7 +213,7 @@ def target_of(
     Raises
     ------
     BagError
-        If a topic's messages cannot be converted.
+        If a topic's messages cannot be converted, or would become ROS 1 messages in an MCAP.
     TopicError
         If there is no such topic to be left out.
 
@@ -225,6 +225,12 @@ def target_of(
         fits = generations <= {form.ros} if strict else form.ros is None or generations <= {None, form.ros}
     else:
         fits = form.ros is None or (reader.kind == "ros1" and form.ros == 1)
+    if form.kind == "mcap" and form.ros == 1 and not fits:
+        name = "stdout" if path is None or str(path) == "-" else str(path)
+        raise BagError(
+            f"{name}: --ros 1 would convert messages of ROS 2 to an MCAP of ROS 1 messages, which rosbags-convert and "
+            "rosbag refuse to read; end the name in .bag for ROS 1, or leave --ros out"
+        )
     if fits and not exclude:
         return Target(reader, form)
     # the library takes a fifth of a second to import

@@ -6,13 +6,16 @@ import os
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 from odomcorrupt.bags.checksum import crc32, crc_of_both
 from odomcorrupt.bags.placement import beside, is_stream, place, sweep
 from odomcorrupt.errors import BagError
 
-__all__ = ["Output", "Shared"]
+if TYPE_CHECKING:
+    from types import TracebackType
+
+__all__ = ["Output", "OutputContext", "Shared"]
 
 _WORTH_BYTES = 1 << 16
 """Less is written as quickly as copied."""
@@ -182,3 +185,36 @@ class Output:
         if isinstance(error, BrokenPipeError):
             return BagError(f"{self.name}: closed by its reader after {self.position} bytes")
         return BagError(f"{self.name}: cannot be written: {error.strerror} (after {self.position} bytes)")
+
+
+class OutputContext:
+    """Base class of writers of one output, which appears when the context ends without an error, else nothing does."""
+
+    def __init__(self, output: Output) -> None:
+        self._output = output
+
+    def _begin(self) -> None:
+        """Write what the output begins with."""
+
+    def _finish(self) -> None:
+        """Write what it ends with."""
+
+    def __enter__(self) -> Self:
+        try:
+            self._output.open()
+            self._begin()
+        except BaseException:
+            self._output.discard()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            if kind is None:
+                self._finish()
+                self._output.commit()
+        finally:
+            # After a commit there is nothing left to discard.
+            self._output.discard()

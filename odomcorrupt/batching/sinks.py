@@ -14,7 +14,7 @@ from odomcorrupt.bags.block import Block, Message, PartFraming
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.writer import McapWriter
 from odomcorrupt.bags.open import open_writer
-from odomcorrupt.bags.output import Output
+from odomcorrupt.bags.output import Output, OutputContext
 from odomcorrupt.bags.rosbag2.writer import Foreign
 from odomcorrupt.corruption.inverse import acts
 from odomcorrupt.files import open_input
@@ -83,11 +83,11 @@ def read_tum(path: Path) -> TumPath:
     return TumPath(whole, np.column_stack((numbers[:, 1:3], yaw_from_quaternion(numbers[:, 4:8]))))
 
 
-class TumSink:
+class TumSink(OutputContext):
     """TUM file of one run's path, or without a model of the clean path; clock effects shift the stamps as in a bag."""
 
     def __init__(self, path: Path, model: MotionModel | None) -> None:
-        self._output = Output(path, overwrite=True)
+        super().__init__(Output(path, overwrite=True))
         self._clean = model is None
         self._clocks = () if model is None else tuple(e for e in model.effects if e.clock and acts(e))
         self._waiting: list[PathSamples] = []
@@ -108,23 +108,6 @@ class TumSink:
             stamps_ns = samples.stamps_ns + np.rint(shift_s * 1e9).astype(np.int64)
             self._output.write(format_tum(stamps_ns, xyt))
         self._waiting.clear()
-
-    def __enter__(self) -> Self:
-        try:
-            self._output.open()
-        except BaseException:
-            self._output.discard()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._output.commit()
-        finally:
-            self._output.discard()
 
 
 def write_npz(path: Path, clean: TumPath, runs: Sequence[int], files: Sequence[Path]) -> None:

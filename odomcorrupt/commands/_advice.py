@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from odomcorrupt.api.diagnosis import Findings
-    from odomcorrupt.commands._standard import Voice
+    from odomcorrupt.commands._standard import Files
 
-__all__ = ["advice_options", "check_advice", "write_advice"]
+__all__ = ["advice_files", "advice_options", "check_advice"]
 
 
 def advice_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,12 +48,17 @@ def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) ->
         refuse_existing(path, overwrite=overwrite)
 
 
-def write_advice(result: Findings, drive: Path | None, report: Path | None, voice: Voice) -> None:
-    """Write the drive as /cmd_vel and the page, and say what it is; where nothing is open, say that."""
+def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:
+    """Return the drive as /cmd_vel and the page as files to write; where nothing is open, there is no drive."""
+
+    def save_drive(path: Path) -> str:
+        words = result.save_next_drive(path, overwrite=True)
+        nothing = f"{path} is not written: nothing is open that a drive would settle"
+        return f"wrote {path}: {words}" if words else nothing
+
+    files: dict[Path, Callable[[], object]] = {}
     if drive is not None:
-        words = result.save_next_drive(drive, overwrite=True)
-        nothing = f"{drive} is not written: nothing is open that a drive would settle"
-        voice.note(f"wrote {drive}: {words}" if words else nothing)
+        files[drive] = partial(save_drive, drive)
     if report is not None:
-        write_text(report, result.report())
-        voice.note(f"wrote {report}")
+        files[report] = lambda: write_text(report, result.report())
+    return files

@@ -54,11 +54,9 @@ def picture_kind(path: Path) -> str | None:
     return kind if kind in PICTURES else None
 
 
-def save_picture(path: Path, figure: Figure, *, quiet: bool = False) -> None:
+def save_picture(path: Path, figure: Figure) -> None:
     """Write a figure in the kind its name asks for, whole or not at all."""
     from odomcorrupt.files import write_bytes
     from odomcorrupt.report.plots.figure import rendered
 
     write_bytes(path, rendered(figure, picture_kind(path) or "png"))
-    if not quiet:
-        click.echo(f"wrote {path}", err=True)

@@ -11,7 +11,7 @@ import shutil
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
 
@@ -23,11 +23,25 @@ if TYPE_CHECKING:
     from odomcorrupt.api.result import Result
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["CONFIG", "Voice", "chosen_output", "output_option", "overwrite_option", "standard_options"]
+__all__ = [
+    "CONFIG",
+    "WORDS",
+    "Files",
+    "Voice",
+    "chosen_output",
+    "output_option",
+    "overwrite_option",
+    "standard_options",
+    "typed_words",
+]
 
 CONFIG = "odomcorrupt.toml"
 """Defaults are read from this file where it is in the working directory."""
+Files: TypeAlias = "Mapping[Path, Callable[[], object]]"
+"""Outputs of a command by name: each function writes one; text that it returns is printed instead of `wrote FILE`."""
 _LIMIT_BYTES = 1 << 20
+WORDS = "odomcorrupt.words"
+"""Where a context keeps what was typed behind the name of the command."""
 _DEFAULTS = "odomcorrupt.defaults"
 """Where a context keeps the name of that file, and of the options that it set."""
 _WIDTH = 80
@@ -41,23 +55,24 @@ class Voice:
     quiet: bool = False
     as_json: bool = False
 
-    def show(self, result: Result, *, err: bool = False) -> None:
+    def show(self, result: Result, *, files: Files | None = None, err: bool = False) -> None:
         """Print a result.
 
         Parameters
         ----------
         result : what was computed
+        files : what is written beside it, after the verdict is printed and before the command to type next
         err : whether it goes to stderr, because stdout may carry a bag
         """
-        if self.as_json:
-            self.say("", "", result.to_dict(), err=err)
-        elif self.verbose:
-            self.say("", result.details(), None, err=err)
-        elif not self.quiet:
-            self.say(result.summary(), "", None, err=err)
+        brief = "" if self.as_json or self.verbose or self.quiet else result.summary()
+        details = result.details() if self.verbose and not self.as_json else ""
+        self.say(brief, details, result.to_dict() if self.as_json else None, files=files, err=err)
 
-    def say(self, brief: Summary | str, details: str, values: Any, *, err: bool = False) -> None:
-        """Print a result that is a summary, a text and values."""
+    def say(
+        self, brief: Summary | str, details: str, values: Any, *, files: Files | None = None, err: bool = False
+    ) -> None:
+        """Print a result that is a summary, a text and values; parameters as of `show`."""
+        files, following = files or {}, ""
         if self.as_json:
             click.echo(json.dumps(values, indent=2, allow_nan=False), err=err)
         elif self.verbose:
@@ -65,7 +80,14 @@ class Voice:
         elif not self.quiet:
             stream = sys.stderr if err else sys.stdout
             width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 24)).columns) if stream.isatty() else _WIDTH
-            click.echo(brief if isinstance(brief, str) else brief.text(width, colour=_colours(stream)), err=err)
+            if not isinstance(brief, str):
+                brief, following = brief.parts(width, colour=_colours(stream), taken=len(files))
+            click.echo(brief, err=err)
+        for path, write in files.items():
+            said = write()
+            self.note(said if isinstance(said, str) else f"wrote {path}")
+        if following:
+            click.echo(following, err=err)
 
     def note(self, sentence: str) -> None:
         """Print a sentence on stderr, unless nothing is to be said."""
@@ -112,6 +134,27 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
     ):
         decorated = option(decorated)
     return decorated
+
+
+def typed_words(*without: str) -> list[str]:
+    """Return what was typed behind the command's name, for a command to type next.
+
+    Parameters
+    ----------
+    without : options that are left out with their values, as in "--output"; an option is named by its long spelling
+    """
+    ctx = click.get_current_context()
+    left = {word: option for option in ctx.command.params if isinstance(option, click.Option)
+            for word in (*option.opts, *option.secondary_opts) if set(option.opts) & set(without)}  # fmt: skip
+    kept, rest = [], list(ctx.meta.get(WORDS, ()))
+    while rest:
+        word = rest.pop(0)
+        option = left.get(word.partition("=")[0])
+        if option is None:
+            kept.append(word)
+        elif not option.is_flag and "=" not in word:
+            del rest[: option.nargs]
+    return kept
 
 
 def overwrite_option(what: str = "an existing output") -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from odomcorrupt.api.model import Model
     from odomcorrupt.commands._recordings import Reading
@@ -77,13 +78,10 @@ def command(
         stages("comparison", 0.0)
         result = compare(runs, _short_names(models))
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
-    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""))
-    for path, name in plots.items():
-        result.plot(path, picture=name)
-        voice.note(f"wrote {path}")
+    files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
-        write_text(report, result.report())
-        voice.note(f"wrote {report}")
+        files[report] = lambda: write_text(report, result.report())
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""), files=files)
     return REJECTED if fail_if_rejected and result.rejected else 0
 
 

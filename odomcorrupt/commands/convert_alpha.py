@@ -11,6 +11,7 @@ from odomcorrupt.commands._standard import standard_options
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.model.motion_model import Noise, Step
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
 
@@ -49,8 +50,7 @@ def command(
         after = convert(before, other, _step(to_step or step) if other.per_step else None)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    text = _text(before, after)
-    voice.say(text, text, _values(before, after))
+    voice.say(_brief(before, after), _text(before, after), _values(before, after))
 
 
 def _step(text: str | None) -> Step | None:
@@ -59,28 +59,58 @@ def _step(text: str | None) -> Step | None:
     return None if text is None else Step.parse(text)
 
 
-def _text(before: Noise, after: Noise) -> str:
+def _brief(before: Noise, after: Noise) -> Summary:
+    """Return the coefficients of the other law, the drift of both, and how to use them."""
+    from odomcorrupt.corruption.summary import model_brief
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.sampling.text import law_meaning
+
+    straight, turn = _drifts(after)
+    return Summary(
+        (
+            Line("CONVERTED", f"{model_brief(MotionModel(after), '')}; {law_meaning(after)}", "good"),
+            Line("from", f"{model_brief(MotionModel(before), '')}; {law_meaning(before)}"),
+            Line("10 m", f"{straight} (1 sigma, both laws)"),
+            Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"),
+            Line("next", f"odomcorrupt in.bag out.bag {_flags(after)}", "command"),
+        )
+    )
+
+
+def _flags(noise: Noise) -> str:
+    """Return the options that select a noise."""
+    alphas = " ".join(f"{getattr(noise.coefficients, name):.6g}" for name in noise.law.alphas[: _needed(noise)])
+    return f"--law {noise.law_name} --alpha {alphas}{f' --step {noise.step}' if noise.step is not None else ''}"
+
+
+def _drifts(noise: Noise) -> tuple[str, str]:
+    """Return the standard deviations after ten metres straight, and after a whole turn on the spot, in words."""
     import math
 
     from odomcorrupt.sampling.convert import drift_of
-    from odomcorrupt.sampling.text import law_words
 
-    drift = drift_of(after)
-    flags = " ".join(f"{getattr(after.coefficients, name):.6g}" for name in after.law.alphas[: _needed(after)])
-    step = f" --step {after.step}" if after.step is not None else ""
+    drift = drift_of(noise)
     heading, travel = math.degrees(math.sqrt(10.0 * drift.rot_trans)), math.sqrt(10.0 * drift.trans_trans)
     turned, shifted = (math.sqrt(2.0 * math.pi * variance) for variance in (drift.rot_rot, drift.trans_rot))
-    per = [
-        f"10 m straight: heading {heading:.3g} deg, along {travel:.3g} m",
-        f"one turn on the spot: heading {math.degrees(turned):.3g} deg, along {shifted:.3g} m",
-    ]
+    return (
+        f"heading {heading:.3g} deg, along {travel:.3g} m",
+        f"heading {math.degrees(turned):.3g} deg, along {shifted:.3g} m",
+    )
+
+
+def _text(before: Noise, after: Noise) -> str:
+    from odomcorrupt.sampling.text import law_words
+
+    straight, turn = _drifts(after)
     return "\n".join(
         [
             f"{law_words(before)}",
             "makes the same drift on straight drives and on turns as",
             f"{law_words(after)}",
-            *(f"  {line} (1 sigma, both)" for line in per),
-            f"--law {after.law_name} --alpha {flags}{step}",
+            f"  10 m straight: {straight} (1 sigma, both)",
+            f"  one turn on the spot: {turn} (1 sigma, both)",
+            _flags(after),
         ]
     )
 

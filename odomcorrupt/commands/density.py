@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,7 +14,7 @@ from odomcorrupt.commands._map import choose_condition, map_options
 from odomcorrupt.commands._model import AlphaCommand
 from odomcorrupt.commands._motion_options import choose_move, move_options
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
@@ -73,7 +76,13 @@ def command(
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.show(found)
-    if output is not None:
+
+    def draw(path: Path) -> None:
         seed = draw_seed() if given["seed"] is None else given["seed"]
-        save_picture(output, found.draw_beside(chosen.count, seed), quiet=voice.quiet)
+        save_picture(path, found.draw_beside(chosen.count, seed))
+
+    following = ["density", *typed_words("--output", "--overwrite"), "-o", "density.png"]
+    if output is not None:
+        following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
+    shown = replace(found, following=shlex.join(["odomcorrupt", *following]))
+    voice.show(shown, files={} if output is None else {output: partial(draw, output)})

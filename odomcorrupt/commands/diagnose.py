@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import advice_options, check_advice, write_advice
+from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 
@@ -52,8 +52,7 @@ def command(
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))
-    voice.show(result)
-    write_advice(result, drive, report, voice)
+    voice.show(result, files=advice_files(result, drive, report))
 
 
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:

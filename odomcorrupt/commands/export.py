@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._param_types import TRACK, Number
-from odomcorrupt.commands._standard import standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.export.nav2 import Turn
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.report.text.summary import Summary
 
 __all__ = ["command"]
 
@@ -72,6 +77,8 @@ _EVERY = "nothing would let amcl update at every scan"
     help="Of odometry messages.",
 )
 @click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Write the YAML to a file.")
+@overwrite_option()
 @standard_options
 def command(
     model: Path,
@@ -85,9 +92,11 @@ def command(
     turn_rate: float,
     rate: float,
     controller: str,
+    output: Path | None,
+    overwrite: bool,
     voice: Voice,
 ) -> None:
-    """Print a model as YAML to paste; -v adds what it assumes and cannot express, in comments.
+    """Print a model as YAML to paste; -v adds what it assumes and cannot express, in comments, as -o writes it.
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
@@ -98,18 +107,41 @@ def command(
     from odomcorrupt.export.yaml_text import amcl_text, twists_text, wheels_text, without_comments
     from odomcorrupt.model.model_file import read_model
 
+    refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
-    if target == "ros2_control":
-        text = wheels_text(robot, wheel_multipliers(robot, track), controller)
-        voice.say(without_comments(text, robot), text, {"schema": 2, "to": target, "yaml": text})
-        return
     try:
-        drive = Steady(speed, turn_rate, rate)
         if target == "nav2":
+            drive = Steady(speed, turn_rate, rate)
             alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
             text = amcl_text(robot, alphas, update_min_d, update_min_a, turn)
-        else:
+        elif target == "robot_localization":
+            drive = Steady(speed, turn_rate, rate)
             text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.say(without_comments(text, robot), text, {"schema": 2, "to": target, "yaml": text})
+    if target == "ros2_control":
+        text = wheels_text(robot, wheel_multipliers(robot, track), controller)
+    values = {"schema": 2, "to": target, "yaml": text}
+    if output is None:
+        voice.say(without_comments(text, robot), text, values)
+        return
+    load = {
+        "nav2": ["ros2", "run", "nav2_amcl", "amcl", "--ros-args", "--params-file", output],
+        "ros2_control": ["ros2", "run", "controller_manager", "spawner", controller, "--param-file", output],
+        "robot_localization": ["ros2", "run", "robot_localization", "ekf_node", "--ros-args", "--params-file", output],
+    }
+    brief = _brief(robot, f"{model.name} for {target}", text, load[target])
+    voice.say(brief, text, values, files={output: lambda: write_text(output, text + "\n")})
+
+
+def _brief(robot: MotionModel, name: str, text: str, following: Sequence[object]) -> Summary:
+    """Return what was exported, its numbers, which effects these cannot express, and what to type next."""
+    from odomcorrupt.export.yaml_text import numbers_of, unexpressed
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
+
+    left = unexpressed(text, robot)
+    lines = [Line("EXPORTED", name, "warning" if left else "good")]
+    if left:
+        lines.append(Line("left out", f"{', '.join(left)}: comments in the file say why", "warning"))
+    lines.append(Line("values", ", ".join(numbers_of(text))))
+    return Summary((*lines, command_line(following)))

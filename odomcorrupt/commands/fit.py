@@ -83,10 +83,8 @@ def command(
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    voice.show(replace(result, following=following if output is not None else ""))
-    if output is not None:
-        result.model.save(output, overwrite=True)
-        voice.note(f"wrote {output}")
+    files = {} if output is None else {output: lambda: result.model.save(output, overwrite=True)}
+    voice.show(replace(result, following=following if output is not None else ""), files=files)
 
 
 def _square_test(
@@ -111,10 +109,7 @@ def _square_test(
     with reading.stages(voice) as stages:
         stages("fit", 0.0)
         result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track, scan=reading.scan)
-    voice.show(result)
-    if output is not None:
-        result.model.save(output, overwrite=True)
-        voice.note(f"wrote {output}")
+    voice.show(result, files={} if output is None else {output: lambda: result.model.save(output, overwrite=True)})
 
 
 def _end(text: str) -> tuple[float, float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from odomcorrupt.commands._standard import chosen_output, output_option, overwri
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.geometry.se2 import Array
@@ -65,7 +66,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError, OdomCorruptError
     from odomcorrupt.rng import draw_seed
-    from odomcorrupt.trajectories.integrate import integrate, noisy_twists, rewrite_path
+    from odomcorrupt.trajectories.integrate import integrate, noisy_twists
     from odomcorrupt.trajectories.reader import find_truth, read_drive, read_poses
 
     if output is not None or output_option is not None:
@@ -77,6 +78,7 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
     refuse_existing(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
+    _check_name(input_, output)
     if plot is not None:
         if picture_kind(plot) is None:
             raise click.UsageError(f"{plot}: ends in {plot.suffix or 'nothing'}; write .png, .svg or .pdf")
@@ -104,12 +106,22 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
     brief = _brief(
         drive, f"{rule}, a twist holds {_held(given['hold'])}", {"error": compared, "noise": spread}, following
     )
-    voice.say(brief, "\n".join(said), {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said})
+    files: dict[Path, Callable[[], object]] = {}
     if output is not None:
-        done = rewrite_path(input_, output, drive, written, provenance, overwrite=given["overwrite"])
-        voice.note(f"wrote {output}: {done.messages} odometry messages, {done.transforms} transforms")
+        files[output] = partial(_rewrite, input_, output, drive, written, provenance, overwrite=given["overwrite"])
     if plot is not None:
-        _draw(plot, drive, clean, runs, truth, rule, noise)
+        files[plot] = partial(_draw, plot, drive, clean, runs, truth, rule, noise)
+    values = {"schema": 2, "rule": rule, "hold": given["hold"], "sentences": said}
+    voice.say(brief, "\n".join(said), values, files=files)
+
+
+def _check_name(input_: Path, output: Path | None) -> None:
+    """Refuse a name that is no bag's before any work is done."""
+    from odomcorrupt.bags.open import form_of, open_reader
+
+    if output is not None:
+        with open_reader(input_) as reader:
+            form_of(output, reader)
 
 
 def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], following: Sequence[object]) -> Summary:
@@ -121,6 +133,15 @@ def _brief(drive: Drive, rule: str, found: Mapping[str, Sequence[str]], followin
     lines += [Line("note", note, "warning") for note in drive.notes]
     lines += [Line("" if i else label, one) for label, said in found.items() for i, one in enumerate(said)]
     return Summary((*lines, command_line(["odomcorrupt", *following])))
+
+
+def _rewrite(
+    source: Path, target: Path, drive: Drive, xyt: Array, provenance: dict[str, str], *, overwrite: bool
+) -> str:
+    from odomcorrupt.trajectories.integrate import rewrite_path
+
+    done = rewrite_path(source, target, drive, xyt, provenance, overwrite=overwrite)
+    return f"wrote {target}: {done.messages} odometry messages, {done.transforms} transforms"
 
 
 def _held(hold: str) -> str:
@@ -157,8 +178,8 @@ def _spread(runs: Array, clean: Array, noise: tuple[float, float], seed: int) ->
     ends = runs[:, -1] - clean[-1]
     position, heading = np.sqrt((ends[:, :2] ** 2).sum(axis=1).mean()), np.sqrt((ends[:, 2] ** 2).mean())
     return [
-        f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
         f"{len(runs)} runs with white noise of {noise[0]:g} m/s and {noise[1]:g} rad/s on every twist, seed {seed}",
+        f"they end {position:.3g} m and {heading:.3g} rad away (RMS), which depends on the message rate",
     ]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._advice import advice_options, check_advice, write_advice
+from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
 from odomcorrupt.commands._poses import need_pictures, picture_kind
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options
@@ -74,14 +74,12 @@ def command(
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
     result = replace(result, following=_following(output, [*map(str, paths), *reading.words()]))
-    voice.show(result)
+    files = dict(advice_files(result, drive, report))
     if output is not None:
-        result.model.save(output, overwrite=True)
-        voice.note(f"wrote {output}")
-    write_advice(result, drive, report, voice)
+        files = {output: lambda: result.model.save(output, overwrite=True), **files}
     if plot is not None:
-        result.plot(plot)
-        voice.note(f"wrote {plot}")
+        files[plot] = lambda: result.plot(plot)
+    voice.show(result, files=files)
 
 
 def _following(model: Path | None, words: Sequence[str]) -> str:

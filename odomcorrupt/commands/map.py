@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,13 @@ from odomcorrupt.commands._motion_options import MODEL_OPTIONS
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import part_done
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.commands._standard import Voice
     from odomcorrupt.mapping.scan_map import Survey
@@ -71,10 +72,10 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
 
     \b
     odomcorrupt map drive.mcap -o map.png
-    odomcorrupt map drive.mcap --scan /scan --max-yaw-rate 0.1 --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
+    odomcorrupt map drive.mcap --alpha 0.1 0.05 0.05 0.01 --seed 3 -o map.png
     """  # noqa: D301 - click wants a real backspace
+    from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.errors import OdomCorruptError
-    from odomcorrupt.mapping.wall_thickness import WINDOW_M
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
 
@@ -97,30 +98,39 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
     text = "\n".join([noise, *notes, _table(surveys)])
-    brief = _brief(
-        surveys, notes, (f"{law_words(chosen.motion_model.noise)}{origin}", f"{seed}, run {given['run']}"), bag
-    )
-    voice.say(brief, text, _values(surveys, notes, seed))
-    if output is None:
-        return
+    model = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
+    following = ["odomcorrupt", "map", *typed_words("--output", "--overwrite"), "-o", "map.png"]
+    if output is not None:
+        following = ["odomcorrupt", "preview", str(bag)]
+    brief = _brief(surveys, notes, (model, f"{seed}, run {given['run']}"), following)
+    files: dict[Path, Callable[[], object]] = {}
+    if output is not None:
+        for survey, path in zip(surveys, beside.values(), strict=False):
+            files[path.with_suffix(".yaml")] = partial(_write_map, survey, path)
+        files[output] = partial(_draw, output, surveys, "added by noise")
+    voice.say(brief, text, _values(surveys, notes, seed), files=files)
+
+
+def _write_map(survey: Survey, path: Path) -> None:
+    """Write a map as image and YAML, whatever the suffix of the path."""
     from odomcorrupt.mapping.mapfile import format_map
+
+    image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
+    write_bytes(path.with_suffix(".pgm"), image)
+    write_text(path.with_suffix(".yaml"), text)
+
+
+def _draw(path: Path, surveys: Sequence[Survey], added: str) -> None:
+    from odomcorrupt.mapping.wall_thickness import WINDOW_M
     from odomcorrupt.report.plots.maps import draw_surveys
 
-    for survey, path in zip(surveys, beside.values(), strict=False):
-        image, text = format_map(survey.grid, path.with_suffix(".pgm").name)
-        write_bytes(path.with_suffix(".pgm"), image)
-        write_text(path.with_suffix(".yaml"), text)
-        voice.note(f"wrote {path.with_suffix('.yaml')}")
-    save_picture(output, draw_surveys(surveys, WINDOW_M))
+    save_picture(path, draw_surveys(surveys, WINDOW_M, added))
 
 
 def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
     """Write the map by scan matching, the trajectory beside it, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
     from odomcorrupt.laser.mapping import laser_maps, tum_text
-    from odomcorrupt.mapping.mapfile import format_map
-    from odomcorrupt.mapping.wall_thickness import WINDOW_M
-    from odomcorrupt.report.plots.maps import draw_surveys
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.study.io.address import parse_address
     from odomcorrupt.study.io.laser_truth import laser_run
@@ -150,19 +160,18 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     lines += [Line("note", note, "warning") for note in notes[:-1]]
     following = ["odomcorrupt", "map", bag, "--method", "laser", "-o", "map.yaml"]
     following = following if output is None else ["odomcorrupt", "learn", bag, "--truth", files[".tum"]]
-    voice.say(Summary((*lines, command_line(following))), said, _values(maps.surveys, notes, seed))
-    if output is None:
-        return
-    image, text = format_map(maps.surveys[0].grid, files[".pgm"].name)
-    write_bytes(files[".pgm"], image)
-    write_text(files[".yaml"], text)
-    write_text(files[".tum"], tum_text(maps.trajectory))
-    save_picture(files[".png"], draw_surveys(maps.surveys, WINDOW_M, "added by the odometry"))
-    for end in (".yaml", ".pgm", ".tum"):
-        voice.note(f"wrote {files[end]}")
+    writers: dict[str, Callable[[], object]] = {
+        ".yaml": lambda: _write_map(maps.surveys[0], files[".yaml"]),
+        ".tum": lambda: write_text(files[".tum"], tum_text(maps.trajectory)),
+        ".png": lambda: _draw(files[".png"], maps.surveys, "added by the odometry"),
+    }
+    named = {files[end]: write for end, write in writers.items()} if files else {}
+    voice.say(Summary((*lines, command_line(following))), said, _values(maps.surveys, notes, seed), files=named)
 
 
-def _brief(surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], bag: Path) -> Summary:
+def _brief(
+    surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, str], following: Sequence[object]
+) -> Summary:
     """Return how much thicker the walls became, how far hits are off them, and the noise."""
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
@@ -178,10 +187,10 @@ def _brief(surveys: Sequence[Survey], notes: Sequence[str], drawn: tuple[str, st
             ),
             Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"),
             *(Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]),
-            Line("model", drawn[0]),
             Line("seed", drawn[1]),
+            Line("model", drawn[0]),
             *(Line("scans" if "rays" in note else "note", note) for note in notes),
-            command_line(["odomcorrupt", "map", bag, "-o", "map.png"]),
+            command_line(following),
         )
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ from odomcorrupt.commands._map import choose_condition_of_run, map_options
 from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing
 from odomcorrupt.report.json.numbers import finite
 
@@ -70,14 +71,21 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     )
     outlook = forecast(drive, model, paths, first_run=given["run"])
     text = forecast_text(outlook, model, chosen.origin, seed)
-    voice.say(brief(outlook, model, chosen.origin, seed, input_), text, finite(forecast_json(outlook, model, seed)))
-    if output is not None:
+
+    def draw(path: Path) -> None:
         from odomcorrupt.report.plots.paths import draw_fan
 
         title = f"{outlook.name}: what this model does to {outlook.distance_m:.3g} m"
         if per_message(model.noise) and outlook.rate_hz is not None:
             title += f" at {outlook.rate_hz:.3g} Hz; at another message rate it does something else"
-        save_picture(output, draw_fan(outlook, title))
+        save_picture(path, draw_fan(outlook, title))
+
+    files = {} if output is None else {output: partial(draw, output)}
+    following = ["odomcorrupt", "preview", *typed_words("--output", "--overwrite"), "-o", "fan.png"]
+    if output is not None:
+        following = ["odomcorrupt", *typed_words("--output", "--overwrite", "--runs"), "noisy.mcap"]
+    said = brief(outlook, model, chosen.origin, seed, following)
+    voice.say(said, text, finite(forecast_json(outlook, model, seed)), files=files)
     return report_losses(losses)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +17,7 @@ from odomcorrupt.commands._model import AlphaCommand, choose_model
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS, choose_move, move_options
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -29,11 +32,13 @@ DEFAULT_RUNS = 300
 
 def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
+    from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.errors import OdomCorruptError
     from odomcorrupt.mapping.conditioned_runs import free_paths
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.sampling.text import law_words
     from odomcorrupt.trajectories.particles import (
+        brief,
         csv_text,
         json_text,
         particles_at,
@@ -68,19 +73,25 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voi
         voice.note(free.account())
     origin = f" ({chosen.origin})" if chosen.origin else ""
     text = f"noise: {law_words(chosen.motion_model.noise)}{origin}\n{report_text(cloud)}"
-    voice.say(text, text, {"schema": 2, **json.loads(json_text(cloud))})
-    if output is None:
-        return
-    if kind in PICTURES:
+
+    def write(path: Path) -> None:
+        if kind not in PICTURES:
+            write_text(path, csv_text(cloud) if kind == ".csv" else json_text(cloud))
+            return
         from odomcorrupt.report.plots.dispersion import draw_cloud
 
         law = chosen.motion_model.noise.law_name
         within = "" if condition is None else " within the map"
         space = None if condition is None else condition.space
-        save_picture(output, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
-        return
-    write_text(output, csv_text(cloud) if kind == ".csv" else json_text(cloud))
-    voice.note(f"wrote {output}")
+        save_picture(path, draw_cloud(cloud, f"Where the robot may be{within}: law {law}, seed {seed}", space))
+
+    following = ["odomcorrupt", "sample", *typed_words("--output", "--overwrite"), "-o", "cloud.png"]
+    if output is not None:
+        following = ["odomcorrupt", "preview", str(bag)]
+    words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
+    said = brief(cloud, words, f"{drive.topic} of {bag}", following)
+    files = {} if output is None else {output: partial(write, output)}
+    voice.say(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=files)
 
 
 def _round(value: float) -> float:
@@ -141,11 +152,15 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         )
     except ModelError as error:
         raise click.UsageError(str(error)) from error
-    voice.show(drawn)
-    if output is None:
-        return
-    if kind in PICTURES:
-        drawn.plot(output)
-    else:
-        write_text(output, csv_text(drawn.xyt) if kind == ".csv" else json_text(drawn.drawn))
-    voice.note(f"wrote {output}")
+
+    def write(path: Path) -> None:
+        if kind in PICTURES:
+            drawn.plot(path)
+        else:
+            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else json_text(drawn.drawn))
+
+    following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
+    if output is not None:
+        following = ["density", *typed_words("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")]
+    shown = replace(drawn, following=shlex.join(["odomcorrupt", *following]))
+    voice.show(shown, files={} if output is None else {output: partial(write, output)})

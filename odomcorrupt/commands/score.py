@@ -130,19 +130,19 @@ def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], v
     gates = [f"{verdict.sentence}." for verdict in verdicts]
     details = "\n".join([score_text(report, every=True), *gates])
     brief = details if given["each"] else score_brief(report, verdicts, following=given["following"])
-    voice.say(brief, details, values)
     if voice.as_json:
         for sentence in gates:
             click.echo(sentence, err=True)
-    if given["save"] is not None:
-        write_text(given["save"], text + "\n")
-        voice.note(f"wrote {given['save']}")
-    if given["report"] is not None:
+
+    def write_page() -> None:
         from odomcorrupt.report.html.score import score_html
 
         write_text(given["report"], score_html(report, verdicts, version=__version__))
-        voice.note(f"wrote {given['report']}")
-    if given["output"] is not None:
+
+    def draw() -> None:
         from odomcorrupt.report.plots.score import draw_score
 
         save_picture(given["output"], draw_score(report))
+
+    writers = {"save": lambda: write_text(given["save"], text + "\n"), "report": write_page, "output": draw}
+    voice.say(brief, details, values, files={given[o]: w for o, w in writers.items() if given[o] is not None})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -48,14 +49,18 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
     report = measure(directory)
     rows = [asdict(row) for row in report.rows]
     words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
-    voice.say(_brief(report, directory), _text(report), finite({**words, "rows": rows}))
-    if output is not None:
+
+    def draw(path: Path) -> None:
         from odomcorrupt.report.plots.dispersion import draw_spread
 
-        save_picture(output, draw_spread(report))
+        save_picture(path, draw_spread(report))
+
+    files = {} if output is None else {output: partial(draw, output)}
+    following = ["spread", directory, "-o", "spread.png"] if output is None else ["score", "-h"]
+    voice.say(_brief(report, following), _text(report), finite({**words, "rows": rows}), files=files)
 
 
-def _brief(report: SpreadReport, directory: Path) -> Summary:
+def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:
     """Return whether the runs spread as predicted at the end, and how far they do on the way."""
     from odomcorrupt.report.text.summary import Line, Summary, command_line
 
@@ -75,7 +80,7 @@ def _brief(report: SpreadReport, directory: Path) -> Summary:
     lines.append(Line("mean", mean))
     if report.random_effects:
         lines.append(Line("odd", f"not predicted: the draws of {', '.join(report.random_effects)}", "warning"))
-    return Summary((*lines, command_line(["odomcorrupt", "spread", directory, "-o", "spread.png"])))
+    return Summary((*lines, command_line(["odomcorrupt", *following])))
 
 
 def _some(rows: Sequence[_Row]) -> list[_Row]:

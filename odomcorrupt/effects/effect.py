@@ -16,6 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.motion import Motion
 from odomcorrupt.errors import EffectError
+from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -196,8 +197,9 @@ class Effect:
         return Recorded(steps, state)
 
     def restored(self, motion: Motion) -> Motion:
-        """Return the motion that should have been reported, as far as what was reported shows it; for `restorable`."""
-        return motion
+        """Return the whole motion that encoders should have reported, from the one they did; for layer "record"."""
+        f = self.twist_error(motion, self.start(stream(0, 0, self.name))).f
+        return dataclasses.replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
     def drawn(self, normals: Array, state: State) -> Drawn:
         """Return what is drawn where the law draws standard normals (n, 4)."""

@@ -128,7 +128,9 @@ def _at_wheel(motion: Motion, arm_m: float) -> Motion:
     """Return the motion so far to the right of the middle."""
 
     def there(rates: Array) -> Array:
-        return rates + arm_m * rates[..., 2:] * [1.0, 0.0, 0.0]  # what turns moves on, too
+        moved = rates.copy()
+        moved[..., 0] += arm_m * rates[..., 2]  # what turns moves on, too
+        return moved
 
     return replace(
         motion,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.export.ros2_control import WheelMultipliers
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["amcl_text", "twists_text", "wheels_text", "without_comments"]
+__all__ = ["amcl_text", "numbers_of", "twists_text", "unexpressed", "wheels_text", "without_comments"]
 
 _UNKNOWN = 1e6
 """Variance of what a planar robot's odometry does not measure."""
@@ -25,10 +25,23 @@ _WIDTH = 80
 
 def without_comments(text: str, model: MotionModel) -> str:
     """Return a snippet with one comment in the place of all: which effects of the model it may not express."""
-    left = [effect.name for effect in model.effects if effect.acts and f"{effect.name}" in _comments(text)]
+    left = unexpressed(text, model)
     said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
     lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
     return "\n".join([said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them", *lines])
+
+
+def unexpressed(text: str, model: MotionModel) -> list[str]:
+    """Return the names of a model's effects that a snippet's comments name, because it cannot express them."""
+    return [effect.name for effect in model.effects if effect.acts and effect.name in _comments(text)]
+
+
+def numbers_of(text: str) -> list[str]:
+    """Return a snippet's parameters as `name value`, of those that have one number, and its variances."""
+    rows = [line.strip() for line in text.splitlines() if not line.lstrip().startswith("#")]
+    single = [tuple(row.split(": ")) for row in rows if ": " in row and "[" not in row and '"' not in row]
+    lists = [row.strip("[]") for row in rows if row.startswith("[")]
+    return [" ".join(pair) for pair in single] or [f"twist covariance diagonal {row}" for row in lists]
 
 
 def _comments(text: str) -> str:

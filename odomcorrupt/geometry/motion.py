@@ -220,7 +220,7 @@ def corrected_twist(effects: Sequence[Effect], motion: Motion, place_xyt: Array 
     systematic = [e for e in effects if e.kind != "noise" and not e.clock]
     shown = [e for e in effects if e.layer == "record" and (e.kind != "noise" or e.restorable)]
     for effect in sorted(shown, key=lambda e: e.name, reverse=True):  # the last to act is the first to be undone
-        motion = effect.restored(motion) if effect.restorable else _plus(motion, error_of(effect, motion))
+        motion = effect.restored(motion)
     twist = np.stack((motion.v, motion.vy, motion.omega), axis=1)
     moving = [e for e in systematic if e.layer == "motion"]
     robots = [e for e in moving if e.kind != "setup"]
@@ -243,10 +243,6 @@ def followed(setup: Sequence[Effect], motion: Motion, twist: Array) -> Array:
         v, vy, omega = np.ascontiguousarray(twist.T)
         twist = twist + error_of(effect, replace(motion, v=v, vy=vy, omega=omega))
     return twist
-
-
-def _plus(motion: Motion, f: Array) -> Motion:
-    return replace(motion, v=motion.v + f[:, 0], vy=motion.vy + f[:, 1], omega=motion.omega + f[:, 2])
 
 
 def _settled(

@@ -15,10 +15,10 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.corruption.summary import holonomic_words, model_brief, model_words, per_message, size_words
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -186,7 +186,7 @@ def _changes_at_half_rate(outlook: Forecast) -> bool:
     return abs(outlook.half_rate_position - 1.0) > SAME or abs(outlook.half_rate_heading - 1.0) > SAME
 
 
-def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: str) -> Summary:
+def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, following: Sequence[object] = ()) -> Summary:
     """Return a short summary: drift at the end and on the way, model, dependence on the message rate.
 
     Parameters
@@ -194,7 +194,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: s
     outlook, model : the forecast, and its model
     origin : source of the model's numbers, in words
     seed : seed of the runs
-    name : name of the bag
+    following : the command to type next; none for no such line
     """
     end = outlook.rows[-1]
     said = f"{size_words(end.position_rms_m, end.heading_rms_rad)} RMS after {outlook.distance_m:.4g} m"
@@ -203,14 +203,14 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, name: s
     lines += [
         Line(f"at {row.after_m:g} m", f"{size_words(row.position_rms_m, row.heading_rms_rad)} RMS") for row in middle
     ]
-    lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
-    lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name} of {name}"))
     if per_message(model.noise):
         lines += [Line("rate", sentence, "warning") for sentence in _rate(outlook, model)]
-    elif not model.noise.coefficients.silent:
-        lines.append(Line("rate", "the noise does not depend on the message rate"))
     lines += [Line("odd", one, "warning") for one in holonomic_words(model, outlook.sideways_m, outlook.distance_m)]
-    return Summary(tuple(lines))
+    lines.append(Line("runs", f"{outlook.runs} of seed {seed}, over {outlook.name}"))
+    lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
+    if not per_message(model.noise) and not model.noise.coefficients.silent:
+        lines.append(Line("rate", "the noise does not depend on the message rate"))
+    return Summary((*lines, *([command_line(following)] if following else [])))
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:

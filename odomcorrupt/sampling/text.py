@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["Drawn", "brief", "csv_text", "json_text", "law_words", "report_text", "title"]
+__all__ = ["Drawn", "brief", "csv_text", "json_text", "law_meaning", "law_words", "report_text", "title"]
 
 _ARTICLE_CODE = (
     "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
@@ -47,8 +47,14 @@ class Drawn:
         return self.noise.law_name == "article-code"
 
 
-def brief(drawn: Drawn) -> Summary:
-    """Return where the samples lie and how they spread, beside what the linearised model says."""
+def brief(drawn: Drawn, following: str = "") -> Summary:
+    """Return mean and spread of the samples, beside those of the linearised model.
+
+    Parameters
+    ----------
+    drawn : motion, noise and samples
+    following : the command to type next, "" for none
+    """
     linear = linearised_moments(drawn.move, drawn.variances)
     drawn_moments = sample_moments(drawn.xyt)
     lines = [Line("SAMPLES", f"{len(drawn.xyt)} of seed {drawn.seed}, mean {_pose(drawn_moments.mean_xyt)}", "good")]
@@ -61,6 +67,7 @@ def brief(drawn: Drawn) -> Summary:
     lines.append(Line("noise", law_words(drawn.noise)))
     lines += [Line("note", _ARTICLE_CODE, "warning")] if drawn.article_code else []
     lines += [Line("note", note, "warning") for note in drawn.notes]
+    lines += [Line("next", following, "command")] if following else []
     return Summary(tuple(lines))
 
 
@@ -143,12 +150,16 @@ def law_words(noise: Noise) -> str:
     """Return the law and its coefficients, with the convention that they follow."""
     numbers = ", ".join(f"{name} {value:.4g}" for name, value in _numbers(noise))
     step = f", once per {noise.step}" if noise.step is not None else ""
-    meaning = {
+    return f"law {noise.law_name} ({law_meaning(noise)}{step}): {numbers}"
+
+
+def law_meaning(noise: Noise) -> str:
+    """Return what a law's coefficients are, in words."""
+    return {
         "diffusion": "deviation after 1 m or 1 rad",
         "linear": "deviation = coefficient x motion",
         "article-code": "deviation = (coefficient x motion)^2",
     }.get(noise.law_name, "variance = coefficient x motion^2")
-    return f"law {noise.law_name} ({meaning}{step}): {numbers}"
 
 
 def title(drawn: Drawn) -> str:

@@ -186,6 +186,11 @@ def score(
     count_missing
         Whether runs without a whole output are failures.
 
+    Returns
+    -------
+    ScoreReport
+        Errors of each run, and their quantiles over the runs.
+
     Raises
     ------
     ScoreError

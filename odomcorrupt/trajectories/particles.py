@@ -10,16 +10,28 @@ import numpy as np
 
 from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.errors import RecordingError
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.sampling.samples import ellipse, sample_moments
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.trajectories.reader import Drive
 
-__all__ = ["ParticleSet", "csv_text", "json_text", "particles_at", "places_along", "report_text", "sample_particles"]
+__all__ = [
+    "ParticleSet",
+    "brief",
+    "csv_text",
+    "json_text",
+    "particles_at",
+    "places_along",
+    "report_text",
+    "sample_particles",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +92,32 @@ def report_text(particles: ParticleSet) -> str:
             f"heading {np.degrees(np.sqrt(moments.covariance[2, 2])):.3g} deg"
         )
     return "\n".join(lines)
+
+
+def brief(particles: ParticleSet, model: str, drive: str, following: Sequence[object]) -> Summary:
+    """Return how far the runs spread at the end and on the way.
+
+    Parameters
+    ----------
+    particles : the particle set
+    model, drive : noise model and odometry, in words
+    following : the command to type next
+    """
+    runs, places = len(particles.xyt), len(particles.distance_m)
+    lines = [Line("SPREAD", _spread(particles, places - 1), "good")]
+    between = sorted({(places - 1) // 3, 2 * (places - 1) // 3} - {places - 1})
+    lines += [Line("", _spread(particles, i)) for i in between]
+    lines += [Line("model", model), Line("runs", f"{runs} of seed {particles.seed}, over {drive}")]
+    return Summary((*lines, command_line(following)))
+
+
+def _spread(particles: ParticleSet, place: int) -> str:
+    """Return the standard deviations at one place along the drive, in words."""
+    moments = sample_moments(particles.xyt[:, place])
+    about = ellipse(moments, 1.0)
+    heading_deg = np.degrees(np.sqrt(moments.covariance[2, 2]))
+    axes = f"{about.major_m:.3g} m by {about.minor_m:.3g} m, heading {heading_deg:.3g} deg"
+    return f"{axes} (1 sigma) after {particles.distance_m[place]:.4g} m"
 
 
 def csv_text(particles: ParticleSet) -> str:

@@ -220,6 +220,16 @@ def test_what_a_format_cannot_have_is_refused(short, name, words, said, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("name", ["out.mcap", "-"])
+def test_messages_of_ros_2_do_not_become_an_mcap_of_ros_1_which_few_programs_read(short, name, tmp_path, capsys):
+    output = name if name == "-" else str(tmp_path / name)
+    assert run([str(short[2]), output, "--ros", "1", "--exclude-topic", "/door", *NOISE]) == 1
+    said = capsys.readouterr()
+    assert "which rosbags-convert and rosbag refuse to read; end the name in .bag for ROS 1" in said.err
+    assert said.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_common_types_have_the_md5sums_of_ros_1_and_the_hashes_of_ros_2():
     names = ["nav_msgs/msg/Odometry", "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/PointCloud2",
              "visualization_msgs/msg/Marker", "diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/Header",

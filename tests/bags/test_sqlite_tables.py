@@ -1,5 +1,6 @@
 """sqlite3 files whose tables are not a rosbag2's."""
 
+import re
 import shutil
 import sqlite3
 from contextlib import closing
@@ -65,11 +66,75 @@ def test_text_that_is_none_is_reported_in_a_line(recovering, tmp_path):
     path = tmp_path / "in.db3"
     shutil.copyfile(OFFICE_DB, path)
     with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("UPDATE message_definitions SET encoded_message_definition = CAST(? AS TEXT)", (BROKEN,))
+        connection.execute("UPDATE topics SET type = CAST(? AS TEXT)", (BROKEN,))
     with pytest.raises(BagError, match="sqlite3 says Could not decode to UTF-8") as caught:
         open_reader(path, recover=recovering)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 500
+
+
+def test_a_definition_in_another_encoding_comes_through(tmp_path):
+    path = tmp_path / "in.db3"
+    shutil.copyfile(OFFICE_DB, path)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.execute("UPDATE message_definitions SET encoded_message_definition = CAST(? AS TEXT)", (BROKEN,))
+    copy(path, tmp_path / "out.db3")
+    with closing(sqlite3.connect(tmp_path / "out.db3")) as connection:
+        query = "SELECT CAST(encoded_message_definition AS BLOB) FROM message_definitions"
+        assert {text for (text,) in connection.execute(query)} == {BROKEN}
+
+
+def _with_bad_page(path, table, which):
+    """Copy the bag with one of a table's leaf pages overwritten."""
+    data = bytearray(OFFICE_DB.read_bytes())
+    with closing(sqlite3.connect(OFFICE_DB)) as connection:
+        (root,) = connection.execute("SELECT rootpage FROM sqlite_master WHERE name = ?", (table,)).fetchone()
+    page = (root - 1) * 4096
+    assert data[page] == 5, "an interior page"
+    place = int.from_bytes(data[page + 12 + 2 * which : page + 14 + 2 * which])
+    leaf = int.from_bytes(data[page + place : page + place + 4])
+    data[(leaf - 1) * 4096 : leaf * 4096] = b"\xff" * 4096
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("which", [0, 1, 5])
+def test_any_page_of_messages_costs_its_own_rows_alone(which, tmp_path):
+    _with_bad_page(tmp_path / "in.db3", "messages", which)
+    assert any("messages from" in loss for loss in recover(tmp_path / "in.db3", tmp_path / "out.db3"))
+    with open_reader(tmp_path / "out.db3") as reader, open_reader(OFFICE_DB) as whole:
+        saved, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
+    assert 0.9 * everything < saved < everything
+
+
+def test_definitions_that_cannot_be_read_cost_no_message(tmp_path):
+    _with_bad_page(tmp_path / "in.db3", "message_definitions", 0)
+    (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
+    assert "some definitions of message types are lost" in loss
+    with open_reader(tmp_path / "out.db3") as reader, open_reader(OFFICE_DB) as whole:
+        saved, everything = (sum(len(block.table) for block in one.blocks()) for one in (reader, whole))
+    assert saved == everything
+
+
+def test_messages_of_a_topic_that_is_gone_are_lost_in_one_line(tmp_path):
+    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
+    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
+        connection.execute("DELETE FROM topics WHERE name = '/imu'")
+    (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
+    assert re.fullmatch(r".*message \d+ has no data, no time or no topic; the bag is damaged; so have \d+ more", loss)
+    copy(tmp_path / "out.db3", tmp_path / "again.db3")
+
+
+@pytest.mark.parametrize("number", [-1, 1 << 32, 2])
+@pytest.mark.parametrize("recovering", [False, True])
+def test_ids_of_topics_that_no_recorder_gives_are_refused(number, recovering, tmp_path):
+    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
+    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
+        connection.execute("CREATE TABLE other AS SELECT * FROM topics")  # without a primary key
+        connection.execute("DROP TABLE topics")
+        connection.execute("ALTER TABLE other RENAME TO topics")
+        connection.execute("UPDATE topics SET id = ? WHERE id = 1", (number,))
+    with pytest.raises(BagError, match=f"has the id {number}, which is negative, too large or another one's"):
+        open_reader(tmp_path / "in.db3", recover=recovering)
 
 
 def test_metadata_that_is_none_is_reported_in_a_line(tmp_path):

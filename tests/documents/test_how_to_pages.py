@@ -18,9 +18,12 @@ PAGES = [*sorted((DOCS / "how-to").glob("*.md")), DOCS / "score.md", DOCS / "bat
 
 def commands(page):
     text = page.read_text(encoding="utf8")
-    blocks = re.findall(r"```(?:sh|yaml)\n(.*?)```", text, re.DOTALL) + re.findall(r"(?m)^    odomcorrupt .*$", text)
+    blocks = re.findall(r"```(?:sh|yaml)\n(.*?)```", text, re.DOTALL) + re.findall(
+        r"(?m)^    odomcorrupt (?:.* \\\n)*.*$", text
+    )
     for block in blocks:
-        folded = re.sub(r">-?\n\s+", "", block)  # a folded text of YAML
+        folded = re.sub(r" \\\n\s+", " ", block)
+        folded = re.sub(r">-?\n\s+", "", folded)  # a folded text of YAML
         folded = re.sub(r"\n\s+(--)", r" \1", folded)
         for line in folded.splitlines():
             match = re.match(r"\s*(?:- (?:run: )?)?(odomcorrupt .*)", line)

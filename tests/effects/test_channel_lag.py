@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,12 +17,12 @@ from odomcorrupt.model.noise_laws import Coefficients
 SILENT = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
 
 
-def lagging(tau, omega, rate_hz):
+def lagging(tau, omega, rate_hz, by="filter"):
     """Return times, the clean poses of a robot that turns so, and those that its lagging odometry reports."""
     n = len(omega)
     clean = accumulate(np.zeros(3), Increments(np.full(n, 0.5 / rate_hz), np.zeros(n), omega / rate_hz))
     stamps = 10**12 + np.round(np.arange(n + 1) * 1e9 / rate_hz).astype(np.int64)
-    effect = effect_from_values("channel_lag", {"tau": tau})
+    effect = effect_from_values("channel_lag", {"tau": tau, "by": by})
     reported = clean + NoisyPath(MotionModel(SILENT, (effect,)), 1).feed(stamps, clean).error_xyt
     return (stamps - stamps[0]) * 1e-9, clean, reported, effect
 
@@ -43,3 +45,29 @@ def test_any_lag_is_stable_to_put_in_and_taken_out_again():
         t_s, clean, reported, effect = lagging(tau, omega, 50.0)
         back = accumulate(reported[0], corrected_increments([effect], motion_of(t_s, reported)))
         assert back == pytest.approx(clean, abs=1e-9)
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 50.0, 97.0])
+def test_a_delay_reports_the_very_same_turns_later(rate_hz):
+    delay_s, n = 0.13, int(20 * rate_hz)
+    t_s = np.arange(n) / rate_hz
+    omega = np.where(t_s < 2.0, 0.3, 0.3 + np.sin(t_s - 2.0))
+    at_s, clean, reported, effect = lagging(delay_s, omega, rate_hz, by="delay")
+    turned = np.interp(at_s - delay_s, at_s, np.cumsum(np.append(0.0, omega / rate_hz)), left=-0.3 * delay_s)
+    late = at_s > delay_s
+    assert reported[late, 2] == pytest.approx(turned[late] + 0.3 * delay_s, abs=1e-8)
+    back = accumulate(reported[0], corrected_increments([effect], motion_of(at_s, reported)))
+    seen = at_s < at_s[-1] - delay_s
+    assert back[seen] == pytest.approx(clean[seen], abs=0.5 / rate_hz**2)
+
+
+def test_a_delay_is_taken_out_where_a_filter_is_not():
+    omega = np.where(np.arange(3000) % 100 < 50, 0.9, -0.9)
+    t_s, clean, reported, delay = lagging(0.1, omega, 50.0, by="delay")
+    motion = motion_of(t_s, reported)
+    off = {
+        effect.by: np.abs(accumulate(reported[0], corrected_increments([effect], motion)) - clean)[:-6].max()
+        for effect in (delay, replace(delay, by="filter"))
+    }
+    assert off["delay"] < 1e-9
+    assert off["filter"] > 0.01

@@ -69,6 +69,22 @@ def test_a_gyros_gain_is_not_taken_for_a_track(export):
     assert "gyro_scale is left out: it is the gain of a heading sensor" in comments(text)
 
 
+def test_a_file_has_the_whole_text_and_the_terminal_eight_lines(tmp_path, export, capsys):
+    text = export("ros2_control")[2]
+    target = tmp_path / "controller.yaml"
+    words = ["export", str(tmp_path / "robot.toml"), "--to", "ros2_control", "-o", str(target)]
+    assert run(words) == 0
+    said = capsys.readouterr()
+    assert target.read_text() == text
+    assert len((said.out + said.err).splitlines()) <= 8
+    assert "left out  side_slip, gauss_markov: comments in the file say why" in said.out
+    assert " ros2 run controller_manager spawner diff_drive_controller " in said.out
+    assert said.out.splitlines()[0].startswith("EXPORTED")
+    assert run(words) == 1
+    assert run([*words, "--force", "-q"]) == 0
+    assert capsys.readouterr().out == ""
+
+
 def test_a_missing_track_is_asked_for(export):
     code, _, text, said = export("ros2_control", more="")
     assert (code, text) == (1, "")

@@ -174,3 +174,35 @@ def test_variances_on_an_arc_of_60_degrees_are_those_of_the_book_and_not_of_its_
     drawn = move_sampled(move, variances, 400_000, np.random.default_rng(5))[:, :2].var(axis=0)
     np.testing.assert_allclose(drawn, expected, rtol=0.01)
     assert (np.abs(drawn / straight - 1.0) > 0.03).any()
+
+
+def test_figures_of_a_60_degree_arc_are_those_of_its_arc_and_not_of_its_chord():
+    """Variances of x and y after 1 m and 60 degrees in one second: .0519 and .0317; the chord has .0470 and .0360.
+
+    Lengths from 0.75 m to 5 m have coefficients with these four figures; those of 1 m are taken here.
+    """
+    alphas, turn, way = (0.0514, 0.0063, 0.0720, 0.0590, 0.0, 0.0), np.radians(60.0), 1.0
+    nodes, weights = np.polynomial.hermite_e.hermegauss(24)
+    weights = np.outer(weights, weights).ravel() / weights.sum() ** 2
+
+    def drawn_by(length):
+        """Return ways and turns at the nodes, by the coefficients at a length."""
+        speed = length + math.sqrt(alphas[0] * length**2 + alphas[1] * turn**2) * nodes
+        rate = turn + math.sqrt(alphas[2] * length**2 + alphas[3] * turn**2) * nodes
+        return speed[:, None] + 0.0 * rate[None, :], rate[None, :] + 0.0 * speed[:, None]
+
+    def variances_of(x, y):
+        xy = np.stack((x, y), axis=-1).reshape(-1, 2)
+        return np.average((xy - np.average(xy, axis=0, weights=weights)) ** 2, axis=0, weights=weights)
+
+    v, omega = drawn_by(way)
+    arc = variances_of(v / omega * np.sin(omega), v / omega * (1.0 - np.cos(omega)))
+    v, omega = drawn_by(way * 2.0 * math.sin(turn / 2.0) / turn)
+    chord = variances_of(v * np.cos(omega / 2.0), v * np.sin(omega / 2.0))
+    assert [round(value, 4) for value in (*chord, *arc)] == [0.0470, 0.0360, 0.0519, 0.0317]
+
+    end = np.array([way * np.sin(turn) / turn, way * (1.0 - np.cos(turn)) / turn, turn])
+    move = move_between(np.zeros(3), end, arc=True)
+    variances = move_variances(Noise("velocity", law_named("velocity").coefficients(alphas)), move)
+    drawn = move_sampled(move, variances, 400_000, np.random.default_rng(5))[:, :2].var(axis=0)
+    np.testing.assert_allclose(drawn, arc, rtol=0.01)

@@ -83,10 +83,22 @@ def recorded(name, odometry, truth, rng):
     )
 
 
-def car(seed, flaw=Flaw(), seconds=240.0):
-    """Return the recording of a car; chance is on the ground, by the way of the wheel."""
+def bends(seed, seconds):
+    """Return an angle (rad) as a planner's curves ask for it on the grid: of any size up to a third, no stop."""
+    rng = np.random.default_rng([seed, 3])
+    spans = rng.uniform(2.0, 5.0, int(seconds / 2.0))
+    peaks = np.clip(rng.normal(0.0, 0.12, len(spans)), -0.33, 0.33)
+    return np.interp(np.arange(int(seconds * GRID_HZ)) / GRID_HZ, np.cumsum(spans), peaks)
+
+
+def car(seed, flaw=Flaw(), seconds=240.0, *, planned=False):
+    """Return the recording of a car; chance is on the ground, by the way of the wheel.
+
+    planned : whether it keeps to the curves of a planner and never steers up to a stop, as two driven wheels may, too
+    """
     rng = np.random.default_rng([seed, 1])
     v, seen = commands(seed, seconds)
+    seen = bends(seed, seconds) if planned else seen
     angle = lagged((1.0 + flaw.ratio) * seen, flaw.lag_s) + flaw.offset
     way = v / GRID_HZ
     loose = np.sqrt(np.abs(way))

@@ -6,7 +6,7 @@ import struct
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Self
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -29,11 +29,11 @@ from odomcorrupt.bags.mcap.records import (
     record,
     string,
 )
+from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
 
     from numpy.typing import NDArray
 
@@ -69,7 +69,7 @@ def packed(codec: str, data: NDArray[np.uint8], level: int | None) -> Packed:
     return Packed(compressed, crc, crc32(compressed) if CAN_COMBINE else None)
 
 
-class McapWriter:
+class McapWriter(OutputContext):
     """An MCAP being written from the blocks of a reader of any format.
 
     keeps_rest : whether messages not passed to `write` are in the output (False)
@@ -94,7 +94,7 @@ class McapWriter:
     ) -> None:
         self._whole = whole
         self._added_count = 0
-        self._output = output
+        super().__init__(output)
         self._results = OrderedResults(workers)
         self._reader = reader
         self._codec = codec
@@ -220,22 +220,5 @@ class McapWriter:
         output.write(section, footer)
         output.write(struct.pack("<I", output.crc), MAGIC)
 
-    def __enter__(self) -> Self:
-        try:
-            self._output.open()
-            self._output.write(MAGIC, record(HEADER, self._directory.header()))
-        except BaseException:
-            self._output.discard()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._finish()
-                self._output.commit()
-        finally:
-            # After a commit there is nothing left to discard.
-            self._output.discard()
+    def _begin(self) -> None:
+        self._output.write(MAGIC, record(HEADER, self._directory.header()))

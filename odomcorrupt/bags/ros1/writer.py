@@ -6,13 +6,14 @@ import struct
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel, Message, require_all
 from odomcorrupt.bags.codecs import compress_for_ros1
 from odomcorrupt.bags.definition import Definition, md5sum_of, retyped
+from odomcorrupt.bags.output import OutputContext
 from odomcorrupt.bags.pipeline import OrderedResults
 from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.bags.ros1.framing import Framed, frame, indexes, pack_time
@@ -22,7 +23,6 @@ from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from types import TracebackType
 
     from odomcorrupt.bags.block import BagReader
     from odomcorrupt.bags.output import Output
@@ -107,7 +107,7 @@ _HEADER_BYTES = 4096
 _CHUNK_LIMIT = 1 << 32
 
 
-class Ros1Writer:
+class Ros1Writer(OutputContext):
     """A ROS 1 bag being written from the blocks of a reader.
 
     keeps_rest : whether messages not passed to `write` are in the output (False)
@@ -127,7 +127,7 @@ class Ros1Writer:
         level: int | None = None,
         workers: Workers | None = None,
     ) -> None:
-        self._output = output
+        super().__init__(output)
         self._results = OrderedResults(workers)
         output.summing = False  # a ROS 1 bag has no checksum of its own
         self._codec = codec
@@ -235,25 +235,8 @@ class Ros1Writer:
         self._output.write(*connections, *self._infos)
         self._output.rewrite(len(MAGIC), self._header(index_at, len(connections)))
 
-    def __enter__(self) -> Self:
-        try:
-            self._output.open()
-            self._output.write(MAGIC, self._header(0, 0))
-        except BaseException:
-            self._output.discard()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._finish()
-                self._output.commit()
-        finally:
-            # After a commit there is nothing left to discard.
-            self._output.discard()
+    def _begin(self) -> None:
+        self._output.write(MAGIC, self._header(0, 0))
 
 
 def _messages(block: Block) -> list[Message]:

@@ -35,6 +35,8 @@ _MOST_BYTES = (1 << 31) - 1
 """More is no limit to sqlite3, and too large a number."""
 _LONGEST = 200
 """Maximum number of characters of a reason in an error message."""
+_IDS = 1 << 32
+"""Ids of topics are less; recorders count them from 1."""
 _COLUMNS = {"topics": {"id", "name", "type"}, "messages": {"topic_id", "timestamp", "data"}}
 """Tables and columns without which nothing can be read."""
 _TABLES = ("schema", "metadata", "topics", "message_definitions", "messages")
@@ -63,14 +65,14 @@ class Topic:
     qos: str
     digest: str
     definition_encoding: str
-    definition_text: str
+    definition_text: bytes
 
     def definition(self) -> Definition:
         """Return the definition as in an MCAP written by rosbag2."""
         metadata = {"offered_qos_profiles": self.qos}
         if self.digest:
             metadata["topic_type_hash"] = self.digest
-        return Definition(self.type, self.definition_encoding, self.definition_text.encode(), metadata)
+        return Definition(self.type, self.definition_encoding, self.definition_text, metadata)
 
 
 @contextmanager
@@ -174,8 +176,10 @@ def columns(connection: sqlite3.Connection, table: str) -> list[str]:
     return [str(row[1]) for row in connection.execute(f"PRAGMA table_info({table})")]
 
 
-def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
+def read_topics(connection: sqlite3.Connection, path: Path, losses: list[str] | None = None) -> list[Topic]:
     """Return the topics by id.
+
+    losses : with recovery, for what of the topics and definitions cannot be read, one sentence for each table
 
     Raises
     ------
@@ -189,19 +193,41 @@ def read_topics(connection: sqlite3.Connection, path: Path) -> list[Topic]:
     if not (known and _COLUMNS.keys() <= tables):
         raise BagError(f"{path}: is a sqlite3 database without rosbag2's topics and messages")
     require_plain(connection, path)
-    definitions: dict[str, tuple[str, str]] = {}
+    definitions: dict[str, tuple[str, bytes]] = {}
     if columns(connection, "message_definitions"):
-        query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-        definitions = {row[0]: (row[1], row[2]) for row in connection.execute(query)}
-    cursor = connection.execute("SELECT * FROM topics ORDER BY id")
-    names = [column[0] for column in cursor.description]
-    topics = [_topic(dict(zip(names, row, strict=True)), definitions) for row in cursor]
-    for topic in topics:
-        texts = (topic.name, topic.type, topic.encoding, topic.qos, topic.digest)
-        defined = (topic.definition_encoding, topic.definition_text)
-        if not isinstance(topic.id, int) or not all(isinstance(text, str) for text in (*texts, *defined)):
+        # as bytes: recorders copy what a package holds, in whatever encoding
+        query = "SELECT topic_type, encoding, CAST(encoded_message_definition AS BLOB) FROM message_definitions"
+        for row in _readable(connection, query, "definitions of message types", path, losses):
+            definitions[row[0]] = row[1], row[2]
+    names = columns(connection, "topics")
+    topics: dict[int, Topic] = {}
+    for row in _readable(connection, "SELECT * FROM topics ORDER BY id", "topics", path, losses):
+        topic = _topic(dict(zip(names, row, strict=True)), definitions)
+        texts = (topic.name, topic.type, topic.encoding, topic.qos, topic.digest, topic.definition_encoding)
+        sound = isinstance(topic.id, int) and all(isinstance(text, str) for text in texts)
+        if not (sound and isinstance(topic.definition_text, bytes)):
             raise BagError(f"{path}: topic {topic.name!r} with id {topic.id!r} is no topic; the bag is damaged")
-    return topics
+        if not 0 <= topic.id < _IDS or topic.id in topics:
+            raise BagError(
+                f"{path}: topic {topic.name!r} has the id {topic.id}, which is negative, too large or another one's; "
+                "the bag is damaged"
+            )
+        topics[topic.id] = topic
+    if losses and not topics:
+        raise BagError(losses[-1])
+    return list(topics.values())
+
+
+def _readable(
+    connection: sqlite3.Connection, query: str, what: str, path: Path, losses: list[str] | None
+) -> Iterator[tuple[Any, ...]]:
+    """Yield rows; with recovery those before the first one that sqlite3 cannot read, which is put into `losses`."""
+    try:
+        yield from connection.execute(query)
+    except sqlite3.Error as error:
+        if losses is None:
+            raise
+        losses.append(f"{path}: sqlite3 says {' '.join(str(error).split())[:_LONGEST]}: some {what} are lost")
 
 
 def has_packed_messages(connection: sqlite3.Connection) -> bool:
@@ -210,9 +236,9 @@ def has_packed_messages(connection: sqlite3.Connection) -> bool:
     return first is not None and first[0] == magic.ZSTD
 
 
-def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, str]]) -> Topic:
+def _topic(row: dict[str, Any], definitions: dict[str, tuple[str, bytes]]) -> Topic:
     """Return a row of the topics table, whose columns depend on the version."""
-    encoding, text = definitions.get(row["type"], ("", ""))
+    encoding, text = definitions.get(row["type"], ("", b""))
     return Topic(
         id=row["id"],
         name=row["name"],

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import sqlite3
-from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Channel, PartContents, require_all
-from odomcorrupt.bags.definition import retyped, with_common_text
-from odomcorrupt.bags.placement import beside, place, remove, sweep
+from odomcorrupt.bags.definition import with_common_text
+from odomcorrupt.bags.placement import sweep
 from odomcorrupt.bags.rosbag2.database import reported
 from odomcorrupt.bags.rosbag2.metadata import TopicInfo, add_provenance, edited, generated
+from odomcorrupt.bags.rosbag2.sqlite_output import SqliteOutput
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
+    from pathlib import Path
 
     from odomcorrupt.bags.block import BagReader, Block
     from odomcorrupt.bags.definition import Definition
@@ -40,7 +39,7 @@ CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 _METADATA_VERSION = 8
 
 
-class NewSqliteWriter:
+class NewSqliteWriter(SqliteOutput):
     """One .db3 file being created.
 
     overwrite : whether it may replace a file
@@ -50,25 +49,14 @@ class NewSqliteWriter:
     keeps_rest = False
 
     def __init__(self, path: Path, reader: BagReader, *, overwrite: bool = False) -> None:
-        self._path = Path(os.path.realpath(path))
-        self._partial = beside(self._path)
-        self._overwrite = overwrite
-        self._reader = reader
+        super().__init__(path, reader, overwrite=overwrite)
         self._rows: dict[int, int] = {}
         self._topics: dict[tuple[str, str, str], int] = {}
         self._infos: list[TopicInfo] = []
         self._defined: set[str] = set()
         self._fresh: dict[int, tuple[Channel, Definition]] = {}
         self._provenance: list[tuple[str, Mapping[str, str]]] = []
-        self._open: sqlite3.Connection | None = None
         self._written = self._added = 0
-
-    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, like.encoding, definition)
-        return self.add_defined(topic, msgtype, like.encoding, definition)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a topic with a given definition; return it."""
@@ -96,9 +84,6 @@ class NewSqliteWriter:
         self._written += len(rows)
         self._added += len(block.added)
 
-    def settle(self) -> None:
-        """Do nothing: rows are written immediately."""
-
     def contents(self) -> PartContents:
         """Return the message counts and time span of the file so far."""
         names = {row: key[0] for key, row in self._topics.items()}
@@ -110,12 +95,6 @@ class NewSqliteWriter:
             query = "SELECT min(timestamp), max(timestamp) FROM messages"
             start_ns, end_ns = self._connection.execute(query).fetchone()
         return PartContents(self._path.name, counts, start_ns or 0, end_ns or 0)
-
-    @property
-    def _connection(self) -> sqlite3.Connection:
-        if self._open is None:
-            raise BagError(f"{self._path}: is not open")
-        return self._open
 
     def _row_of(self, channel: int) -> int:
         """Return the id of a channel's row in the topics table, which is added at its first use."""
@@ -170,27 +149,10 @@ class NewSqliteWriter:
             raise
         return self
 
-    def _finish(self) -> None:
+    def _complete(self) -> None:
         require_all(str(self._path), self._reader, self._written, self._added)
         text = generated("sqlite3", [self.contents()], self._infos, "", root=False)
         for name, items in self._provenance:
             text = edited(text, lambda info, name=name, items=items: add_provenance(info, name, items))  # type: ignore[misc]
         self._connection.execute("INSERT INTO metadata VALUES (1, ?, ?)", (_METADATA_VERSION, text))
         self._connection.execute("COMMIT")
-        self._connection.close()
-        place(self._partial, self._path, overwrite=self._overwrite)
-
-    def _discard(self) -> None:
-        if self._open is not None:
-            self._open.close()
-        remove(self._partial)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                with reported(self._path, writing=True):
-                    self._finish()
-        finally:
-            self._discard()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from odomcorrupt.bags import magic
 from odomcorrupt.bags.block import TABLE, Block, Channel, Kind
 from odomcorrupt.bags.recovery_report import Undecodable, with_readable
 from odomcorrupt.bags.rosbag2.database import (
@@ -183,12 +184,13 @@ class SqliteReader:
         self.readable = path if self._whole is None else Path(self._whole.name)
         try:
             with reported(path), closing(read_only(self.readable, whole=not recover)) as connection:
-                topics = read_topics(connection, path)
-                self.packed = has_packed_messages(connection)
+                topics = read_topics(connection, path, self.losses if recover else None)
+                self.packed = _packed(connection, recover=recover)
                 self.damaged = recover and not _sound(connection)
         except BaseException:
             self.__exit__(None, None, None)
             raise
+        self._first_losses = len(self.losses)
         self.channels: Mapping[int, Channel] = {
             topic.id: Channel(topic.id, topic.name, topic.type, topic.encoding, raw=topic) for topic in topics
         }
@@ -203,7 +205,7 @@ class SqliteReader:
 
         only : channels whose messages are read; of others, large messages are listed without their bytes
         """
-        self.losses.clear()
+        del self.losses[self._first_losses :]
         self.lost_rows.clear()
         self.count = 0
         self._undecodable = Undecodable()
@@ -217,7 +219,8 @@ class SqliteReader:
             of: list[int] = []
             times_ns: list[int] = []
             data: list[bytes | bytearray | None] = []
-            size = 0
+            size = unusable = 0
+            first_unusable = ""
             last = -(1 << 63)
             for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
@@ -232,7 +235,11 @@ class SqliteReader:
                     or channel not in self.channels
                     or type(log_ns) is not int
                 ):
-                    self._lose(f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged")
+                    sentence = f"{self.path}: message {row} has no data, no time or no topic; the bag is damaged"
+                    if not self._recover:
+                        raise BagError(f"{sentence}; --recover saves what is whole")
+                    first_unusable = first_unusable or sentence
+                    unusable += 1
                     self.lost_rows.append(row)
                     continue
                 rows.append(row)
@@ -249,6 +256,8 @@ class SqliteReader:
                     del block
             if rows:
                 yield self._decodable(_block(rows, of, times_ns, data))
+        if unusable:
+            self.losses.append(first_unusable + (f"; so have {unusable - 1} more" if unusable > 1 else ""))
         self.losses += self._undecodable.losses(self.name)
 
     def _decodable(self, block: Block) -> Block:
@@ -263,12 +272,6 @@ class SqliteReader:
         self.count -= int(np.count_nonzero(left_out))
         before = [one for one, lost in zip(block.raw.before, left_out.tolist(), strict=True) if not lost]
         return Block(block.data, block.table[~left_out], SqliteFraming(rows[~left_out], before))
-
-    def _lose(self, sentence: str) -> None:
-        """Record a loss with recovery, else raise the error."""
-        if not self._recover:
-            raise BagError(f"{sentence}; --recover saves what is whole")
-        self.losses.append(sentence)
 
     def _rows(self, connection: sqlite3.Connection, only: Container[int] | None) -> Iterator[tuple[Any, ...]]:
         if self.damaged:
@@ -311,6 +314,17 @@ def _block(rows: list[int], of: list[int], times_ns: list[int], data: list[bytes
     joined = np.frombuffer(alone, dtype=np.uint8)
     before = [None if blob is None else kept(blob) for blob in data]
     return Block(joined, table, SqliteFraming(np.array(rows, dtype=np.int64), before))
+
+
+def _packed(connection: sqlite3.Connection, *, recover: bool) -> bool:
+    """Return whether messages are compressed one by one; with recovery as the first readable one shows."""
+    try:
+        return has_packed_messages(connection)
+    except sqlite3.Error:
+        if not recover:
+            raise
+    _, _, _, data = next(salvaged_rows(connection, "", []), (0, 0, 0, b""))
+    return isinstance(data, bytes) and data.startswith(magic.ZSTD)
 
 
 def _sound(connection: sqlite3.Connection) -> bool:

@@ -7,22 +7,21 @@ import shutil
 import sqlite3
 import threading
 from contextlib import closing, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Channel, PartContents
-from odomcorrupt.bags.definition import retyped
-from odomcorrupt.bags.placement import beside, place, remove, sweep
+from odomcorrupt.bags.placement import sweep
 from odomcorrupt.bags.rosbag2.database import columns, count_messages, harden, has_log, read_only, reported
 from odomcorrupt.bags.rosbag2.metadata import add_provenance, edited
+from odomcorrupt.bags.rosbag2.sqlite_output import SqliteOutput
 from odomcorrupt.bags.rosbag2.sqlite_reader import SqliteFraming, SqliteReader, copy_tables, kept
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from types import TracebackType
+    from pathlib import Path
 
     from odomcorrupt.bags.block import Block
     from odomcorrupt.bags.definition import Definition
@@ -35,7 +34,7 @@ _HELD_BYTES = 16 << 20
 """Blocks whose changes wait for the copy, bytes."""
 
 
-class SqliteWriter:
+class SqliteWriter(SqliteOutput):
     """One .db3 file being written.
 
     overwrite : whether it may replace a file
@@ -46,13 +45,10 @@ class SqliteWriter:
     def __init__(
         self, path: Path, reader: SqliteReader, *, overwrite: bool = False, copying_thread: bool = False
     ) -> None:
-        self._path = Path(os.path.realpath(path))
-        self._partial = beside(self._path)
-        self._overwrite = overwrite
-        self._reader = reader
+        super().__init__(path, reader, overwrite=overwrite)
+        self._reader: SqliteReader = reader
         self.keeps_rest = not reader.damaged
         self._added: dict[int, str] = {}
-        self._open: sqlite3.Connection | None = None
         self._copying_thread = copying_thread
         self._copying: _Copying | None = None
         self._waiting: list[tuple[str, list[Any]]] = []
@@ -60,13 +56,6 @@ class SqliteWriter:
         self._journal = ""
         self._expected: dict[int, tuple[int, int]] = {}
         self._changes = 0
-
-    def add_channel(self, topic: str, msgtype: str, like: Channel) -> Channel:
-        """Add a topic with the encoding and QoS of another one; return it with a new id."""
-        definition = self._reader.definition(like)
-        if msgtype != like.msgtype:
-            definition = retyped(self._reader, msgtype, like.encoding, definition)
-        return self.add_defined(topic, msgtype, like.encoding, definition)
 
     def add_defined(self, topic: str, msgtype: str, encoding: str, definition: Definition) -> Channel:
         """Add a topic with a given definition; return it."""
@@ -156,9 +145,6 @@ class SqliteWriter:
         for _, (channel, _, _, length) in rows:
             self._expect(channel, length)
 
-    def settle(self) -> None:
-        """Do nothing: rows are written immediately."""
-
     def contents(self) -> PartContents:
         """Return the message counts and time span of the file so far."""
         names = {one.id: one.topic for one in self._reader.channels.values()} | self._added
@@ -173,9 +159,7 @@ class SqliteWriter:
     def _connection(self) -> sqlite3.Connection:
         if self._copying is not None:
             self._begin_changes()
-        if self._open is None:
-            raise BagError(f"{self._path}: is not open")
-        return self._open
+        return super()._connection
 
     def _insert(self, table: str, values: Mapping[str, object]) -> None:
         known = [name for name in columns(self._connection, table) if name in values]
@@ -252,32 +236,18 @@ class SqliteWriter:
                 "not to be touched; the output is not kept, the input has a schema of its own"
             )
 
-    def _finish(self) -> None:
+    def _complete(self) -> None:
         self._drop_lost()
         self._require_all()
         self._connection.execute("COMMIT")
         if self._journal == "wal":
             self._connection.execute("PRAGMA journal_mode = WAL").fetchall()
-        self._connection.close()
-        place(self._partial, self._path, overwrite=self._overwrite)
 
     def _discard(self) -> None:
         if self._copying is not None:
             self._copying.stop()
             self._copying = None
-        if self._open is not None:
-            self._open.close()
-        remove(self._partial)
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                with reported(self._path, writing=True):
-                    self._finish()
-        finally:
-            self._discard()
+        super()._discard()
 
 
 class _Copying:

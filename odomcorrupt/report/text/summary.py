@@ -62,17 +62,38 @@ class Summary:
             At most `most` lines; where findings are left out, one says so.
 
         """
+        return "\n".join(part for part in self.parts(width, colour=colour) if part)
+
+    def parts(self, width: int = WIDTH, *, colour: bool = False, taken: int = 0) -> tuple[str, str]:
+        """Return the findings and the command to type next as two texts, for lines that are printed between them.
+
+        Parameters
+        ----------
+        width : int
+            Columns; a command is folded with backslashes, so that it can be pasted.
+        colour : bool
+            Whether labels have the ANSI colour of their tone.
+        taken : int
+            Lines that are printed between the two.
+
+        Returns
+        -------
+        findings, command : str
+            With `taken` at most `most` lines. The second one is empty where there is no command.
+
+        """
         indent = max((len(line.label) for line in self.lines), default=0) + 2
         blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self.lines]
-        kept = _within(blocks, self.most)
-        rows = []
-        for line, parts in kept:
+        findings: list[str] = []
+        commands: list[str] = []
+        for line, parts in _within(blocks, self.most - taken):
+            rows = commands if line.tone == "command" else findings
             for number, part in enumerate(parts):
                 label = f"{line.label if not number else '':<{indent}}"
                 if colour and not number and line.label:
                     label = f"{_COLOURS[line.tone]}{label}{_RESET}"
                 rows.append(f"{label}{part}".rstrip())
-        return "\n".join(rows)
+        return "\n".join(findings), "\n".join(commands)
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""

@@ -139,9 +139,9 @@ def pose_problem(
     recordings, effects = tuple(recordings), tuple(effects)
     clocks = tuple(clocks) if clocks is not None else (Clock(),) * len(recordings)
     smoothers = _smoothers(recordings, clocks, approach.side, before)
-    if before is not None and before.left and smoothers == before.smoothers:
-        if (effects, approach) == (before.effects, before.approach):
-            return before
+    same_data = before is not None and before.left and smoothers == before.smoothers
+    if before is not None and same_data and (effects, approach) == (before.effects, before.approach):
+        return before
     seen = [smoother.recorded for smoother in smoothers]
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
@@ -168,7 +168,7 @@ def pose_problem(
 def _smoothers(
     recordings: tuple[Recording, ...], clocks: tuple[Clock, ...], side: Side, before: Problem | None
 ) -> tuple[MotionSmoother, ...]:
-    """Return every recording on the truth's clock with its smooth motion; those of an earlier problem where it has them."""
+    """Return every recording on the truth's clock with its smooth motion; an earlier problem's where clocks agree."""
     known = {}
     if before is not None and before.approach.side == side:
         of_before = zip(before.recordings, before.clocks, before.smoothers, strict=True)

@@ -22,7 +22,7 @@ _GAP_S = 0.5
 _GAP_STEPS = 5.0
 _SLOW = np.array([0.02, 0.05])
 _CLOCKS_S = 3.0
-"""How far off a clock may be that the study is to find: so much truth is kept on both sides of a stretch."""
+"""How far off a clock may be that the study is to find: so much truth, or odometry, is kept beyond a stretch."""
 _LEAST_HEADED_S, _LEAST_BLIND_S = 25.0, 50.0
 """Stretches shorter than this carry too few nodes to be halved; they are left out where longer ones are there."""
 
@@ -95,7 +95,7 @@ def independent_parts(name: str, odometry: Samples, truth: Samples, track_m: flo
     recordings = []
     for i, (one, other) in enumerate(moved):
         part = f"{name} part {i + 1}" if len(moved) > 1 else name
-        own = one.trajectory()
+        own = (_until_end_of(one, other) if len(moved) > 1 else one).trajectory()
         said = tuple(notes) if i == 0 else ()
         # what resets cut apart was still recorded by one clock
         origin_ns = int((odometry if len(moved) > 1 else one).stamps_ns[0])
@@ -127,6 +127,11 @@ def _beside(odometry: Samples, truth: Samples) -> Samples:
     margin = round(_CLOCKS_S * 1e9)
     first, last = odometry.stamps_ns[0] - margin, odometry.stamps_ns[-1] + margin
     return truth.only((truth.stamps_ns >= first) & (truth.stamps_ns <= last))
+
+
+def _until_end_of(odometry: Samples, truth: Samples) -> Samples:
+    """Return the odometry up to the end of a stretch of truth: its wheels roll on from the start of the run."""
+    return odometry.only(odometry.stamps_ns <= truth.stamps_ns[-1] + round(_CLOCKS_S * 1e9))
 
 
 def _shared_s(a: Samples, b: Samples) -> float:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
@@ -28,14 +28,14 @@ from odomcorrupt.study.select.closed_loop import (
 )
 from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drop_term
+from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
-from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -94,7 +94,7 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
 
 def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
     """Return all effects of the library as candidates, admitted ones first and by gain."""
-    candidates = _candidates(fit, decisions)
+    candidates = list(_candidates(fit, decisions))
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     return sorted(excused, key=_rank, reverse=True)
@@ -104,7 +104,7 @@ def _excused(candidate: Candidate, decisions: Decisions) -> Candidate:
     """Return the candidate admitted, where what comes next makes good the path that it spoils alone."""
     if candidate.fit is None:
         return candidate
-    following = [c for c in _candidates(candidate.fit, decisions) if not c.refused]
+    following = (c for c in _candidates(candidate.fit, decisions) if not c.refused)
     made_good = any(c.rmse[1] <= candidate.rmse[0] for c in following)
     return replace(candidate, refused="") if made_good else candidate
 
@@ -113,27 +113,31 @@ def _rank(candidate: Candidate) -> tuple[bool, float, float]:
     return (candidate.refused == "", candidate.gain, -candidate.score.p)
 
 
-def _candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
-    search = ShapeSearch(fit, decisions)
-    terms = [search.best(family) for family in library(fit)]
-    scores = score_terms(fit, terms, decisions)
-    levels = levels_of(scores, decisions)
-    ranked = sorted(scores, key=lambda s: s.robust_nats, reverse=True)
-    candidates: list[Candidate] = []
+def _candidates(fit: Fit, decisions: Decisions) -> Iterator[Candidate]:
+    """Yield all effects of the library as candidates, those first that are likely to explain most.
+
+    A shape is refined by exact columns only where its effect may still make the shortlist.
+    """
+    search = LibrarySearch(fit, library(fit), decisions)
     still = hardly_turns(fit)
     refits, leader = 0, -np.inf
-    for score in ranked:
-        refused = objection(fit, score, decisions, level=levels[score.term.name], still=still)
-        unlikely = refits == decisions.shortlist or score.robust_nats < decisions.shortlist_share * leader
-        if refused or unlikely:
-            candidates.append(Candidate(score=score, refused=refused or "others explain it better"))
+    while (best := search.likeliest()) is not None:
+        unlikely = refits == decisions.shortlist or best.robust_nats < decisions.shortlist_share * leader
+        if not best.exact and not unlikely and best.nats > 0.0:
+            search.refine(best)
+            continue
+        score = search.decide(best)
+        level = levels_of(search.scores, decisions)[score.term.name]
+        refused = objection(fit, score, decisions, level=level, still=still)
+        if refused or unlikely or not best.exact:
+            yield Candidate(score=score, refused=refused or "others explain it better")
             continue
         refits += 1
-        candidates.append(_refitted(fit, score, decisions))
-        if not candidates[-1].refused:
+        candidate = _refitted(fit, score, decisions)
+        if not candidate.refused:
             # one that cannot be had stands in nobody's way
             leader = max(leader, score.robust_nats)
-    return sorted(candidates, key=_rank, reverse=True)
+        yield candidate
 
 
 def levels_of(scores: Sequence[Score], decisions: Decisions) -> dict[str, float]:
@@ -250,8 +254,11 @@ def include(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
 def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
     """Return the fit with the shape of one of its terms searched again, now that what it explains is no noise any more.
 
+    Words that are the same to first order (a filter, a delay) only a refit tells apart.
+
     score : the term as it is in the model; both come back as they were where another shape gains too little
     """
+    fit, score = _with_words_refined(fit, score, decisions)
     if not len(score.term.shape):
         return fit, score
     effect = next(e for e in fit.effects if e.name == score.term.name)
@@ -265,6 +272,24 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
         return fit, score
     return shaped, replace(score, term=moved)
+
+
+def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fit, Score]:
+    """Return the fit with those words of one of its terms, the source of the heading apart, that a refit prefers."""
+    if not isinstance(score.term, LibraryTerm):
+        return fit, score
+    effect = next(e for e in fit.effects if e.name == score.term.name)
+    for word in choices(effect):
+        best = fit
+        for other in score.term.with_words((word,)) if word != "heading" else ():
+            said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
+            tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
+            if tried_fit.log_likelihood > best.log_likelihood + decisions.reshape_nats:
+                best, chosen = tried_fit, other
+        if best is not fit:
+            fit, score = best, replace(score, term=chosen)
+            effect = next(e for e in fit.effects if e.name == score.term.name)
+    return fit, score
 
 
 def _nearby(search: ShapeSearch, term: Term, fit: Fit) -> Term:

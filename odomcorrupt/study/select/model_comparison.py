@@ -24,8 +24,8 @@ from odomcorrupt.study.select.closed_loop import hardly_turns
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.dependence import BasisScore, basis_scores, dependences
 from odomcorrupt.study.select.elimination import drop_term
-from odomcorrupt.study.select.score import project_out, score_columns, score_terms
-from odomcorrupt.study.select.shape_search import ShapeSearch
+from odomcorrupt.study.select.library_search import LibrarySearch
+from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -111,12 +111,12 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     if effect is None or law.best is None:
         return None
     bare, others = drop_term(fit, effect), [e for e in fit.effects if e is not effect]
-    search, still = ShapeSearch(bare, decisions), hardly_turns(bare)
-    scores = score_terms(bare, [search.best(family) for family in library(bare)], decisions)
+    still = hardly_turns(bare)
     law_columns = score_columns(bare, [law.best.term.columns(bare.problem)])[0]
-    levels = levels_of(scores, decisions)
     least = 0.5 * law_columns.statistic - law.best.score.penalty - decisions.replacement_nats
-    near = sorted((s for s in scores if s.nats > max(least, 0.0)), key=lambda s: -s.nats)
+    search = LibrarySearch(bare, library(bare), decisions)
+    near = sorted(search.scores_above(max(least, 0.0)), key=lambda s: -s.nats)
+    levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
         refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
         if FORBIDDEN in refused:

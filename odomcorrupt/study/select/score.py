@@ -124,17 +124,26 @@ def project_out(fit: Fit, *more: Array) -> Projection:
     return Projection(basis, r - basis @ (basis.T @ r))
 
 
-def score_terms(fit: Fit, terms: Sequence[Term], decisions: Decisions, *, family: int | None = None) -> list[Score]:
+def score_terms(
+    fit: Fit,
+    terms: Sequence[Term],
+    decisions: Decisions,
+    *,
+    family: int | None = None,
+    columns: Sequence[Array] | None = None,
+) -> list[Score]:
     """Test terms, each beside the model of a fit.
 
     Parameters
     ----------
     fit, terms, decisions : the model, what is tested, and what the penalty is made of
     family : how many kinds of terms might have come first, besides the trials of each; default: as many as are tested
+    columns : (K, 3, p) of each term, where they are known already
 
     """
     count = len(fit.problem.nodes)
-    scores = score_columns(fit, [term.columns(fit.problem) for term in terms], family=family)
+    groups = [term.columns(fit.problem) for term in terms] if columns is None else columns
+    scores = score_columns(fit, groups, family=family)
     return [
         Score(
             **asdict(replace(score, p=min(1.0, score.p * term.trials))),

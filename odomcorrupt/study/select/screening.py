@@ -39,6 +39,8 @@ __all__ = ["CoarseDesign", "Screened", "coarse_gains", "promising_terms"]
 
 _SAMPLES = 5
 """Increments of each interval that are kept."""
+_MEAN = np.tile(np.eye(3) / _SAMPLES, (_SAMPLES, 1))
+"""What (3 samples, 3) turns rows of rates of several samples into their means."""
 _KEPT = 20
 """Basis functions of each regressor and action that are whitened."""
 
@@ -127,10 +129,11 @@ class CoarseDesign:
         for p in amplitudes(term.start):
             acting = replace(term.start, **{p.name: p.identity + p.step})  # type: ignore[type-var]  # effects are dataclasses
             try:
-                rate = error_of(acting, self._thinned).reshape(len(self._nodes), _SAMPLES, 3).mean(axis=1)
+                rate = error_of(acting, self._thinned).reshape(len(self._nodes), 3 * _SAMPLES) @ _MEAN
             except EffectError:  # it acts on single wheels, and the track is not known
                 rate = np.zeros((len(self._nodes), 3))
-            columns.append(np.einsum("kic,kc->ki", self._held, -rate / p.step))
+            rate *= -1.0 / p.step
+            columns.append(sum(held * rate[:, [i]] for i, held in enumerate(self._held)))
         return np.stack(columns, axis=2)
 
     @cached_property
@@ -146,10 +149,10 @@ class CoarseDesign:
         return [views(m) for m in self._motions]
 
     @cached_property
-    def _held(self) -> Array:
-        """What (K, 3, 3) a constant rate of one in each channel does to the residuals."""
+    def _held(self) -> list[Array]:
+        """What (K, 3) a constant rate of one in each channel does to the residuals."""
         dt_s = np.concatenate([m.dt_s for m in self._motions])
-        return np.stack([self._nodes.column(dt_s[:, None] * unit) for unit in np.eye(3)], axis=2)
+        return [self._nodes.column(dt_s[:, None] * unit) for unit in np.eye(3)]
 
 
 def _thinned(nodes: Intervals, motions: Sequence[Motion]) -> Motion:

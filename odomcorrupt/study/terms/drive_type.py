@@ -1,9 +1,10 @@
 """Drive type: how the wheels steer a robot, as it was given or guessed from its motion; and the effects it can have.
 
-A robot whose wheels are steered turns only as it travels, within a radius that no speed changes; one that turns by the
-difference of its wheels does not keep to that where it slows down, starts and stops. Many effects of the two kinds are
-one and the same function of the motion (an offset of the steering, and one wheel larger than the other): the drive
-type then chooses the name.
+A robot whose wheels are steered turns only as it travels, within a radius that no speed changes, and where it drives
+slowly its wheels are often turned as far as they go: a fifth of it is at one and the same large curvature. One that
+turns by the difference of its wheels has no such stop, even where its planner never turns it on the spot. Many effects
+of the two kinds are one and the same function of the motion (an offset of the steering, and one wheel larger than the
+other): the drive type then chooses the name.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from odomcorrupt.effects.effect import Effect, Motion
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["DriveType", "drive_type_of", "library_families", "readings_of"]
@@ -52,6 +54,12 @@ _TURNED_RAD = 4.0 * np.pi
 """Less turning in all says nothing of how a robot turns."""
 _SLOW_S, _SPELLS = 3.0, 3
 """Seconds of slow driving, and times that a robot slowed down, that it takes to see how it turns then."""
+_CREEP = 0.05
+"""Part of the usual speed below which ticks make the curvature."""
+_STOP, _STOP_SHARE, _STOP_QUANTILE = 1.15, 0.2, 0.95
+"""Steering has a stop where so large a share of slow driving is within this factor of the curvature's quantile, which
+a late steering angle exceeds for moments. Robots with two driven wheels have a tenth of it there (a mower that never
+turned on the spot), steered ones a third and more."""
 _SPOT_RAD = 0.1
 """Turn in each slow spell beyond what the radius allows that filters and ticks may make, radians."""
 _REST_S = 2.0
@@ -122,8 +130,22 @@ def _stated_or_guessed(recordings: Sequence[Recording]) -> DriveType:
         return DriveType("differential")
     if seconds < _SLOW_S or spells < _SPELLS or beyond > _SPOT_RAD * spells:
         return DriveType("differential")
+    if not _has_stop(np.concatenate([s.slow for s in slow], axis=1)):
+        return DriveType("differential")
     gyro = turns_at_rest or sum(s.rest_s for s in slow) < _REST_S
-    return DriveType("car", f"never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro)
+    return DriveType(
+        "car", f"steers up to a stop, never turned on the spot; smallest radius {radius_m:.1f} m", gyro=gyro
+    )
+
+
+def _has_stop(slow: Array) -> bool:
+    """Tell whether slow driving, curvatures and seconds (2, m), is again and again at one largest curvature."""
+    curvature, seconds = slow
+    if not len(curvature):
+        return False
+    largest = float(np.quantile(curvature, _STOP_QUANTILE))
+    there = curvature * _STOP >= largest
+    return bool(there.mean() >= _STOP_SHARE and seconds[there].sum() >= _SLOW_S)
 
 
 def library_families(
@@ -196,6 +218,7 @@ class _SlowDriving:
     seconds, spells : how long, and how often, it drove slowly or stopped
     beyond : turn in these that the largest curvature does not allow, rad
     turned_at_rest, rest_s : turn while the wheels stood, rad, and for how long they did
+    slow : (2, m) curvature, 1/m, and duration, s, of each interval of slow driving
     """
 
     along_m: float
@@ -207,6 +230,7 @@ class _SlowDriving:
     beyond: float
     turned_at_rest: float
     rest_s: float
+    slow: Array
 
 
 def _slow_driving(recording: Recording) -> _SlowDriving:
@@ -226,10 +250,11 @@ def _slow_driving(recording: Recording) -> _SlowDriving:
     curvature = float(np.quantile(omega[fast] / v[fast], _LARGEST)) if fast.any() else 0.0
     begins = np.count_nonzero(np.diff(slow.astype(np.int8)) == 1)
     beyond = float((np.maximum(omega - _SHARPER * curvature * v, 0.0) * dt)[slow].sum())
+    creeps = slow & (v > _CREEP * usual)
     return _SlowDriving(
         float((v * dt).sum()), float((np.abs(across) * dt).sum()), float((omega * dt).sum()), curvature,
         float(dt[slow & (v > _STILL * usual)].sum()), int(begins), beyond, at_rest,
-        float(dt[stands].sum()),
+        float(dt[stands].sum()), np.stack((omega[creeps] / v[creeps], dt[creeps])),
     )  # fmt: skip
 
 

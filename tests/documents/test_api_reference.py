@@ -1,0 +1,47 @@
+"""The Python reference has every public name, and their docstrings say what goes in and what comes out."""
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import odomcorrupt
+from odomcorrupt.api.diagnosis import Findings
+from odomcorrupt.api.result import Result
+
+PAGE = (Path(__file__).parents[2] / "docs/api-reference.md").read_text()
+PUBLIC = [name for name in odomcorrupt.__all__ if name != "__version__"]
+
+
+def functions():
+    """Return the public functions and methods by name, without those that `Result` describes."""
+    described = set(vars(Result))
+    for home in (*(getattr(odomcorrupt, name) for name in PUBLIC), Result, Findings):
+        if inspect.isfunction(home):
+            yield home.__name__, home
+            continue
+        for name, member in vars(home).items():
+            plain = getattr(member, "__func__", member)
+            if inspect.isfunction(plain) and not name.startswith("_") and (home is Result or name not in described):
+                yield f"{home.__name__}.{name}", plain
+
+
+FUNCTIONS = dict(functions())
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_every_public_name_is_in_the_reference(name):
+    assert f"::: odomcorrupt.{name}\n" in PAGE
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_docstrings_name_every_parameter_and_what_is_returned(name):
+    text, signature = inspect.getdoc(FUNCTIONS[name]), inspect.signature(FUNCTIONS[name])
+    taken = [one for one in signature.parameters.values() if one.name not in ("self", "cls")]
+    named = {
+        word for line in re.findall(r"^([*\w, ]+)(?: :|$)", text, re.MULTILINE) for word in re.findall(r"\w+", line)
+    }
+    assert [one.name for one in taken if one.name not in named] == []
+    plain = text.startswith("Return ") and not taken
+    assert plain or signature.return_annotation in ("None", None) or "Returns\n-------" in text
