@@ -15,8 +15,6 @@ import numpy as np
 from odomcorrupt.geometry.rounded_stamps import evened, resolution_s
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
