@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["encoder_effects", "restore_lost"]
+__all__ = ["encoder_effects", "hides_losses", "restore_lost"]
 
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
+_MOSTLY = 0.5
+"""Part of the moving increments that are too few ticks to show a loss, from which on none is expected to be seen."""
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth resolves."""
 _LATTICE = 0.9
@@ -41,6 +43,12 @@ def encoder_effects(recording: Recording) -> list[Effect]:
     if step is not None:
         found.append(effect_from_values("quantization", {"step": step}))
     return found
+
+
+def hides_losses(recording: Recording) -> bool:
+    """Return whether ticks are so coarse that most lost increments would pass for zeros between two counts."""
+    shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
+    return shown.hidden > _MOSTLY and _tick(recording) is not None
 
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:
