@@ -67,8 +67,11 @@ def evened(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64] | None:
     count = np.concatenate(([0.0], np.cumsum(np.maximum(np.round(steps / period_s), 1.0))))
     off = t_s - count * period_s
     half = _EVEN_OVER // 2
-    # reflected about its ends, a line stays one
-    padded = np.concatenate((2.0 * off[0] - off[half:0:-1], off, 2.0 * off[-1] - off[-2 : -half - 2 : -1]))
+    # continued by the line through the samples at each end: a single one is off by all of the rounding
+    row = np.arange(_EVEN_OVER)
+    before = np.polyval(np.polyfit(row, off[:_EVEN_OVER], 1), np.arange(-half, 0))
+    after = np.polyval(np.polyfit(row, off[-_EVEN_OVER:], 1), np.arange(_EVEN_OVER, _EVEN_OVER + half))
+    padded = np.concatenate((before, off, after))
     smooth = np.convolve(padded, np.full(_EVEN_OVER, 1.0 / _EVEN_OVER), "valid")
     if np.mean(np.abs(off - smooth) < _WITHIN * rounded_s) < _FITS:
         return None
