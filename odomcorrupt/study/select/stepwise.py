@@ -18,7 +18,7 @@ from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
+from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import (
     FORBIDDEN,
     Candidate,
@@ -88,6 +88,7 @@ def learn(
         decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
     encoders = encoder_effects(recordings[0])
+    hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     clocks = find_clocks(recordings, approach)
@@ -121,6 +122,7 @@ def learn(
         disagreements=disagreements(final, decisions.heterogeneity_level),
         contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
+        hides_losses=hidden,
     )
 
 
