@@ -101,6 +101,10 @@ class Recording:
     heading_source : what a gyro in the bag shows the odometry's heading to come from: "wheels", "gyro", or "" unknown
     geodetic_origin : of the truth's frame, where it was satellite fixes
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
+    of_base : whether the truth is a localisation's of the very frame whose odometry it is (map -> odom -> base_link),
+        so that it has no lever arm and no mounting yaw
+    truth_correlation_m : way over which errors of the truth fade to 1/e of their correlation; 0: they are independent
+        of each other; None: not estimated yet, and taken for 0
     pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
     truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
     stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
@@ -134,6 +138,8 @@ class Recording:
     truth_level: tuple[float, float] = (1.0, 1.0)
     stamp_error_s: float = 0.0
     localised: bool = False
+    of_base: bool = False
+    truth_correlation_m: float | None = None
     pulled_per_s: float = 0.0
     drive_type: str = AUTO
 
