@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.study.io.recording import Recording, Trajectory, TruthField
 
 __all__ = [
     "LEAST_NODES",
@@ -87,6 +87,8 @@ class Intervals:
         position's part is near the identity, the heading's near one
     way_m : (K,) way over each interval as a localisation has it: travel, and turns by what they change of the view
     memory : (K,) correlation of the truth's errors at both ends of an interval, 0 where they are independent
+    field : (K, 5) errors of the truth where some belong to places: independent and by place (m, rad each), and how much
+        alike the latter are at both ends; 0 where none do
     random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
@@ -109,6 +111,7 @@ class Intervals:
     end_shape: Array
     way_m: Array
     memory: Array
+    field: Array
     random_walk_level: Array
     start_unseen: Array
     end_unseen: Array
@@ -279,6 +282,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         start_shape=shape[kept],
         end_shape=shape[kept + 1],
         way_m=way_m,
+        field=_field_over(recording.truth_field, truth_step),
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
         random_walk_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
@@ -291,6 +295,15 @@ def memory_over(way_m: Array, correlation_m: float) -> Array:
     if correlation_m <= 0.0:
         return np.zeros(len(way_m))
     return np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
+
+
+def _field_over(field: TruthField | None, truth_step: Array) -> Array:
+    """Return the errors (n, 5) of `Intervals.field` over motions (n, 3) of the truth."""
+    if field is None:
+        return np.zeros((len(truth_step), 5))
+    alike = np.exp(-0.5 * np.sum(truth_step[:, :2] ** 2, axis=1) / field.length_m**2)
+    sizes = np.tile((field.own_xy_m, field.own_yaw_rad, field.xy_m, field.yaw_rad), (len(alike), 1))
+    return np.column_stack((sizes, alike))
 
 
 def join(parts: Sequence[Intervals], steps: Sequence[int]) -> Intervals:

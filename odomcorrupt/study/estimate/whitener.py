@@ -34,6 +34,7 @@ __all__ = [
     "factored",
     "fixed_band",
     "interval_covariance",
+    "map_axes",
     "odometry_piece",
     "rho_of",
     "truth_pieces",
@@ -112,6 +113,9 @@ def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     total = q + unseen_piece(nodes)[0]
     for weight, diagonal in zip(truth_weights(truth), _single_pieces(nodes), strict=True):
         total += weight * diagonal
+    there = nodes.field[:, 0] > 0.0
+    if there.any():
+        total[there] = (q + _with_field(nodes))[there]
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
 
@@ -152,7 +156,7 @@ def rho_of(nodes: Intervals) -> Array | None:
     """Return the part (K, 3, 3) of the residual before that a quasi-difference takes off; None where it is none."""
     if not nodes.memory.any():
         return None
-    _, _, b = _map_axes(nodes)
+    _, _, b = map_axes(nodes)
     rho = np.zeros_like(b)
     linked = np.flatnonzero(nodes.linked[1:] & (nodes.memory[:-1] > 0.0)) + 1
     rho[linked] = nodes.memory[linked - 1, None, None] * (b[linked] @ np.linalg.inv(b[linked - 1]))
@@ -161,7 +165,7 @@ def rho_of(nodes: Intervals) -> Array | None:
 
 def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     """Return what a unit of the truth's correlated errors adds to quasi-differences, for position and heading."""
-    start, end, b = _map_axes(nodes)
+    start, end, b = map_axes(nodes)
     rho = rho_of(nodes)
     linked = nodes.linked[:, None, None]
     # an error of its own at the end, and what the end before had of its own; the first of a chain has all of it
@@ -183,13 +187,24 @@ def _single_pieces(nodes: Intervals) -> list[Array]:
         a = _adjoint_of_inverse(nodes.truth_step)
         at_ends = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
         return [*(diagonal for diagonal, _ in at_ends), _random_walk(nodes)]
-    _, end, b = _map_axes(nodes)
+    _, end, b = map_axes(nodes)
     fresh, one = 1.0 - nodes.memory**2, np.ones(len(nodes))
     pieces = [_congruent(end, kept, fresh) + _congruent(b, kept, one) for kept in _KEPT]
     return [*pieces, _random_walk(nodes)]
 
 
-def _map_axes(nodes: Intervals) -> tuple[Array, Array, Array]:
+def _with_field(nodes: Intervals) -> Array:
+    """Return what a truth whose errors belong to places adds to the covariance (K, 3, 3) of each residual by itself."""
+    start, end, _ = map_axes(nodes)
+    start = _adjoint_of_inverse(nodes.truth_step) @ start
+    own, place = (nodes.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
+    across = start @ (place * nodes.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
+    ends = (one @ (own + place) @ np.swapaxes(one, 1, 2) for one in (start, end))
+    added: Array = sum(ends) - across - np.swapaxes(across, 1, 2)
+    return added
+
+
+def map_axes(nodes: Intervals) -> tuple[Array, Array, Array]:
     """Return N at the start and the end of each interval, and B, all (K, 3, 3), see above."""
     start_rad = nodes.truth_xyt[:, 2]
     start = np.linalg.cholesky(nodes.start_shape + _TINY) @ _turned(-start_rad)

@@ -69,11 +69,19 @@ def _departures(odometry: Samples, own_s: Array, truth: Samples, t_s: Array, ins
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
     turned = np.unwrap(np.unwrap(truth.yaw_rad)[inside] - heading)
-    usual = _medians(at, turned[:, None])[:, 0]
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
+    design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
+    # what a bias, a gain of turns and unequal wheels make of it goes on all the time
+    steady = design @ np.linalg.lstsq(design, turned, rcond=None)[0]
+    usual = steady + _medians(at, (turned - steady)[:, None])[:, 0]
     # the odometry's path, laid along the truth by its headings
     path = np.stack([np.interp(at, own_s, odometry.xyz[:, axis]) for axis in (0, 1)], axis=1)
     steps = rotate(np.diff(path, axis=0), (usual[1:] + usual[:-1]) / 2.0)
-    away = truth.xyz[inside, :2] - np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    laid = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    # travel of another length departs from it, too, as far as the path does
+    away = truth.xyz[inside, :2] - laid
+    similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
+    away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
     return np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
 
 
