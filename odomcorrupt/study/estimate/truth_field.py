@@ -31,14 +31,16 @@ if TYPE_CHECKING:
 
 __all__ = ["LENGTHS_M", "field_of", "field_roots", "has_field", "remainder_whitener", "window_roots"]
 
-LENGTHS_M = (0.7, 1.2, 2.0, 3.5)
-"""Lengths of the field that are tried."""
+LENGTHS_M = (0.7, 1.2, 2.0)
+"""Lengths of the field that are tried: a longer one would be a scale or a turn of the whole map."""
 _CELL, _MOST_CELLS = 0.5, 400
 """Cells of the map in lengths of the field, and how many there are at most: larger ones lose detail, not size."""
 _NOTHING = 1e-6
 """Part of the largest eigenvalue below which a direction of the field is nothing."""
 _BOUNDS = tuple((np.log(low), np.log(high)) for low, high in ((3e-4, 1.0), (1e-4, 0.3)) * 2)
 _STEPS = 15
+_USUAL, _SPREAD = 2.0, 0.7
+"""A field over independent errors: its usual size, and the standard deviation of that size's logarithm."""
 
 
 def has_field(problem: Problem) -> bool:
@@ -113,7 +115,9 @@ def field_of(problem: Problem, q: Array, columns: Array) -> tuple[TruthField, fl
         roots = _unit_roots(problem.nodes, every, length)
 
         def cost(free: Array, roots: tuple[Array, Array] = roots) -> float:
-            return -_log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
+            # a smooth field and a scale of travel do the same: without a prior it may be of any size
+            odd = (free[2:] - free[:2] - np.log(_USUAL)) / _SPREAD
+            return 0.5 * float(odd @ odd) - _log_likelihood(problem.nodes, q, columns, np.exp(free), roots)
 
         best = minimize(cost, start, method="L-BFGS-B", bounds=_BOUNDS, options={"eps": 1e-3, "maxiter": _STEPS})
         start = best.x

@@ -25,7 +25,8 @@ _REACH_S = 20.0
 """Half the window of the running medians, seconds: what lasts shorter is an excursion."""
 _FEWEST = 7
 """Poses in a window for its median to say anything."""
-_SIGMAS = 5.0
+_SIGMAS, _STILL_SIGMAS = 5.0, 3.0
+"""How far an excursion departs, in deviations of usual poses, and as long as what lies beside it does."""
 _LEAST = np.array([0.05, 0.03])
 """Metres and radians by which an excursion departs at least."""
 _MOST = 0.2
@@ -51,7 +52,11 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     apart = np.zeros((len(truth), 2))
     apart[inside] = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
-    out = (apart > np.maximum(_SIGMAS * usual, _LEAST)).any(axis=1)
+    out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    # on its way out and back, and where noise brings it nearer, it is still the same one
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
+    for first, end in edges.reshape(-1, 2):
+        out[first:end] = out[first:end].any()
     if not out.any() or out.mean() > _MOST:
         return truth
     rows = np.flatnonzero(out)
