@@ -57,6 +57,7 @@ class Learned(Findings):
             found.advice,
             found.comparison,
             fit=self._fit,
+            robot=found.robot,
             notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
             following=next_line(self.following),
         )

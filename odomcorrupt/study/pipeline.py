@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
 from odomcorrupt.study.validate.held_out import keep_what_holds
@@ -79,6 +81,9 @@ def learn_robot(
     watch : called before each stage
     """
     watch("search for missing effects", 0.0)
+    recordings, held_out = (
+        with_correlation_lengths(some, choose_approach(some)) if some else some for some in (recordings, held_out)
+    )
     search, parts = keep_what_holds(learn(recordings), held_out)
     watch("what the data leave open", 0.6)
     advice = advise(search)

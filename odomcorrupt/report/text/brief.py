@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
+_PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
 
@@ -53,6 +54,7 @@ def findings_brief(
     comparison: Comparison,
     *,
     fit: Fit | None = None,
+    robot: RobotFit | None = None,
     notes: Sequence[str] = (),
     following: Line | None = None,
 ) -> Summary:
@@ -63,6 +65,7 @@ def findings_brief(
     search, advice : what was found, and what the data leave open
     comparison : the models that were judged; the first one without what was found
     fit : the final fit, where it is not the search's own
+    robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed
     following : the command to type next
     """
@@ -71,7 +74,7 @@ def findings_brief(
     verdict, tone = _verdict(search, comparison)
     first = lines[0].text if lines else "no known effect explains more than chance"
     lines = [Line(verdict, first, tone), *lines[1:]]
-    lines += _drive_lines(search)
+    lines += (_hidden_noise(robot) if robot is not None else []) + _drive_lines(search)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
@@ -189,6 +192,18 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
     return Summary((*lines, *([following] if following else [])))
 
 
+def _hidden_noise(result: RobotFit) -> list[Line]:
+    """Return a line on noise of which a localisation shows no more than an upper bound."""
+    if not any(r.localised for r in result.fit.problem.recordings):
+        return []
+    hidden = [i for i in result.intervals if i.name in _PER_METRE and i.low == 0.0 and i.identifiable]
+    if not hidden:
+        return []
+    bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]
+    most = ", ".join(f"{bound} {_PER_METRE[i.name]}" for bound, i in zip(bounds, hidden, strict=True))
+    return [Line("noise", f"at most {most} after a metre: the truth's own noise hides it; the model has the estimate")]
+
+
 def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
     """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
     fit = result.fit
@@ -199,6 +214,7 @@ def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
     k = fit.noise.coefficients
     numbers = [f"{i.name} {getattr(k, i.name):.3g}" for i in result.intervals if i.identifiable]
     lines.append(Line("noise", f"law {law}: {', '.join(numbers) or 'nothing identifiable'}"))
+    lines += _hidden_noise(result)
     hidden = [i.name for i in result.intervals if not i.identifiable]
     if hidden:
         lines.append(Line("", f"not identifiable from this drive: {', '.join(hidden)}", "warning"))

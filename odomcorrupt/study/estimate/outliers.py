@@ -168,7 +168,10 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
     found = []
     for group in groups:
-        residual, step = nodes.residual[group], nodes.odometry_step[group]
+        step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
+        # in the frame of its beginning: while a robot turns, what is off ahead comes back from the side
+        residual = nodes.residual[group].copy()
+        residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         most = float(np.linalg.norm(residual / usual, axis=1).max())
         found.append(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
@@ -91,6 +92,7 @@ def learn(
     hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
+    recordings = with_correlation_lengths(recordings, approach)
     clocks = find_clocks(recordings, approach)
     recordings = levelled(recordings, clocks)
     fitted = fit(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
@@ -93,6 +94,7 @@ class Comparison:
 def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
     """Judge models (by name) on recordings."""
     approach = choose_approach(recordings)
+    recordings = with_correlation_lengths(recordings, approach)
     found = clocks_beside(recordings, approach, list(models.values())[-1])
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}

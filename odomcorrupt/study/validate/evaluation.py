@@ -12,6 +12,7 @@ from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
+from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_roots
 from odomcorrupt.study.estimate.whitener import Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
@@ -89,7 +90,9 @@ class Evaluation:
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
         count = errors.error.shape[1]
         more = random_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
-        errors = replace(errors, covariance=errors.covariance + more)
+        shared = window_roots(self.left, windows)
+        shared = None if shared is None else shared[:, :count]
+        errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
             self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0
         )
@@ -107,7 +110,7 @@ def evaluate_stretch(
     truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
     if model.setup.truth is not None and not refitted:
         truth = _own_truth(nodes, q, truth, headed=headed)
-    band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+    band = remainder_whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
