@@ -28,13 +28,14 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.confidence import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = ["learned_json"]
+__all__ = ["learned_json", "recordings_json"]
 
 SCHEMA = 2
 
@@ -68,6 +69,7 @@ def learned_json(
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
             "rejected": (judged and rejection(judged)) or None,
+            "recordings": recordings_json(learned.fit.problem.recordings),
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
@@ -108,6 +110,13 @@ def learned_json(
         }
     )
     return values
+
+
+def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
+    """Return what reading noticed of each recording, and how fast a filter pulls its odometry to poses (0: none)."""
+    return [
+        {"name": one.name, "odometry_pulled_per_s": one.pulled_per_s, "notes": list(one.notes)} for one in recordings
+    ]
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
