@@ -17,7 +17,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.clock_gain import clock_gain
 
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = ["learned_json", "recordings_json"]
+__all__ = ["learned_json", "recordings_json", "reproduction_json"]
 
 SCHEMA = 2
 
@@ -117,6 +118,21 @@ def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
     return [
         {"name": one.name, "odometry_pulled_per_s": one.pulled_per_s, "notes": list(one.notes)} for one in recordings
     ]
+
+
+def reproduction_json(one: Reproduction) -> dict[str, Any]:
+    """Return how far a model drifts beside the recordings that it was learned from."""
+    values: dict[str, Any] = finite(
+        {
+            "measured_rmse_10s": one.measured_m,
+            "corrupted_rmse_10s": one.drawn_m,
+            "corrupted_rmse_10s_range": [one.least_m, one.most_m],
+            "holds": one.holds,
+            "outliers": {"count": one.outliers, "duration_s": one.outlier_s, "share": one.outlier_share},
+            "sentence": reproduction_sentence(one) or None,
+        }
+    )
+    return values
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
