@@ -15,6 +15,7 @@ from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.validate.reproduction import reproduction_of
 
 QUIET = Coefficients(0.006, 0.003, 0.004, 0.0)
@@ -73,3 +74,38 @@ def test_an_excursion_of_the_truth_alone_is_no_drift_of_the_robot():
     one = reproduction_of(away, model_of(away))
     assert one.holds
     assert one.outliers == 0
+
+
+def spinning(slips, *, part=0.5, seconds=2.0, track_m=0.4):
+    """Return two minutes on a floor where the right wheel spins now and then, so that it rolls a part less."""
+    steps = wander(7, 120.0)
+    ds, turned = steps.ds_m.copy(), steps.dtheta_rad.copy()
+    for at in slips:
+        inside = slice(round(at * 50), round((at + seconds) * 50))
+        right = ds[inside] + turned[inside] * track_m / 2.0
+        more = right * part / (1.0 - part)
+        ds[inside] += more / 2.0
+        turned[inside] += more / track_m
+    run = recording(steps, noisy_path(steps, QUIET, 7), truth_mm=2.0, truth_rad=0.002, seed=7)
+    path = noisy_path(Increments(ds, steps.dl_m, turned), QUIET, 7)
+    return replace(run, odometry=replace(run.odometry, xyt=path), track_m=track_m)
+
+
+AT = (7, 20, 33, 44, 58, 71, 85, 98, 110)
+
+
+def test_a_model_with_bursts_slips_about_as_far_as_the_robot_did():
+    fitted = fit([spinning(AT)], approach=Approach())
+    bursts = slip_bursts(fitted)
+    assert bursts is not None
+    assert reproduction_of(fitted, model_of(fitted)).too_small
+    assert reproduction_of(fitted, model_of(fitted, [bursts]), runs=5).holds
+
+
+def test_bursts_that_are_too_short_to_see_are_not_made_too_strong():
+    fitted = fit([spinning(AT, part=0.4, seconds=0.25)], approach=Approach())
+    bursts = slip_bursts(fitted)
+    assert bursts is not None
+    assert bursts.duration == pytest.approx(0.25)
+    assert bursts.slip == pytest.approx(0.4, rel=0.5)
+    assert reproduction_of(fitted, model_of(fitted, [bursts]), runs=5).holds
