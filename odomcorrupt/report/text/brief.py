@@ -17,7 +17,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import size
+from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
 from odomcorrupt.study.terms.drive_type import readings_of
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.terms.drive_type import DriveType
     from odomcorrupt.study.validate.compare import Comparison
+    from odomcorrupt.study.validate.reproduction import Reproduction
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
@@ -56,6 +57,7 @@ def findings_brief(
     fit: Fit | None = None,
     robot: RobotFit | None = None,
     notes: Sequence[str] = (),
+    reproduction: Reproduction | None = None,
     following: Line | None = None,
 ) -> Summary:
     """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
@@ -67,12 +69,15 @@ def findings_brief(
     fit : the final fit, where it is not the search's own
     robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed
+    reproduction : how far the final model drifts beside the recordings, where that is known
     following : the command to type next
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
     first = lines[0].text if lines else "no known effect explains more than chance"
+    if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
+        verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[1:]]
     lines += (_hidden_noise(robot) if robot is not None else []) + _drive_lines(search)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
@@ -89,6 +94,10 @@ def findings_brief(
     if last.verdict.rejected and not search.unknown:
         worst = last.verdict.against[0]
         lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
+    drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
+    if reproduction is not None and drifts:
+        # before everything else: a simulation would be far too good, or far too bad
+        lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, *([following] if following else [])))
@@ -188,7 +197,11 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
     if last.failures:
         from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
 
-        lines.append(Line("fails", sentence(last.failures[0]), "warning"))
+        worst = sentence(last.failures[0])
+        if last.verdict.rejected:
+            lines.append(Line("fails", worst, "warning"))
+        else:
+            lines.append(Line("deviation", f"the largest, which does not reject {last.name}: {worst}"))
     return Summary((*lines, *([following] if following else [])))
 
 
