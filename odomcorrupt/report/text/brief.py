@@ -15,6 +15,7 @@ from odomcorrupt.report.text.confidence import (
     noise_confidence,
     step_confidence,
 )
+from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size
 from odomcorrupt.report.text.summary import Line, Summary
@@ -23,7 +24,7 @@ from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.summary import Tone
@@ -68,13 +69,14 @@ def findings_brief(
     reproduction : how far the final model drifts beside the recordings, where that is known
     following : the command to type next
     """
-    lines = _found_lines(search, fit or search.fit)
+    undecided = {name for choice in advice.choices for name in choice.names}
+    lines = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
     first = lines[0].text if lines else "no known effect explains more than chance"
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[1:]]
-    lines += _drive_lines(search) + _open_lines(advice)
+    lines += _drive_lines(search)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
@@ -83,6 +85,8 @@ def findings_brief(
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
+    # which name it is matters more than by how much it helps
+    lines[_effects_of(search) : _effects_of(search)] = _open_lines(search, advice)
     last = comparison.judgements[-1]
     if last.verdict.rejected and not search.unknown:
         worst = last.verdict.against[0]
@@ -113,8 +117,11 @@ def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     return "COMPLETE", "good"
 
 
-def _found_lines(search: Learned, fit: Fit) -> list[Line]:
-    """Return a line for each effect, dependence, noise and clock that was found, effects first."""
+def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> list[Line]:
+    """Return a line for each effect, dependence, noise and clock that was found, effects first.
+
+    undecided : names that another line says of what they are not separated
+    """
     errors = iter(fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
     lines = []
@@ -124,7 +131,7 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
             effect, _ = own[step.added]
             values = ", ".join(numbers_text(*own[step.added]))
             said = f"{readings(effect, drive)}  {values}  {confidence_words(step_confidence(step, search))}"
-            lines.append(Line("", said + _rivals(step, readings_of(effect, drive))))
+            lines.append(Line("", said + _rivals(step, readings_of(effect, drive), undecided)))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         lines.append(Line("", f"{dependence(unknown)}: {expression}"))
@@ -148,8 +155,8 @@ def _found_lines(search: Learned, fit: Fit) -> list[Line]:
     return lines
 
 
-def _rivals(step: Step, twins: Sequence[str]) -> str:
-    rivals = [name for name in step.alternatives if name not in twins]
+def _rivals(step: Step, twins: Sequence[str], undecided: Container[str]) -> str:
+    rivals = [name for name in step.alternatives if name not in twins and name not in undecided]
     return f", or {', '.join(rivals)}" if rivals else ""
 
 
@@ -159,16 +166,10 @@ def _drive_lines(search: Learned) -> list[Line]:
     return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
 
 
-def _open_lines(advice: Advice) -> list[Line]:
-    # twins are one error with two readings, and nothing is open between them
-    rivals = [c for c in advice.choices if set(c.names[1:]) - set(readings_of(c.names[0]))]
-    if not rivals:
-        return []
-    names = "; ".join(" or ".join(choice.names) for choice in rivals)
-    shown = any(choice.plan is not None for choice in rivals)
-    return [
-        Line("open", f"{names}{': --drive NEXT.mcap writes a drive that separates them' if shown else ''}", "warning")
-    ]
+def _open_lines(search: Learned, advice: Advice) -> list[Line]:
+    """Return what these data cannot separate and what to drive, where there is such a thing."""
+    said = inseparable_sentence(advice, lambda name: readings_of(name, search.drive_type))
+    return [Line("open", said, "warning")] if said else []
 
 
 def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
