@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.contribution import Contribution
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
@@ -73,6 +74,7 @@ class Learned:
     contradictions : effects that would explain the data only with a sign that physics forbids, refused with the reason
     decisions : the decisions it was selected by
     held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
+    contributions : how far each systematic part moves the odometry, where that was measured
     """
 
     clocks: Clocks
@@ -87,6 +89,22 @@ class Learned:
     contradictions: tuple[Candidate, ...] = ()
     decisions: Decisions = DECISIONS
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    contributions: Mapping[str, Contribution] = field(default_factory=dict)
+
+    def is_negligible(self, name: str) -> bool:
+        """Return whether a part of the model, by name, is there and does not matter."""
+        own = self.contributions.get(name)
+        return own is not None and own.negligible(self.decisions.practical)
+
+    @property
+    def matters(self) -> tuple[str, ...]:
+        """Names of the included effects of the library that matter, in order."""
+        return tuple(name for name in self.added if not self.is_negligible(name))
+
+    @property
+    def unexplained(self) -> tuple[Dependence, ...]:
+        """Dependences that no effect of the library explains, without those that are in the model and negligible."""
+        return tuple(one for one in self.unknown if one not in self.laws or not self.is_negligible(one.name))
 
     @property
     def drive_type(self) -> DriveType:
