@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.lack_of_fit import Failure
 
-__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size"]
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size", "within"]
 
 MOST = 8
 """Sentences printed for a model; JSON has all of them."""
@@ -78,6 +78,8 @@ def judgement_sentence(judgement: Judgement) -> str:
     level = f"{100.0 * verdict.level:g} % level, {count} tests together"
     if not verdict.rejected:
         return f"{judgement.name} is not rejected ({level}): errors of this size and kind are as predicted"
+    if not verdict.fails:
+        return f"{judgement.name} holds in practice: {within(judgement)}"
     worst = verdict.against[0]
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
@@ -98,6 +100,17 @@ def rejection(judgement: Judgement) -> str:
     if small:
         return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
     return f"{said}; the size of its errors is as predicted"
+
+
+def within(judgement: Judgement) -> str:
+    """Return that a model predicts the sizes of errors, and by what it is rejected all the same."""
+    verdict = judgement.verdict
+    if not verdict.rejected:
+        return ""
+    worst = verdict.against[0]
+    factor = max(verdict.misfit, 1.0 / max(verdict.misfit, 1e-12))
+    said = f"within {factor:.2f} times" if factor > 1.005 else "as large as"
+    return f"errors are {said} the predicted ones; a difference is significant ({worst.question}, p {_p(worst.p)})"
 
 
 def _times(h: Horizon) -> str:

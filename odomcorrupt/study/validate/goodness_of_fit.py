@@ -47,8 +47,8 @@ __all__ = [
 REJECTION_LEVEL = 0.05
 """Probability of rejecting a right model, all looks together."""
 PRACTICAL_FACTOR = 1.25
-"""Errors within this factor of the predicted ones: a model that is right about sizes. Noise of the same robot differs by
-as much from one floor to another."""
+"""Errors within this factor of the predicted ones: a model that is right about sizes. Noise of one robot differs by as
+much from one floor to another."""
 PRACTICAL_PER_M = DECISIONS.practical.per_m
 """Errors that differ from the predicted ones by less, m per metre of path, do not matter whatever their factor."""
 PIT_LEVEL = 0.95
