@@ -125,14 +125,16 @@ def decompress(
     budget = Budget() if budget is None else budget
     budget.require(size, len(data), what)
     try:
-        if codec == "lz4":
+        if codec == "lz4" and size <= SHELF_BYTES:
             out = _unlz4(data, size)
             budget.take(len(out), what)
             _require_size(len(out), size, what)
-            return _placed(out, shelf)
+            placed = shelf.place(len(out))
+            placed.data[:] = out
+            return placed
         placed = shelf.place(size)
         came = 0
-        for piece in _unzstd(data, placed) if codec == "zstd" else _unbz2(data, placed):
+        for piece in _INTO[codec](data, placed):
             came += piece
             budget.take(piece, what)
     except BagError:
@@ -149,15 +151,6 @@ def _require_size(came: int, size: int, what: str) -> None:
             f"{what}: says it holds {size} bytes, but {came} come out; the bag is damaged, --recover saves "
             "what is whole"
         )
-
-
-def _placed(data: bytearray, shelf: BufferPool) -> NDArray[np.uint8]:
-    """Return bytes as an array, copied to the buffer pool if they are few."""
-    if len(data) > SHELF_BYTES:
-        return np.frombuffer(data, dtype=np.uint8)
-    placed = shelf.place(len(data))
-    placed.data[:] = data
-    return placed
 
 
 def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
@@ -262,6 +255,34 @@ def _unlz4(data: memoryview, size: int) -> bytearray:
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
     return unpack(data, size)
+
+
+def _unlz4_large(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
+    """Decompress into an array, of which there is no copy; yield the sizes of the pieces, up to the first one too many.
+
+    Raises as `unpack` does.
+    """
+    if placed.size > 255 * len(data):
+        raise ValueError(f"{len(data)} bytes cannot become {placed.size}")
+    head, sums = _head_without_sum(data) if data[:4] == _MAGIC and len(data) > 7 else (b"", False)
+    context = lz4.frame.create_decompression_context()
+    if head:
+        lz4.frame.decompress_chunk(context, head)
+    at, packed, whole, content = 0, data[len(head) :], False, xxhash.xxh32()
+    while not whole and at <= placed.size:
+        most = min(_PIECE_BYTES, placed.size + 1 - at)
+        out, taken, whole = lz4.frame.decompress_chunk(context, packed, max_length=most)
+        if not (out or taken or whole):
+            raise EOFError("the frame is cut short")
+        placed.data[at : at + len(out)] = out[: placed.size - at]
+        content.update(out)
+        at, packed = at + len(out), packed[taken:]
+        yield len(out)
+    if whole and sums and packed[:4] != content.intdigest().to_bytes(4, "little"):
+        raise ValueError("its checksum does not match its bytes")
+
+
+_INTO = {"zstd": _unzstd, "bz2": _unbz2, "lz4": _unlz4_large}
 
 
 def require_level(codec: str, level: int | None) -> None:

@@ -81,7 +81,7 @@ class Voice:
             stream = sys.stderr if err else sys.stdout
             width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 24)).columns) if stream.isatty() else _WIDTH
             if not isinstance(brief, str):
-                brief, following = brief.parts(width, colour=_colours(stream), taken=len(files))
+                brief, following = brief.parts(width, colour=_colours(stream))
             click.echo(brief, err=err)
         for path, write in files.items():
             said = write()

@@ -32,6 +32,7 @@ def command(
     from odomcorrupt.api.bag_options import split_options
     from odomcorrupt.batching.manifest import BatchError, fingerprint_of, read_beginning
     from odomcorrupt.batching.split_layout import assemble
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     target = Path(chosen_output(output, output_option))
     if original is None:
@@ -47,4 +48,6 @@ def command(
     count = assemble(run, original, target, container)
     sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}
-    voice.say(sentence, sentence, values, err=True)
+    found = Line("ASSEMBLED", f"{count} messages of {run.name} in the place of those of {original.name}", "good")
+    brief = Summary((found, command_line(["odomcorrupt", "info", target])))
+    voice.say(brief, sentence, values, err=True)

@@ -160,6 +160,13 @@ class EffectInverse:
         return -gone * dt
 
 
+def _largest(steps: Array) -> Array:
+    """Return the largest of three numbers without their signs, (n,) of (n, 3): rows of three are slow to reduce."""
+    along, across, yaw = np.abs(steps).T
+    largest: Array = np.maximum(np.maximum(along, across), yaw)
+    return largest
+
+
 def _solved(
     stage: Sequence[tuple[Effect, State]], clean: Array, motion_at: Callable[[Array], Motion], dt: Array
 ) -> tuple[Array, list[State]]:
@@ -189,7 +196,7 @@ def _solved(
         f_next, states = error_at(f)
         # a row that is solved stays as it is, so that its bits do not depend on its neighbours; nor does one that
         # runs away take them along
-        change = np.abs((f_next - f) * dt).max(axis=1)
+        change = _largest((f_next - f) * dt)
         settling = open_ & (change < _RUNAWAY)
         was, f = f, np.where(settling[:, None], f_next, f)
         open_ &= ~(change <= TOLERANCE)

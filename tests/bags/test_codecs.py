@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import zstandard
 
+from odomcorrupt.bags import codecs
 from odomcorrupt.bags.buffer_pool import BufferPool
 from odomcorrupt.bags.codecs import compress, compress_for_ros1, decompress
 from odomcorrupt.errors import BagError
@@ -130,3 +131,16 @@ def test_a_whole_frame_behind_one_of_the_stated_size_is_found():
     with pytest.raises(BagError, match="come out"):
         decompress("zstd", memoryview(frame + frame), DATA.size, "chunk", BufferPool())
     assert decompress("zstd", memoryview(frame + frame), 2 * DATA.size, "chunk", BufferPool()).size == 2 * DATA.size
+
+
+@pytest.mark.parametrize("frame", ["lz4 linked", "lz4 high"])
+def test_a_large_lz4_chunk_is_read_piece_by_piece_with_the_same_checks(frame, monkeypatch):
+    monkeypatch.setattr(codecs, "SHELF_BYTES", -1)
+    monkeypatch.setattr(codecs, "_PIECE_BYTES", 70_000)
+    codec, pack = FRAMES[frame]
+    test_frames_of_other_writers_are_read(codec, pack)
+    test_a_frame_cut_or_damaged_is_an_error_or_the_same_size(codec, pack)
+    for claim in (0, 999, DATA.size - 1, DATA.size + 1, 2**40):
+        test_a_wrong_size_is_an_error(codec, pack, claim)
+    for place in (4, 300, -6, -1):
+        test_an_lz4_frame_with_a_checksum_tells_of_every_damage(place, sized=True)

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 from oracles import FIXTURES, copy
-from test_recover import recover
+from test_recover import recover, rows_of
 
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.errors import BagError
@@ -122,6 +122,15 @@ def test_messages_of_a_topic_that_is_gone_are_lost_in_one_line(tmp_path):
     (loss,) = recover(tmp_path / "in.db3", tmp_path / "out.db3")
     assert re.fullmatch(r".*message \d+ has no data, no time or no topic; the bag is damaged; so have \d+ more", loss)
     copy(tmp_path / "out.db3", tmp_path / "again.db3")
+
+
+@pytest.mark.parametrize("row", [-(1 << 63), -1, (1 << 63) - 1])
+def test_any_number_of_a_row_is_read(row, tmp_path):
+    shutil.copyfile(OFFICE_DB, tmp_path / "in.db3")
+    with closing(sqlite3.connect(tmp_path / "in.db3")) as connection, connection:
+        connection.execute("UPDATE messages SET id = ? WHERE id = 20", (row,))
+    copy(tmp_path / "in.db3", tmp_path / "out.db3")
+    assert rows_of(tmp_path / "out.db3") == rows_of(tmp_path / "in.db3")
 
 
 @pytest.mark.parametrize("number", [-1, 1 << 32, 2])

@@ -23,6 +23,7 @@ from mcap.stream_reader import StreamReader
 from mutations import ros1_headers
 from rosbags.rosbag1 import Reader as Ros1LibraryReader
 
+from odomcorrupt.bags.layouts import UnreadableEncodingError
 from odomcorrupt.bags.messages import READABLE, locate
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.cli import run
@@ -131,7 +132,7 @@ def read_through(path: Path, recover: bool) -> tuple[int, list[str]]:  # noqa: F
                 if channel.msgtype in READABLE and channel.encoding in ("cdr", "ros1"):
                     try:
                         locate(block, channel)
-                    except OdomCorruptError:
+                    except UnreadableEncodingError:  # of what is damaged recovery leaves nothing
                         if not recover:
                             raise
         return count, list(reader.losses)

@@ -221,7 +221,7 @@ class SqliteReader:
             data: list[bytes | bytearray | None] = []
             size = unusable = 0
             first_unusable = ""
-            last = -(1 << 63)
+            last = -(1 << 63) - 1
             for row, channel, log_ns, blob, large in self._rows(connection, only):
                 if row <= last:
                     # Cyclic pages could be read for ever.

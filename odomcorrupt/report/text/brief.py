@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from odomcorrupt.report.text.confidence import (
     noise_confidence,
     step_confidence,
 )
+from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.lack_of_fit import rejection, size, within
 from odomcorrupt.report.text.summary import Line, Summary
@@ -23,7 +25,7 @@ from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Container, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.summary import Tone
@@ -67,13 +69,13 @@ def findings_brief(
     notes : what reading the recordings noticed
     following : the command to type next
     """
-    lines, negligible = _found_lines(search, fit or search.fit)
+    undecided = {name for choice in advice.choices for name in choice.names}
+    lines, negligible = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
     none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
     named = verdict != "COMPLETE" and bool(lines)
     lines = [Line(verdict, lines[0].text if named else none, tone), *lines[named:]]
-    depends = [*_drive_lines(search), *_track_lines(search, failed=comparison.judgements[-1].verdict.fails)]
-    lines += [*depends, *negligible, *_open_lines(advice, search)]
+    lines += [*_track_lines(search, failed=comparison.judgements[-1].verdict.fails), *negligible]
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
@@ -82,6 +84,9 @@ def findings_brief(
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
+    # which name it is matters more than by how much it helps
+    first = max(len(search.matters), 1)
+    lines[first:first] = [*_open_lines(search, advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
     if last.verdict.fails:
         lines.insert(1, Line("rejected", f"the model is still rejected: {rejection(last)}", "warning"))
@@ -99,10 +104,12 @@ def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     return "COMPLETE", "good"
 
 
-def _found_lines(search: Learned, fit: Fit) -> tuple[list[Line], list[Line]]:
+def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> tuple[list[Line], list[Line]]:
     """Return a line for each effect, dependence, noise and clock that was found, effects first; and of negligible ones.
 
     What is negligible is in one line, because nobody has to do anything about it.
+
+    undecided : names that another line says of what they are not separated
     """
     errors = iter(fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
@@ -117,7 +124,7 @@ def _found_lines(search: Learned, fit: Fit) -> tuple[list[Line], list[Line]]:
                 small.append(f"{readings(effect, drive)}  {values}")
                 continue
             said = f"{readings(effect, drive)}  {values}  {confidence_words(step_confidence(step, search))}"
-            lines.append(Line("", said + _rivals(step, readings_of(effect, drive))))
+            lines.append(Line("", said + _rivals(step, readings_of(effect, drive), undecided)))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         if unknown not in search.unexplained:
@@ -146,8 +153,8 @@ def _found_lines(search: Learned, fit: Fit) -> tuple[list[Line], list[Line]]:
     return lines, [Line("negligible", f"{', '.join(small)}: in the model, but moves nothing that matters")]
 
 
-def _rivals(step: Step, twins: Sequence[str]) -> str:
-    rivals = [name for name in step.alternatives if name not in twins]
+def _rivals(step: Step, twins: Sequence[str], undecided: Container[str]) -> str:
+    rivals = [name for name in step.alternatives if name not in twins and name not in undecided]
     return f", or {', '.join(rivals)}" if rivals else ""
 
 
@@ -172,17 +179,11 @@ def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
     return [Line("no --track", f"{said}: measure it and give it", "warning")]
 
 
-def _open_lines(advice: Advice, search: Learned) -> list[Line]:
-    # twins are one error with two readings, and nothing is open between them; nor does it matter what is negligible
-    rivals = [c for c in advice.choices if set(c.names[1:]) - set(readings_of(c.names[0]))]
-    rivals = [c for c in rivals if not search.is_negligible(c.names[0])]
-    if not rivals:
-        return []
-    names = "; ".join(" or ".join(choice.names) for choice in rivals)
-    shown = any(choice.plan is not None for choice in rivals)
-    return [
-        Line("open", f"{names}{': --drive NEXT.mcap writes a drive that separates them' if shown else ''}", "warning")
-    ]
+def _open_lines(search: Learned, advice: Advice) -> list[Line]:
+    """Return what these data cannot separate and what to drive, where there is such a thing, and it matters."""
+    matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
+    said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
+    return [Line("open", said, "warning")] if said else []
 
 
 def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:

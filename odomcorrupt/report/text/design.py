@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from odomcorrupt.report.text.tables import value_text
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
     from odomcorrupt.study.design.plan import Plan
@@ -19,6 +19,7 @@ __all__ = [
     "choice_sentence",
     "drive_sentence",
     "drive_words",
+    "inseparable_sentence",
     "limits_sentence",
     "untestable_sentence",
 ]
@@ -49,6 +50,28 @@ def choice_sentence(choice: Ambiguity) -> str:
         f"{names}: these data do not separate them{why}; drive {drive_sentence(choice.plan)}: "
         f"that is expected to separate them by {choice.nats:.0f} nats"
     )
+
+
+def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]]) -> str:
+    """Return "These data cannot separate A from B and C, nor D from E: drive X", of all choices; "" without any.
+
+    readings : other names for the same error, which no drive separates and nothing is open between
+    """
+    against: dict[str, list[str]] = {}
+    for choice in advice.choices:
+        name, *others = choice.names
+        rivals = [other for other in others if other not in readings(name)]
+        if rivals:
+            against.setdefault(name, []).extend(rivals)
+    if not against:
+        return ""
+    pairs = [f"{name} from {' or '.join(dict.fromkeys(others))}" for name, others in against.items()]
+    resolvable = any(choice.plan is not None for choice in advice.choices if choice.names[0] in against)
+    words = "; no drive of ten minutes would"
+    if resolvable and advice.best is not None:  # the one that settles most of the choices
+        minutes = advice.best.duration_s / 60.0
+        words = f": drive {advice.best.manoeuvre.sentence}, for {minutes:.0f} minutes"
+    return f"These data cannot separate {', nor '.join(pairs)}{words}"
 
 
 def untestable_sentence(group: Sequence[UntestableEffect]) -> str:

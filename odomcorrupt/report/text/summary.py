@@ -64,7 +64,7 @@ class Summary:
         """
         return "\n".join(part for part in self.parts(width, colour=colour) if part)
 
-    def parts(self, width: int = WIDTH, *, colour: bool = False, taken: int = 0) -> tuple[str, str]:
+    def parts(self, width: int = WIDTH, *, colour: bool = False) -> tuple[str, str]:
         """Return the findings and the command to type next as two texts, for lines that are printed between them.
 
         Parameters
@@ -73,20 +73,18 @@ class Summary:
             Columns; a command is folded with backslashes, so that it can be pasted.
         colour : bool
             Whether labels have the ANSI colour of their tone.
-        taken : int
-            Lines that are printed between the two.
 
         Returns
         -------
         findings, command : str
-            With `taken` at most `most` lines. The second one is empty where there is no command.
+            Together at most `most` lines. The second one is empty where there is no command.
 
         """
         indent = max((len(line.label) for line in self.lines), default=0) + 2
         blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self.lines]
         findings: list[str] = []
         commands: list[str] = []
-        for line, parts in _within(blocks, self.most - taken):
+        for line, parts in _within(blocks, self.most):
             rows = commands if line.tone == "command" else findings
             for number, part in enumerate(parts):
                 label = f"{line.label if not number else '':<{indent}}"
