@@ -18,7 +18,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import rejection, size, within
+from odomcorrupt.report.text.lack_of_fit import size, within
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
 from odomcorrupt.study.terms.drive_type import readings_of
@@ -89,7 +89,8 @@ def findings_brief(
     lines[first:first] = [*_open_lines(search, advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
     if last.verdict.fails:
-        lines.insert(1, Line("rejected", f"the model is still rejected: {rejection(last)}", "warning"))
+        said = f"the model is still rejected: errors are {last.verdict.misfit:.2g} times the predicted ones"
+        lines.insert(1, Line("rejected", said, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, *([following] if following else [])))

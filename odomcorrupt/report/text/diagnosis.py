@@ -155,6 +155,8 @@ def dependence(unknown: Dependence) -> str:
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
         return f"the error {whose} depends on {regressor}"
+    if unknown.name.startswith("twist_"):
+        return f"the error of travel and turns alike depends on {regressor}"
     per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
     return f"the {unknown.channel} error{per} depends on {regressor}"
 
