@@ -108,6 +108,8 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)
     if _may_be_of_wheels(step.added or "", learned):
         rivals = (*rivals, own)
+    if learned.may_be_losses(step.added or ""):
+        rivals = (*rivals, own)  # lost increments are the same on average
     left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
