@@ -230,10 +230,10 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
         from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
 
         worst = sentence(last.failures[0])
-        if last.verdict.rejected:
+        if last.verdict.fails:
             lines.append(Line("fails", worst, "warning"))
         else:
-            lines.append(Line("deviation", f"the largest, which does not reject {last.name}: {worst}"))
+            lines.append(Line("deviation", f"the largest, for which {last.name} is not REJECTED: {worst}"))
     return Summary((*lines, *([following] if following else [])))
 
 
