@@ -39,8 +39,13 @@ class Comparison(Result):
 
     @property
     def rejected(self) -> bool:
-        """Whether the data reject the last model."""
+        """Whether the data reject the last model, by however little."""
         return self.result.judgements[-1].verdict.rejected
+
+    @property
+    def fails(self) -> bool:
+        """Whether they reject it by a size that matters: errors are 1.25 times larger or smaller than it predicts."""
+        return self.result.judgements[-1].verdict.fails
 
     def summary(self) -> Summary:
         """Return whether the last model is better than the first by all measures, and a line for each model."""

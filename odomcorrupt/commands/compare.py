@@ -43,7 +43,7 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
     metavar="[NAME=]FILE",
     help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",
 )
-@click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the data reject the last model.")
+@click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the last model is REJECTED.")
 @overwrite_option("existing outputs")
 @standard_options
 def command(
@@ -81,8 +81,8 @@ def command(
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
-    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.rejected else ""), files=files)
-    return REJECTED if fail_if_rejected and result.rejected else 0
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else ""), files=files)
+    return REJECTED if fail_if_rejected and result.fails else 0
 
 
 def _plots(texts: Iterable[str]) -> dict[Path, str]:

@@ -74,13 +74,9 @@ def command(
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
     judged_on = [*map(str, validate or paths), *reading.words()]
-    usable = not result.comparison.rejected and result.result.reproduction.holds
-    result = replace(
-        result,
-        following=_following(output, [*map(str, paths), *reading.words()])
-        if output is None or usable
-        else f"odomcorrupt compare {shlex.join([*judged_on, str(output)])} -v",
-    )
+    usable = not result.comparison.fails and result.result.reproduction.holds
+    following = _following(output, [*map(str, paths), *reading.words()], judged_on, usable=usable)
+    result = replace(result, following=following)
     files = dict(advice_files(result, drive, report))
     if output is not None:
         files = {output: lambda: result.model.save(output, overwrite=True), **files}
@@ -89,8 +85,10 @@ def command(
     voice.show(result, files=files)
 
 
-def _following(model: Path | None, words: Sequence[str]) -> str:
-    """Return what to type when all is learned: corrupt with the model, or write one first."""
+def _following(model: Path | None, words: Sequence[str], judged_on: Sequence[str], *, usable: bool) -> str:
+    """Return what to type when all is learned: see where the model fails, corrupt with it, or write one first."""
     if model is None:
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
+    if not usable:
+        return f"odomcorrupt compare {shlex.join([*judged_on, str(model)])} -v"
     return f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(str(model))}"

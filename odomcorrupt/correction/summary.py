@@ -27,6 +27,8 @@ _WHY_NOT = {
 }
 _NEAR_M = 0.2
 """Position error that is negligible against a patch of the floor."""
+_PLAIN_OFFSET_S = 1e-3
+"""A learned offset of clocks below this is no matter of odometry: what moves at 1 m/s is off by a millimetre."""
 _RANDOM = "its random course was not recorded"
 
 
@@ -46,6 +48,7 @@ def brief(corrected: Corrected, target: str) -> Summary:
         ]
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
+    lines += [Line("clock", sentence, "warning") for sentence in _clock_left(corrected)]
     lines[1:1] = lost_lines(corrected.run)
     lines += [Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)})")]
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
@@ -94,6 +97,22 @@ def correction_summary(corrected: Corrected) -> str:
             "to take one of them out, too, give it with --effect."
         )
     return " ".join(parts + _oddities(corrected.run))
+
+
+def _clock_left(corrected: Corrected) -> list[str]:
+    """Return how to take out the time offset of the fitted recordings, where it is plain and was not asked for.
+
+    It belongs to a recording's clocks and may be the truth's; where the odometry is always late by as much, it is not.
+    """
+    if any(effect.clock for effect in corrected.effects.undone):
+        return []
+    offsets = {name: offset_s for name, (offset_s, _) in corrected.model.setup.clocks.items()}
+    name = max(offsets, key=lambda one: abs(offsets[one]), default="")
+    offset_s = offsets.get(name, 0.0)
+    if abs(offset_s) < _PLAIN_OFFSET_S:
+        return []
+    why = f"time_offset {offset_s * 1e3:.3g} ms of {name} stays, because it may be the truth's"
+    return [f"{why}; if the odometry is late in this bag, too: --effect time_offset:offset={offset_s:.4g}"]
 
 
 def _shift(corrected: Corrected) -> str:

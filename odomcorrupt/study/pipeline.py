@@ -6,7 +6,7 @@ Clocks come first: they are estimated once, by the search, and every later step 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.select.contribution import contributions
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
 from odomcorrupt.study.validate.held_out import keep_what_holds
@@ -102,17 +103,19 @@ def learn_robot(
         models["with " + ", ".join(names)] = proof.model
     watch("comparison on held-out data", 0.9)
     judged_on = held_out or recordings
+    comparison = compare(judged_on, models)
+    parts_do = contributions(search.fit, judged_on, comparison.clocks.clocks)
     return LearnedRobot(
         recordings=recordings,
         held_out=judged_on,
-        search=search,
+        search=replace(search, contributions=parts_do),
         advice=advice,
         base=base,
         robot=robot,
         proof=proof,
         reproduction=reproduction_of(robot.fit, proof.model),
         dropped=tuple(part.remark for part in parts if part.harm),
-        comparison=compare(judged_on, models),
+        comparison=comparison,
     )
 
 
@@ -156,4 +159,5 @@ def diagnose_model(
     advice = advise(search)
     watch("comparison of the additions", 0.8)
     sequence = sequence_comparison(search, recordings, name or "without effects")
+    search = replace(search, contributions=contributions(search.fit))
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

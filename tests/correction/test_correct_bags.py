@@ -190,6 +190,20 @@ def test_with_nothing_to_undo_the_bag_is_copied_and_that_is_said(tmp_path, optio
     assert ("gauss_markov cannot be undone" in said) == bool(options)
 
 
+@pytest.mark.parametrize(("offset", "said"), [("0.015145", True), ("0.0004", False)])
+def test_a_learned_time_offset_stays_and_the_way_out_is_named(tmp_path, capsys, offset, said):
+    model = tmp_path / "late.toml"
+    model.write_text(f'{NOISE}[[setup.clock]]\nrecording = "a.mcap"\ntime_offset = {offset}\nclock_skew = 0.0\n')
+    words = ["correct", str(FIXTURES / "office.mcap")]
+    assert run([*words, str(tmp_path / "out.mcap"), "--model", str(model)]) == 0
+    text = " ".join(capsys.readouterr().err.split())
+    assert ("--effect time_offset:offset=0.01515" in text) is said
+    # who asks for it gets it, and is not told again
+    asked = [*words, str(tmp_path / "asked.mcap"), "--model", str(model), "--effect", "time_offset:offset=0.015"]
+    assert run(asked) == 0
+    assert "stays" not in capsys.readouterr().err
+
+
 def test_a_pipe_cannot_be_read_twice(tmp_path, capsys):
     assert run(["correct", "-v", "-", str(tmp_path / "out.mcap"), "--effect", "wheel_scale:e=0.01"]) == 2
     said = capsys.readouterr().err

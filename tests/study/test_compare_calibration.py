@@ -166,6 +166,22 @@ def test_a_verdict_is_one_level_for_all_checks_together():
     assert not Verdict(0.05, looks[1:4]).rejected
 
 
+def test_a_model_fails_where_sizes_are_wrong_by_a_factor_that_matters():
+    looks = (Check("memory", 1e-9),)
+    assert all(Verdict(0.05, looks, misfit).fails for misfit in (0.5, 1.3))
+    assert not any(Verdict(0.05, looks, misfit).fails for misfit in (0.9, 1.0, 1.2))
+    assert not Verdict(0.05, (Check("memory", 0.5),), 2.0).fails
+
+
+@pytest.mark.parametrize("scale", [0.5, 1.0, 2.0])
+def test_the_misfit_is_by_how_much_errors_differ_from_the_predicted_ones(scale):
+    horizon = horizon_of(2.0, [(gaussian_windows(1, 400, scale), SURE)])
+    assert verdict_of([horizon], {}, {}).misfit == pytest.approx(scale, rel=0.1)
+    # hundredths of a millimetre per metre matter to nobody
+    same = replace(horizon, position_measured=1e-5, position_expected=2e-5)
+    assert verdict_of([same], {}, {}).misfit == 1.0
+
+
 def test_the_right_model_gains_nats_over_a_wrong_one_by_more_than_the_paired_error():
     right = judged(3, 300.0)
     wrong = judged(3, 300.0, replace(RIGHT, noise=Noise("diffusion", Coefficients(0.1, 0.02, 0.05, 0.01))))

@@ -46,6 +46,20 @@ def test_a_basis_function_has_the_columns_of_the_effect_that_it_becomes(fitted):
         assert np.abs(tested - fits).max(axis=(1, 2)).mean() < 1e-3 * np.abs(fits).max() + 1e-12, term
 
 
+def test_what_both_wheels_do_at_a_time_needs_no_track(fitted):
+    run = replace(fitted.problem.recordings[0], track_m=None)
+    untracked = fit([run], approach=fitted.problem.approach)
+    step = next(f for f in basis_functions(fitted.problem.motions) if f.regressor == "time" and "where(t >" in f.text)
+    twist = next(a for a in actions_on(untracked.problem.motions) if a.target == "twist")
+    wheels = next(a for a in actions_on(fitted.problem.motions) if a.target == "wheels" and a.heading == "wheels")
+    own = BasisTerm(step, twist)
+    np.testing.assert_allclose(
+        own.columns(untracked.problem), BasisTerm(step, wheels).columns(fitted.problem), atol=1e-12
+    )
+    np.testing.assert_allclose(own.columns(untracked.problem), untracked.problem.columns(own.start), atol=1e-9)
+    assert all(action.target != "twist" for action in actions_on(fitted.problem.motions))
+
+
 def test_screening_knows_about_what_exact_columns_explain(fitted):
     search, rest = ShapeSearch(fitted, DECISIONS), project_out(fitted)
     terms = [t for t in basis_terms(fitted, 53) if t.action.move != "1"]

@@ -55,7 +55,7 @@ def _words(comparison: Comparison) -> list[str]:
             f"<p><strong>{escape(falls[0].upper() + falls[1:])}</strong> (position, 10 s after the truth).</p>"
         )
     for number, judgement in enumerate(comparison.judgements):
-        mark = "verdict rejected" if judgement.verdict.rejected else "verdict"
+        mark = "verdict rejected" if judgement.verdict.fails else "verdict"
         parts.append(f"<h3>{escape(judgement.name)}</h3>")
         parts.append(f'<p class="{mark}">{escape(judgement_sentence(judgement))}.</p>')
         if judgement.failures:
@@ -90,7 +90,7 @@ def sequence_table(comparison: Comparison) -> str:
                 "" if first else f"{n.gain_per_m:+.2f} ± {n.gain_error:.2f}",
                 _known("along", e.ate_m),
                 f"{_known('along', e.rpe_m)}, {_known('yaw', e.rpe_rad)}",
-                "rejected" if judgement.verdict.rejected else "not rejected",
+                "rejected" if judgement.verdict.fails else "not rejected",
             ]
         rows.append(cells)
     heads = (

@@ -92,14 +92,19 @@ def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
         named = [step for step in learned.steps if step.added is not None]
-        names = [_named(str(step.added), step.alternatives, learned) for step in named]
+        names = [
+            _named(str(step.added), step.alternatives, learned)
+            + (" (negligible)" if learned.is_negligible(str(step.added)) else "")
+            for step in named
+        ]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
     if learned.unknown:
         parts.append(f"{dependence(learned.unknown[0])}, and no known effect does that")
     # a sequence knows nothing of noise: what it rejects may be what was named
-    why = rejection(story.sequence.judgements[-1]) if not (learned.unknown or learned.noise) else ""
+    last = story.sequence.judgements[-1]
+    why = rejection(last) if last.verdict.fails and not (learned.unknown or learned.noise) else ""
     text = "; ".join([*parts, unnamed(why, found=bool(parts))] if why else parts) or NOTHING
     return text[0].upper() + text[1:]
 
@@ -118,7 +123,7 @@ def _next(story: Story) -> str:
     listed = f"<ul>{_items(items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
-    if story.sequence.judgements[-1].verdict.rejected and not story.learned.unknown:
+    if story.sequence.judgements[-1].verdict.fails and not story.learned.unknown:
         nothing += f"<p>{_REJECTED}</p>"
     return f'<div class="next">{command}{listed}{nothing}</div>'
 

@@ -53,6 +53,8 @@ def _judgement(j: Judgement) -> dict[str, Any]:
         "blocks": j.nats.blocks,
         "verdict": {
             "rejected": j.verdict.rejected,
+            "fails": j.verdict.fails,
+            "misfit": j.verdict.misfit,
             "level": j.verdict.level,
             "looks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,

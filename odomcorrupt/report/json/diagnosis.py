@@ -63,18 +63,24 @@ def learned_json(
             effect, spread = own[step.added]
             sure = step_confidence(step, learned)
             held_out = _held_out(sequence[place], sequence[place + 1])
-            found.append(_entry(effect, spread, step.alternatives, sure) | {"held_out": held_out})
+            matters = _matters(step.added, learned)
+            found.append(_entry(effect, spread, step.alternatives, sure) | {"held_out": held_out} | matters)
     found += [_noise(gain, learned) for gain in learned.noise]
+    missing = any(not one["negligible"] for one in found)
     values: dict[str, Any] = finite(
         {
             "schema": SCHEMA,
-            "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
+            "verdict": "unknown" if learned.unexplained else "missing" if missing else "complete",
             "rejected": (judged and rejection(judged)) or None,
             "recordings": recordings_json(learned.fit.problem.recordings),
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
-            "unknown": [_unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws) for u in learned.unknown],
+            "unknown": [
+                _unknown(u, law_numbers(u, learned, fit), fitted=u in learned.laws)
+                | {"negligible": u not in learned.unexplained}
+                for u in learned.unknown
+            ],
             "not_testable": [
                 {"effect": one.effect, "why": one.why, "drive": drive_sentence(one.plan) if one.plan else one.hint}
                 for one in advice.untestable
@@ -178,7 +184,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
     }
     for one in reversed(firsts.values()):
         effect = kinds[one.name](**{amplitudes(kinds[one.name])[0].name: one.value})
-        yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out}
+        yield _entry(effect, [one.error], (), one.sure) | {"held_out": held_out, "negligible": False}
 
 
 def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
@@ -186,7 +192,21 @@ def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
     entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_confidence(gain, learned))
     for p in parameters(gain.effect):
         entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
-    return entry | {"held_out": None}
+    return entry | {"held_out": None, "negligible": False}
+
+
+def _matters(name: str, learned: Learned) -> dict[str, Any]:
+    """Return whether a part of the model is negligible, and what it does: lengths in metres, null if not measured."""
+    own = learned.contributions.get(name)
+    spans = () if own is None else (("10s", own.ten_seconds), ("50m", own.far))
+    return {
+        "negligible": learned.is_negligible(name),
+        "contribution": {
+            key: span and {"moved_m": span.moved_m, "error_m": span.error_m, "travelled_m": span.travelled_m}
+            for key, span in spans
+        }
+        or None,
+    }
 
 
 def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size
+from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size, within
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
 from odomcorrupt.study.terms.drive_type import readings_of
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
+_LIKE_SINGLE_WHEELS = ("lever_arm", "icr_shift", "time_offset")
+"""Effects that an error of single wheels resembles in part: one larger wheel shifts turns as y of a lever arm does."""
 _PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
@@ -73,27 +76,31 @@ def findings_brief(
     following : the command to type next
     """
     undecided = {name for choice in advice.choices for name in choice.names}
-    lines = _found_lines(search, fit or search.fit, undecided)
+    lines, negligible = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
-    first = lines[0].text if lines else "no known effect explains more than chance"
+    none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
+    named = verdict != "COMPLETE" and bool(lines)
+    first = lines[0].text if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
         verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
-    lines = [Line(verdict, first, tone), *lines[1:]]
-    lines += (_hidden_noise(robot) if robot is not None else []) + _drive_lines(search)
+    lines = [Line(verdict, first, tone), *lines[named:]]
+    lines += _hidden_noise(robot) if robot is not None else []
+    lines += [*_track_lines(search, failed=comparison.judgements[-1].verdict.fails), *negligible]
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
         mixed: Tone = {"better": "good", "mixed": "warning", "worse": "bad"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
-        lines.insert(_effects_of(search), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
+        lines.insert(max(len(search.matters), 1), Line("errors", f"{measures_words(comparison)} ({held})", mixed))
     elif comparison.clock_error_m != comparison.raw_error_m and isfinite(comparison.clock_error_m):
         change = f"{size('along', comparison.raw_error_m)} -> {size('along', comparison.clock_error_m)}"
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
     # which name it is matters more than by how much it helps
-    lines[_effects_of(search) : _effects_of(search)] = _open_lines(search, advice)
+    at = max(len(search.matters), 1)
+    lines[at:at] = [*_open_lines(search, advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
-    if last.verdict.rejected and not search.unknown:
-        worst = last.verdict.against[0]
-        lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
+    if last.verdict.fails:
+        said = f"the model is still rejected: errors are {last.verdict.misfit:.2g} times the predicted ones"
+        lines.insert(1, Line("rejected", said, "warning"))
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
     named = any(gain.effect.name == "slip_burst" for gain in search.noise)
     if drifts and named:
@@ -107,36 +114,41 @@ def findings_brief(
     return Summary((*lines, *([following] if following else [])))
 
 
-def _effects_of(search: Learned) -> int:
-    return max(len(search.added), 1)
-
-
 def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
-    if search.unknown and not search.laws:
+    if search.unexplained and not search.laws:
         return "UNKNOWN", "warning"
-    if search.added or search.noise or search.laws or any(clocks_found(search.clocks)):
+    if search.matters or search.noise or search.unexplained or any(clocks_found(search.clocks)):
         mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
         return "MISSING", "warning" if mixed else "good"
     return "COMPLETE", "good"
 
 
-def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> list[Line]:
-    """Return a line for each effect, dependence, noise and clock that was found, effects first.
+def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> tuple[list[Line], list[Line]]:
+    """Return a line for each effect, dependence, noise and clock that was found, effects first; and of negligible ones.
+
+    What is negligible is in one line, because nobody has to do anything about it.
 
     undecided : names that another line says of what they are not separated
     """
     errors = iter(fit.standard_errors)
     own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
     lines = []
+    small = []
     drive = search.drive_type
     for step in search.steps:
         if step.added is not None and step.added in own:
             effect, _ = own[step.added]
             values = ", ".join(numbers_text(*own[step.added]))
+            if search.is_negligible(step.added):
+                small.append(f"{readings(effect, drive)}  {values}")
+                continue
             said = f"{readings(effect, drive)}  {values}  {confidence_words(step_confidence(step, search))}"
             lines.append(Line("", said + _rivals(step, readings_of(effect, drive), undecided)))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
+        if unknown not in search.unexplained:
+            small.append(expression)
+            continue
         lines.append(Line("", f"{dependence(unknown)}: {expression}"))
     for gain in search.noise:
         sure = confidence_words(noise_confidence(gain, search))
@@ -155,7 +167,9 @@ def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> list[L
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
-    return lines
+    if not small:
+        return lines, []
+    return lines, [Line("negligible", f"{', '.join(small)}: in the model, but moves nothing that matters")]
 
 
 def _rivals(step: Step, twins: Sequence[str], undecided: Container[str]) -> str:
@@ -169,9 +183,25 @@ def _drive_lines(search: Learned) -> list[Line]:
     return [Line("drive type", f"{drive.sentence}; --drive-type overrules it")] if drive.reason else []
 
 
+def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
+    """Return what was approximated because no track was given, where something was found that it may change."""
+    recordings = search.fit.problem.recordings
+    if search.drive_type.name != "differential" or any(r.track_m is not None for r in recordings):
+        return []
+    named = (*search.added, *(one.name for one in search.unknown))
+    if not (named or failed or any(clocks_found(search.clocks))):
+        return []
+    fitted = [e.name for e in search.fit.effects if getattr(e, "track", 0.0)]
+    ghosts = [name for name in search.added if name in _LIKE_SINGLE_WHEELS]
+    said = f"{', '.join(fitted)} on a fitted one" if fitted else "single wheels are seen as one body"
+    said += f", and {', '.join(ghosts)} may be part of what they do" if ghosts else ""
+    return [Line("no --track", f"{said}: measure it and give it", "warning")]
+
+
 def _open_lines(search: Learned, advice: Advice) -> list[Line]:
-    """Return what these data cannot separate and what to drive, where there is such a thing."""
-    said = inseparable_sentence(advice, lambda name: readings_of(name, search.drive_type))
+    """Return what these data cannot separate and what to drive, where there is such a thing, and it matters."""
+    matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
+    said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
     return [Line("open", said, "warning")] if said else []
 
 
@@ -179,9 +209,11 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
     """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
     last = comparison.judgements[-1]
     if len(comparison.judgements) == 1:
-        words = "is rejected by these data" if last.verdict.rejected else "explains these data"
-        first = Line("REJECTED" if last.verdict.rejected else "HOLDS", f"{last.name} {words}",
-                     "bad" if last.verdict.rejected else "good")  # fmt: skip
+        failed = last.verdict.fails
+        words = "is rejected by these data" if failed else "explains these data"
+        if last.verdict.rejected and not failed:
+            words = f"holds in practice: {within(last)}"
+        first = Line("REJECTED" if failed else "HOLDS", f"{last.name} {words}", "bad" if failed else "good")
     else:
         agreement = agreement_of(comparison)
         label = {"better": "BETTER", "worse": "WORSE", "same": "SAME", "mixed": "MIXED"}[agreement.verdict]
@@ -192,7 +224,7 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
         lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
     shown = comparison.judgements[-_SHOWN_MODELS:]
     for judgement in shown:
-        rejected = "rejected" if judgement.verdict.rejected else "not rejected"
+        rejected = "rejected" if judgement.verdict.fails else "not rejected"
         said = (
             f"{judgement.name}: 10 s error {size('along', judgement.ten_second_error_m)}, "
             f"{judgement.nats.per_m:.4g} nats/m, {rejected}"
@@ -202,10 +234,10 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
         from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
 
         worst = sentence(last.failures[0])
-        if last.verdict.rejected:
+        if last.verdict.fails:
             lines.append(Line("fails", worst, "warning"))
         else:
-            lines.append(Line("deviation", f"the largest, which does not reject {last.name}: {worst}"))
+            lines.append(Line("deviation", f"the largest, for which {last.name} is not REJECTED: {worst}"))
     return Summary((*lines, *([following] if following else [])))
 
 

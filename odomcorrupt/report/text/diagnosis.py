@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.report.text.confidence import confidence_words, fitted_expression, law_numbers, noise_confidence
 from odomcorrupt.report.text.design import advice_text, limits_sentence
-from odomcorrupt.report.text.lack_of_fit import rejection, size
+from odomcorrupt.report.text.lack_of_fit import rejection, size, within
 from odomcorrupt.report.text.tables import clock_lines, noise_text, sequence_text, value_text
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
@@ -60,12 +60,20 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
         )
     lines += [_disagreement_line(one, learned) for one in learned.disagreements]
     lines += [contradiction(one) for one in learned.contradictions]
-    why = rejection(judged) if judged is not None and not learned.unknown else ""
-    if why:
-        lines.append(unnamed(why, found=bool(lines)))
+    if small := [name for name in learned.added if learned.is_negligible(name)]:
+        lines.append(f"negligible, though significant: {', '.join(_moved_words(name, learned) for name in small)}")
+    if judged is not None and judged.verdict.fails:
+        lines.append(unnamed(rejection(judged), found=bool(lines)))
+    elif judged is not None and judged.verdict.rejected:
+        lines.append(f"the model holds in practice: {within(judged)}")
     lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
+
+
+def _moved_words(name: str, learned: Learned) -> str:
+    span = learned.contributions[name].ten_seconds
+    return f"{name} moves {size('along', span.moved_m)} in 10 s, of {size('along', span.error_m)} that remains"
 
 
 def _event_line(one: Event) -> str:
@@ -147,6 +155,8 @@ def dependence(unknown: Dependence) -> str:
     if unknown.wheels:
         whose = "of each wheel" if unknown.wheels == "wheels" else f"of the {unknown.wheels} wheel"
         return f"the error {whose} depends on {regressor}"
+    if unknown.name.startswith("twist_"):
+        return f"the error of travel and turns alike depends on {regressor}"
     per = {"rad": " per radian turned", "s": " per second"}.get(unknown.per, "")
     return f"the {unknown.channel} error{per} depends on {regressor}"
 

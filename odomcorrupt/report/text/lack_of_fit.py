@@ -11,7 +11,16 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "reproduction_sentence", "sentence", "size"]
+__all__ = [
+    "MOST",
+    "SIGNS",
+    "judgement_sentence",
+    "rejection",
+    "reproduction_sentence",
+    "sentence",
+    "size",
+    "within",
+]
 
 MOST = 8
 """Sentences printed for a model; JSON has all of them."""
@@ -80,6 +89,8 @@ def judgement_sentence(judgement: Judgement) -> str:
     if not verdict.rejected:
         small = "the largest deviations do not reject it" if judgement.failures else "errors are as predicted"
         return f"{judgement.name} is not rejected ({level}): {small}"
+    if not verdict.fails:
+        return f"{judgement.name} holds in practice: {within(judgement)}"
     worst = verdict.against[0]
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
@@ -100,6 +111,17 @@ def rejection(judgement: Judgement) -> str:
     if small:
         return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
     return f"{said}; the size of its errors is as predicted"
+
+
+def within(judgement: Judgement) -> str:
+    """Return that a model predicts the sizes of errors, and by what it is rejected all the same."""
+    verdict = judgement.verdict
+    if not verdict.rejected:
+        return ""
+    worst = verdict.against[0]
+    factor = max(verdict.misfit, 1.0 / max(verdict.misfit, 1e-12))
+    said = f"within {factor:.2f} times" if factor > 1.005 else "as large as"
+    return f"errors are {said} the predicted ones; a difference is significant ({worst.question}, p {_p(worst.p)})"
 
 
 def reproduction_sentence(one: Reproduction) -> str:

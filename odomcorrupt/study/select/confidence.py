@@ -13,10 +13,14 @@ one in part only, and what is left of it shows as a dependence or as correlated 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, inf, isfinite
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -27,6 +31,10 @@ if TYPE_CHECKING:
 
 __all__ = ["Evidence", "confidence", "evidence_of", "held_out_limit", "odds_against", "odds_formula"]
 
+_SHORT_ARM_M = 0.005
+"""A tracked point may be off by more, and single wheels do not make as much of it."""
+_USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
+"""A track on which to see whether an effect acts on single wheels, and what it then does."""
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
 
@@ -98,9 +106,28 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # what a filter that is given poses takes out passes for gains and biases of any kind
         rivals = (*rivals, own)
+    if _may_be_of_wheels(step.added or "", learned):
+        rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
         rivals = (*rivals, own)  # lost increments are the same on average
     left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)
     return Evidence(own, rivals, left, correlated, margin)
+
+
+def _may_be_of_wheels(name: str, learned: Learned) -> bool:
+    """Return whether a small offset of the tracked point may be part of what single wheels do on an unknown track.
+
+    Of a larger wheel on a track b the body's travel is longer in turns, as of y = curvature b^2 / 4 of a lever arm;
+    slip of each wheel by its own speed does alike.
+    """
+    arm = next((e for e in learned.fit.effects if e.name == name == "lever_arm"), None)
+    motion = learned.fit.problem.motions[0]
+    if arm is None or motion.track_m is not None or learned.drive_type.steered:
+        return False
+    if any(abs(getattr(arm, p.name)) > _SHORT_ARM_M for p in amplitudes(arm)):
+        return False
+    tracked = replace(motion, track_m=_USUAL_TRACK_M)
+    robots = [effect for effect in learned.fit.effects if effect.kind == "effect"]
+    return any(np.abs(error_of(e, tracked) - error_of(e, motion)).max() > _MOVES_MPS for e in robots)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.study.terms.term import Term
 
-__all__ = ["DECISIONS", "Decisions", "PriorOdds", "error_shares", "penalty"]
+__all__ = ["DECISIONS", "Decisions", "Practical", "PriorOdds", "error_shares", "penalty"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,6 +43,21 @@ class PriorOdds:
     unexplained: float = 1.0
     correlated: float = 0.2
     dependence_nats: float = 1.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Practical:
+    """What matters in practice; smaller things are reported as there, and as negligible.
+
+    share : part by which the 10 s error has to grow without a part of the model
+    far_share : the same over 50 m of path, of which a drive has few windows
+    per_m : what has to be moved per metre of path, m: a tenth of a millimetre, which is 0.01 %. Nominal radii and
+        tracks are known to a few tenths of a per cent, and calibration leaves some hundredths
+    """
+
+    share: float = 0.02
+    far_share: float = 0.1
+    per_m: float = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,6 +110,7 @@ class Decisions:
 
     heterogeneity_level : probability of reporting that recordings of one robot disagree about any parameter
     prior : of the reported probabilities
+    practical : what matters
     """
 
     max_effects: int = 6
@@ -139,6 +155,7 @@ class Decisions:
     exact_nats: float = 3.0
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)
+    practical: Practical = field(default_factory=Practical)
 
 
 DECISIONS = Decisions()

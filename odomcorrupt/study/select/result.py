@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.candidates import Candidate
+    from odomcorrupt.study.select.contribution import Contribution
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
     from odomcorrupt.study.select.random_effects import RandomCoefficient
@@ -74,6 +75,7 @@ class Learned:
     decisions : the decisions it was selected by
     hides_losses : whether ticks are too coarse to show lost increments, which then look like a larger wheel
     held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
+    contributions : how far each systematic part moves the odometry, where that was measured
     """
 
     clocks: Clocks
@@ -89,6 +91,22 @@ class Learned:
     decisions: Decisions = DECISIONS
     hides_losses: bool = False
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    contributions: Mapping[str, Contribution] = field(default_factory=dict)
+
+    def is_negligible(self, name: str) -> bool:
+        """Return whether a part of the model, by name, is there and does not matter."""
+        own = self.contributions.get(name)
+        return own is not None and own.negligible(self.decisions.practical)
+
+    @property
+    def matters(self) -> tuple[str, ...]:
+        """Names of the included effects of the library that matter, in order."""
+        return tuple(name for name in self.added if not self.is_negligible(name))
+
+    @property
+    def unexplained(self) -> tuple[Dependence, ...]:
+        """Dependences that no effect of the library explains, without those that are in the model and negligible."""
+        return tuple(one for one in self.unknown if one not in self.laws or not self.is_negligible(one.name))
 
     @property
     def drive_type(self) -> DriveType:

@@ -28,13 +28,16 @@ MOVES: dict[str, Callable[[Motion], Array]] = {
 _BODY, _RIGHT, _LEFT = "body", "right", "left"
 _GROUND, _TOWARD = "ground", 6
 """What carries the robot where it is, and the directions, over half a turn, in which it may."""
+_TWIST = "twist"
+"""Travel and turn by the same factor, as of two wheels that err alike: what they do at one time needs no track."""
 
 
 @dataclass(frozen=True, slots=True)
 class Action:
     """What a basis function adds to, and what it multiplies.
 
-    target : one of the channels, or of the sides, of expressions; or "ground": along and across at once
+    target : one of the channels, or of the sides, of expressions; or "ground": along and across at once; or "twist":
+        along and yaw at once
     move : key of `MOVES`
     heading : where the odometry's heading comes from; with a gyro, wheels do not turn it
     toward : direction in the world, rad, in which the ground carries the robot
@@ -52,7 +55,7 @@ class Action:
 
     @property
     def reaches(self) -> frozenset[str]:
-        """What it reaches: the "body", "one" wheel or "both"; the heading over time, a "bias"; or the "ground".
+        """What it reaches: the "body", "one" wheel or "both"; the heading over time, a "bias"; "ground" or "twist".
 
         What turns the body as it travels may be an error of its "heading".
         """
@@ -60,15 +63,15 @@ class Action:
             return frozenset({"bias"})
         if self.by_wheel:
             return frozenset({"both" if self.target == "wheels" else "one"})
-        if self.target == _GROUND:
-            return frozenset({_GROUND})
+        if self.target in (_GROUND, _TWIST):
+            return frozenset({self.target})
         return frozenset({"body", "heading"} if (self.target, self.move) == ("yaw", "v") else {"body"})
 
     @property
     def channel(self) -> str:
         """The channel of the body where it shows most: the heading, where one wheel is not like the other."""
         if not self.by_wheel:
-            return "along" if self.target == _GROUND else self.target
+            return "along" if self.target in (_GROUND, _TWIST) else self.target
         return "along" if self.target == "wheels" or self.heading == "gyro" else "yaw"
 
     @property
@@ -85,6 +88,8 @@ class Action:
         """Return a function as an expression."""
         if self.move == "1":
             return f"{self.target} += {function}"
+        if self.target == _TWIST:
+            return f"along += v * ({function}); yaw += omega * ({function})"
         if self.target != _GROUND:
             return f"{self.target} += {self.move} * ({function})"
         along, across = (f"{self.move} * {turn}({self.toward:.4g} - theta)" for turn in ("cos", "sin"))
@@ -92,6 +97,9 @@ class Action:
 
     def rates(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
         """Return the views it looks at, and how fast (n, 3) a function of one there moves the odometry."""
+        if self.target == _TWIST:
+            still = np.zeros(len(seen[_BODY]))
+            return [(_BODY, -np.stack((seen[_BODY].v, still, seen[_BODY].omega), axis=1))]
         return [(view, MOVES[self.move](seen[view])[:, None] * unit) for view, unit in self._units(seen, track_m)]
 
     def _units(self, seen: View, track_m: float | None) -> list[tuple[str, Array]]:
@@ -113,9 +121,13 @@ def every_action() -> list[Action]:
 
 
 def actions_on(motions: Sequence[Motion]) -> list[Action]:
-    """Return what basis functions can be tried on here: single wheels need a track."""
-    known = all(m.track_m is not None for m in motions)
-    return [action for action in every_action() if known or not action.by_wheel]
+    """Return what basis functions can be tried on here: single wheels need a track.
+
+    Without one, what both do at a time is tried on the twist: that both are worn, or carry more, at any track.
+    """
+    if all(m.track_m is not None for m in motions):
+        return every_action()
+    return [*(action for action in every_action() if not action.by_wheel), Action(_TWIST, "v")]
 
 
 View = dict[str, "Motion"]

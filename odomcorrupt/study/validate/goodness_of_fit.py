@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import binom, chi2, norm
 
+from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.validate.error_rates import CHANNELS
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LAGS",
     "PIT_LEVEL",
+    "PRACTICAL_FACTOR",
     "REJECTION_LEVEL",
     "Check",
     "Pit",
@@ -43,6 +46,11 @@ __all__ = [
 
 REJECTION_LEVEL = 0.05
 """Probability of rejecting a right model, all looks together."""
+PRACTICAL_FACTOR = 1.25
+"""Errors within this factor of the predicted ones: a model that is right about sizes. Noise of one robot differs by as
+much from one floor to another."""
+PRACTICAL_PER_M = DECISIONS.practical.per_m
+"""Errors that differ from the predicted ones by less, m per metre of path, do not matter whatever their factor."""
 PIT_LEVEL = 0.95
 _GRID = 50
 _SIMULATIONS = 4000
@@ -61,10 +69,15 @@ class Check:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """All looks, the worst first; rejected where one is worse than the level divided by their number (Bonferroni)."""
+    """All looks, the worst first; rejected where one is worse than the level divided by their number (Bonferroni).
+
+    misfit : how many times larger than predicted the errors are where they are farthest from it beyond chance, below 1
+        where they are smaller; 1 where all are as predicted
+    """
 
     level: float
     checks: tuple[Check, ...]
+    misfit: float = inf
 
     @property
     def threshold(self) -> float:
@@ -81,6 +94,14 @@ class Verdict:
         """Whether the model is rejected."""
         return bool(self.against)
 
+    @property
+    def fails(self) -> bool:
+        """Whether it is rejected, and errors are larger or smaller than predicted by a factor that matters.
+
+        With enough data every model is rejected for something; one that predicts all sizes is of use.
+        """
+        return self.rejected and not 1.0 / PRACTICAL_FACTOR <= self.misfit <= PRACTICAL_FACTOR
+
 
 def pits_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> dict[str, Pit]:
     """Return the PIT of every channel of chains of innovations (m, c), whose columns are these axes."""
@@ -95,10 +116,18 @@ def whiteness_of(chains: Sequence[Array], axes: Sequence[int] = (0, 1, 2)) -> di
 
 def verdict_of(horizons: Sequence[Horizon], pits: Mapping[str, Pit], whiteness: Mapping[str, Whiteness]) -> Verdict:
     """Weigh all looks."""
+    beyond = [h.nees for h in horizons if not h.nees_bounds[0] <= h.nees <= h.nees_bounds[1] and _is_seen(h)]
+    misfit = float(np.sqrt(max(beyond, key=lambda nees: abs(np.log(max(nees, 1e-300)))))) if beyond else 1.0
     looks = [Check(f"size of errors over {h.distance_m:g} m of path (NEES)", h.nees_p) for h in horizons]
     looks += [Check(f"distribution of {name} innovations (PIT)", pit.p) for name, pit in pits.items()]
     looks += [Check(f"memory of {name} innovations (Ljung-Box)", white.p) for name, white in whiteness.items()]
-    return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)))
+    return Verdict(REJECTION_LEVEL, tuple(sorted(looks, key=lambda look: look.p)), misfit)
+
+
+def _is_seen(h: Horizon) -> bool:
+    """Tell whether measured and predicted errors differ by a length that matters, where positions were measured."""
+    apart_m2 = abs(h.position_measured**2 - h.position_expected**2)
+    return not apart_m2 < (PRACTICAL_PER_M * h.distance_m) ** 2
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,7 +57,13 @@ def functions_of_motion(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
 
 def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
     """Return what a function of this regressor may act on; wheels where they have a value of their own."""
-    return ("body", *(wheels if regressor in _OF_WHEELS else ()), *(("bias",) if regressor in _OF_A_BIAS else ()))
+    both = ("twist",) if regressor == "time" else ()
+    return (
+        "body",
+        *both,
+        *(wheels if regressor in _OF_WHEELS else ()),
+        *(("bias",) if regressor in _OF_A_BIAS else ()),
+    )
 
 
 def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:

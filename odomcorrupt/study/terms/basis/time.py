@@ -23,7 +23,7 @@ _SHORTEST_SWING_S, _SWING_STEP = 40.0, 0.2
 """The quickest swing of minutes, and the step of the logarithm of its period."""
 _SPELLS, _SPELL_PARTS = 10, (0.08, 0.16)
 """How many middles of a spell are tried, and half its length in parts of the whole time."""
-_ANYWHERE = ("body", "one", "both")
+_ANYWHERE = ("body", "one", "both", "twist")
 
 
 def functions_of_time(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
