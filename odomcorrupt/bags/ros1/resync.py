@@ -156,7 +156,8 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
         window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
         hit = window.find(_OP)
         while 0 <= hit < _WINDOW_BYTES:
-            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1):
+            kind = int.from_bytes(window[hit + len(_OP) : hit + len(_OP) + 1], "little")
+            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1) if kind in kinds else ():
                 if begin + start < end and _kind_at(window, start, (source.size or 0) - begin - start) in kinds:
                     yield begin + start
                     break
@@ -173,9 +174,9 @@ def _here(source: Source) -> int | None:
 def _kind_at(window: bytes, at: int, left: int) -> int | None:
     """Return the kind of a plausible record at a byte; None for none."""
     length = int.from_bytes(window[at : at + 4], "little")
-    header = window[at + 4 : at + 4 + length]
-    if not 9 <= length <= _LOOK_BYTES - 8 or len(header) < length or left < length + 8:
+    if not 9 <= length <= _LOOK_BYTES - 8 or len(window) < at + 4 + length or left < length + 8:
         return None
+    header = window[at + 4 : at + 4 + length]
     try:
         fields = parse_fields(header, "")
         kind = number(fields, "op", "")
