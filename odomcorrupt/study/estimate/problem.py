@@ -170,7 +170,7 @@ def _smoothers(
 ) -> tuple[MotionSmoother, ...]:
     """Return every recording on the truth's clock with its smooth motion; an earlier problem's where clocks agree."""
     known = {}
-    if before is not None and before.approach.side == side:
+    if before is not None and before.smoothers and before.approach.side == side:
         of_before = zip(before.recordings, before.clocks, before.smoothers, strict=True)
         known = {(id(recording), clock): smoother for recording, clock, smoother in of_before}
     return tuple(

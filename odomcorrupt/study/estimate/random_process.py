@@ -12,6 +12,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
+from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -78,9 +79,13 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 
     Without either it is the same fit.
     """
-    if not random and not has_bias(problem):
+    if not random and not has_bias(problem) and not has_field(problem):
         return noise
-    wider = widened(noise.whitener, problem, random)
+    white = noise.whitener
+    if has_field(problem):
+        q = problem.nodes.covariance(problem.approach.law, noise.coefficients, problem.steps)
+        white = remainder_whitener(problem.nodes, q * noise.weights[:, None, None], noise.truth)
+    wider = widened(white, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
@@ -99,6 +104,8 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
     roots = [root_of(effect, problem) for effect in random]
     if has_bias(problem):
         roots.append(bias_roots(problem))
+    if has_field(problem):
+        roots.append(field_roots(problem))
     if not roots:
         return white
     designs = np.concatenate([white.whiten(root) for root in roots], axis=1)

@@ -97,7 +97,16 @@ def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
     candidates = list(_candidates(fit, decisions))
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
-    return sorted(excused, key=_rank, reverse=True)
+    ranked = sorted(excused, key=_rank, reverse=True)
+    return [*ranked[:1], *(_lighter(c) for c in ranked[1:])]
+
+
+def _lighter(candidate: Candidate) -> Candidate:
+    """Return a candidate that is not selected without what only a refit would use: it is kept for reports."""
+    if candidate.fit is None:
+        return candidate
+    problem = replace(candidate.fit.problem, smoothers=(), left=())
+    return replace(candidate, fit=replace(candidate.fit, problem=problem))
 
 
 def _excused(candidate: Candidate, decisions: Decisions) -> Candidate:
