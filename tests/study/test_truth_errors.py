@@ -13,6 +13,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.clocks import nuisance_of
+from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
@@ -139,6 +140,10 @@ def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
     assert field.own_xy_m == pytest.approx(0.01, rel=0.3)
     assert 0.01 < field.xy_m < 0.045
     assert 0.7 <= field.length_m <= 2.0
+    fitted = fit([run], approach=choose_approach([run]))
+    bounds = {i.name: i for i in coefficient_intervals(fitted, fitted.design_matrix)}
+    assert bounds["rot_trans"].low < QUIET.rot_trans < bounds["rot_trans"].high
+    assert QUIET.trans_trans < bounds["trans_trans"].high < 0.01
 
 
 def test_windows_know_what_their_places_add():

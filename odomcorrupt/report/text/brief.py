@@ -95,7 +95,11 @@ def findings_brief(
         worst = last.verdict.against[0]
         lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
     drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
-    if reproduction is not None and drifts:
+    named = any(gain.effect.name == "slip_burst" for gain in search.noise)
+    if drifts and named:
+        # the cause of most of the error, before effects of less weight
+        lines[1:] = sorted(lines[1:], key=lambda line: line.label != "noise")
+    if reproduction is not None and drifts and not (reproduction.holds and named):
         # before everything else: a simulation would be far too good, or far too bad
         lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseLikelihood
+from odomcorrupt.study.estimate.truth_field import has_field
 from odomcorrupt.study.estimate.variance_components import NAMES
 
 if TYPE_CHECKING:
@@ -57,8 +58,9 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
         fitted.noise.weights,
         headings=fitted.problem.headings,
     )
-    top = fitted.log_likelihood
     free = fitted.noise.free
+    # the noise was fitted without the field of a localisation, and its profile is compared with that fit
+    top = likelihood.evaluate(free).log_likelihood if has_field(fitted.problem) else fitted.log_likelihood
     found = []
     for position, index in enumerate(fitted.components.active):
         best = float(free[position])
