@@ -8,22 +8,21 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import lz4.frame
-import numpy as np
 import xxhash
 import zstandard
 
 from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.buffer_pool import SHELF_BYTES
+from odomcorrupt.bags.codec_streams import DAMAGE, PackedInMemory, end_of_frame, require_size, unpacked
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
+    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.buffer_pool import BufferPool
 
-__all__ = ["beginning", "compress", "compress_for_ros1", "decompress", "pack_summed", "require_level", "unpack"]
+__all__ = ["compress", "compress_for_ros1", "decompress", "pack_summed", "require_level", "unpack"]
 
 _MAGIC = b"\x04\x22\x4d\x18"
 _SUMMED, _SIZED, _HAS_DICTIONARY = 0x04, 0x08, 0x01
@@ -80,13 +79,7 @@ def _sum_of_content(data: bytearray | memoryview) -> bytes:
     return xxhash.xxh32_intdigest(data).to_bytes(4, "little")
 
 
-_PIECE_BYTES = 1 << 20
-_SKIPPABLE_MAGIC = 0x184D2A50
-_RUN_LENGTH_BLOCK = 1
-"""In a Zstandard frame: one byte that stands for as many as the block's size says."""
 _LEVELS = {"zstd": (1, 22), "lz4": (0, 12), "bz2": (1, 9)}
-_Damage = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError, OverflowError)
-"""What the codecs raise on bytes that are not theirs, or on a size no machine has."""
 
 
 class _Zstd(threading.local):
@@ -118,171 +111,52 @@ def decompress(
     budget : limit of the bag
     """
     if codec == "none":
-        _require_size(len(data), size, what)
+        require_size(len(data), size, what)
         placed = shelf.place(size)
         placed.data[:] = data
         return placed
     budget = Budget() if budget is None else budget
+    if codec == "bz2" or size > SHELF_BYTES or (codec == "zstd" and not _is_one_frame(data, size)):
+        pieces = unpacked(codec, PackedInMemory(data), size, what, budget)
+        placed, came = shelf.place(size), 0
+        for piece in pieces:
+            placed.data[came : came + len(piece)] = piece
+            came += len(piece)
+        return placed
     budget.require(size, len(data), what)
     try:
-        if codec == "lz4" and size <= SHELF_BYTES:
-            out = _unlz4(data, size)
-            budget.take(len(out), what)
-            _require_size(len(out), size, what)
-            placed = shelf.place(len(out))
-            placed.data[:] = out
-            return placed
-        placed = shelf.place(size)
-        came = 0
-        for piece in _INTO[codec](data, placed):
-            came += piece
-            budget.take(piece, what)
-    except BagError:
-        raise
-    except _Damage as error:
+        placed, came = (_unlz4 if codec == "lz4" else _unzstd)(data, size, shelf)
+    except DAMAGE as error:
         raise BagError(f"{what}: {codec} cannot decompress it: {error}; --recover saves what is whole") from error
-    _require_size(came, size, what)
+    budget.take(came, what)
+    require_size(came, size, what)
     return placed
 
 
-def _require_size(came: int, size: int, what: str) -> None:
-    if came != size:
-        raise BagError(
-            f"{what}: says it holds {size} bytes, but {came} come out; the bag is damaged, --recover saves "
-            "what is whole"
-        )
-
-
-def beginning(codec: str, data: bytes, budget: Budget) -> bytearray:
-    """Return the decompressed beginning of a truncated chunk, within the budget."""
-    out = bytearray(data if codec == "none" else b"")
-    if codec in ("none", "lz4"):
-        with suppress(*_Damage):
-            if codec == "lz4":
-                context = lz4.frame.create_decompression_context()
-                most = min(budget.left, 255 * len(data))
-                out += lz4.frame.decompress_chunk(context, data, max_length=max(most, 1))[0]
-        return out
-    budget.require(0, len(data), "")
-    piece = np.empty(_PIECE_BYTES, dtype=np.uint8)
-    with suppress(*_Damage):
-        for came in _pieces_of_cut(codec, data, piece):
-            if came >= budget.left:
-                break
-            budget.take(came, "")
-            out += piece.data[:came]
-    return out
-
-
-def _pieces_of_cut(codec: str, data: bytes, piece: NDArray[np.uint8]) -> Iterator[int]:
-    """Decompress a truncated chunk piecewise into `piece`; yield the number of bytes each time."""
-    if codec == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
-            while came := reader.readinto(piece.data):
-                yield came
-        return
-    decompressor, packed = bz2.BZ2Decompressor(), data
-    while not decompressor.eof and (out := decompressor.decompress(packed, max_length=piece.size)):
-        packed = b""
-        piece.data[: len(out)] = out
-        yield len(out)
-
-
-def _unzstd(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
-    """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
-    sized = zstandard.get_frame_parameters(data).content_size == placed.size <= SHELF_BYTES
-    if sized and _end_of_frame(data) == len(data):
-        with _zstd.decompressor.stream_reader(data) as reader:
-            if (came := reader.readinto(placed.data)) < placed.size:
-                raise EOFError(f"the frame is cut short after {came} bytes")
-            yield came
-        return
-    at = 0
-    with _zstd.decompressor.stream_reader(data, read_across_frames=True) as reader:
-        while at < placed.size and (came := reader.readinto(placed.data[at : at + _PIECE_BYTES])):
-            at += came
-            yield came
-        yield len(reader.read(1)) if at == placed.size else 0
-    # of a truncated frame the reader keeps back what it has decompressed beyond what was asked for
-    if not _are_whole_frames(data):
-        raise EOFError("a frame is cut short")
-
-
-def _end_of_frame(data: memoryview) -> int:
-    """Return where the Zstandard frame ends that bytes begin with, by the lengths in it (RFC 8878, section 3.1).
-
-    Of a truncated frame the end is unknown, and behind that of the bytes.
-    """
-    if int.from_bytes(data[:4], "little") & ~0xF == _SKIPPABLE_MAGIC:
-        return 8 + int.from_bytes(data[4:8], "little")
-    parameters = zstandard.get_frame_parameters(data)
-    at = zstandard.frame_header_size(data)
-    last = 0
-    while not last:
-        if at + 3 > len(data):
-            return len(data) + 1
-        head = int.from_bytes(data[at : at + 3], "little")
-        last, kind, size = head & 1, head >> 1 & 3, head >> 3
-        at += 3 + (1 if kind == _RUN_LENGTH_BLOCK else size)
-    return at + (4 if parameters.has_checksum else 0)
-
-
-def _are_whole_frames(data: memoryview) -> bool:
-    """Return whether bytes are whole Zstandard frames."""
-    while data:
-        end = _end_of_frame(data)
-        if end > len(data):
-            return False
-        data = data[end:]
-    return True
-
-
-def _unbz2(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
-    """Decompress into an array; yield the sizes of the pieces, up to the first one too many."""
-    decompressor = bz2.BZ2Decompressor()
-    at, packed = 0, data
-    while not decompressor.eof and at <= placed.size:
-        out = decompressor.decompress(packed, max_length=min(_PIECE_BYTES, placed.size + 1 - at))
-        packed = memoryview(b"")
-        if not out and not decompressor.eof:
-            raise EOFError("the stream is cut short")
-        placed.data[at : at + len(out)] = out[: placed.size - at]
-        at += len(out)
-        yield len(out)
-
-
-def _unlz4(data: memoryview, size: int) -> bytearray:
+def _unlz4(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.uint8], int]:
+    """Return the decompressed array and how many bytes came out, at most one too many."""
     if size > 255 * len(data):
         raise ValueError(f"{len(data)} bytes cannot become {size}")
-    return unpack(data, size)
+    out = unpack(data, size)
+    placed = shelf.place(len(out))
+    placed.data[:] = out
+    return placed, len(out)
 
 
-def _unlz4_large(data: memoryview, placed: NDArray[np.uint8]) -> Iterator[int]:
-    """Decompress into an array, of which there is no copy; yield the sizes of the pieces, up to the first one too many.
-
-    Raises as `unpack` does.
-    """
-    if placed.size > 255 * len(data):
-        raise ValueError(f"{len(data)} bytes cannot become {placed.size}")
-    head, sums = _head_without_sum(data) if data[:4] == _MAGIC and len(data) > 7 else (b"", False)
-    context = lz4.frame.create_decompression_context()
-    if head:
-        lz4.frame.decompress_chunk(context, head)
-    at, packed, whole, content = 0, data[len(head) :], False, xxhash.xxh32()
-    while not whole and at <= placed.size:
-        most = min(_PIECE_BYTES, placed.size + 1 - at)
-        out, taken, whole = lz4.frame.decompress_chunk(context, packed, max_length=most)
-        if not (out or taken or whole):
-            raise EOFError("the frame is cut short")
-        placed.data[at : at + len(out)] = out[: placed.size - at]
-        content.update(out)
-        at, packed = at + len(out), packed[taken:]
-        yield len(out)
-    if whole and sums and packed[:4] != content.intdigest().to_bytes(4, "little"):
-        raise ValueError("its checksum does not match its bytes")
+def _unzstd(data: memoryview, size: int, shelf: BufferPool) -> tuple[NDArray[np.uint8], int]:
+    """Return the decompressed array of a single frame and how many bytes came out."""
+    placed = shelf.place(size)
+    with _zstd.decompressor.stream_reader(data) as reader:
+        if (came := reader.readinto(placed.data)) < size:
+            raise EOFError(f"the frame is cut short after {came} bytes")
+    return placed, came
 
 
-_INTO = {"zstd": _unzstd, "bz2": _unbz2, "lz4": _unlz4_large}
+def _is_one_frame(data: memoryview, size: int) -> bool:
+    """Return whether bytes are a single whole Zstandard frame that states this size."""
+    with suppress(zstandard.ZstdError):
+        return zstandard.get_frame_parameters(data).content_size == size and end_of_frame(data) == len(data)
+    return False
 
 
 def require_level(codec: str, level: int | None) -> None:

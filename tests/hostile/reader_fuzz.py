@@ -43,7 +43,8 @@ from smallbags import Small, make_small_bags
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.buffer_pool import BufferPool
-from odomcorrupt.bags.codecs import beginning, decompress
+from odomcorrupt.bags.codec_streams import PackedInMemory, beginning
+from odomcorrupt.bags.codecs import decompress
 from odomcorrupt.bags.mcap import chunk_messages as of_mcap
 from odomcorrupt.bags.mcap.chunk import Chunk as McapChunk
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord
@@ -220,12 +221,12 @@ class ReaderFuzz:
         harmed = self._harmed(data, rng)[: 1 << 16]
         if rng.random() < 0.3:
             size = int(2 ** rng.uniform(0, 34))
-        begun = beginning(codec, harmed, Source(io.BytesIO(), "").budget)
+        begun = b"".join(beginning(codec, PackedInMemory(harmed), Source(io.BytesIO(), "").budget))
         try:
             out = decompress(codec, memoryview(harmed), size, "chunk", BufferPool())
         except OdomCorruptError:
             return "refused"
-        if out.size != size or (codec != "lz4" and bytes(begun) != out.tobytes()):
+        if out.size != size or (codec != "lz4" and begun != out.tobytes()):
             raise FoundError("its beginning is another one")
         return "read"
 

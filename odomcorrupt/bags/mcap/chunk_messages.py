@@ -19,7 +19,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["MESSAGE_HEADER", "Contents", "Record", "read_contents"]
+__all__ = ["MESSAGE_HEADER", "Contents", "Record", "read_contents", "record_bytes"]
 
 MESSAGE_HEADER = np.dtype(
     [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")]
@@ -62,6 +62,14 @@ def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> C
     walked, others = _walk(data.data, 0, data.size, what)
     starts = np.array(walked, dtype=np.int64)
     return Contents(_table(_heads(data, starts), starts), others)
+
+
+def record_bytes(data: memoryview, at: int) -> int:
+    """Return the size of the record at an offset, bytes, as `record_blocks` asks for it."""
+    if at + RECORD_HEADER_BYTES > len(data):
+        return RECORD_HEADER_BYTES
+    size = RECORD_HEADER_BYTES + int.from_bytes(data[at + 1 : at + RECORD_HEADER_BYTES], "little")
+    return 0 if data[at] == 0 or (data[at] == MESSAGE and size < MESSAGE_HEADER_BYTES) else size
 
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:

@@ -7,7 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunk, read_pieces
+from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunks, read_pieces
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -23,7 +23,14 @@ from odomcorrupt.bags.mcap.records import (
     SCHEMA,
     string,
 )
-from odomcorrupt.bags.mcap.resync import next_record, read_chunk_or_beginning, stands_behind, stands_here, without
+from odomcorrupt.bags.mcap.resync import (
+    beginning_of_chunk,
+    loss_of_cut_chunk,
+    next_record,
+    stands_behind,
+    stands_here,
+    without,
+)
 from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.section_checksums import (
     FOOTER_BYTES,
@@ -164,7 +171,7 @@ class McapReader:
 
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
         """Yield chunks, collected messages outside chunks, and single records."""
-        pending: Chunk | Loose | None = None
+        pending: Chunk | Loose | Block | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
                 done, pending = pending, None
@@ -173,16 +180,13 @@ class McapReader:
             try:
                 if opcode in _LOOSE and pending is None:
                     pending = Loose()
-                if pending:
+                if isinstance(pending, Chunk | Loose):
                     pending.append(opcode, source.read(length, what), f"{self.name}: {what}")
-                elif opcode == CHUNK:
-                    pending = self._chunk(source, length, what)
-                else:
-                    summed = 0
-                    if opcode in (ATTACHMENT, METADATA):
-                        head = source.sniff(min(length, _NAMES_BYTES))
-                        summed = require_named(opcode, head, f"{self.name}: {what}")
-                    yield from _alone(source, opcode, length, what, summed)
+                    continue
+                for part in self._single(source, opcode, length, what):
+                    if pending:
+                        yield pending
+                    pending = part
             except BagError as error:
                 self._lose(error)
                 if not (
@@ -192,13 +196,20 @@ class McapReader:
         if pending:
             yield pending
 
-    def _chunk(self, source: Source, length: int, what: str) -> Chunk:
-        if not self._recover:
-            return read_chunk(source, length, what)
-        chunk, lost = read_chunk_or_beginning(source, length, what)
-        if lost:
-            self.losses.append(lost)
-        return chunk
+    def _single(self, source: Source, opcode: int, length: int, what: str) -> Iterator[Chunk | Block]:
+        """Yield a record that is not collected with others; the footer and indexes without chunks are skipped."""
+        if opcode == MESSAGE_INDEX:
+            source.read(length, what)
+        elif opcode == CHUNK and self._recover and source.position + length > (source.size or 0):
+            self.losses.append(loss_of_cut_chunk(source, length, what))
+            yield from beginning_of_chunk(source, length, what)
+        elif opcode == CHUNK:
+            yield from read_chunks(source, length, what, verify=self._recover)
+        elif opcode not in _ENDS:
+            summed = 0
+            if opcode in (ATTACHMENT, METADATA):
+                summed = require_named(opcode, source.sniff(min(length, _NAMES_BYTES)), f"{self.name}: {what}")
+            yield from read_pieces(source, opcode, length, what, summed)
 
     def _records(self, source: Source) -> Iterator[tuple[int, int, str]]:
         """Yield opcode, length and name of the data section's records, whose contents are read by the caller."""
@@ -330,16 +341,8 @@ def _is_packed(part: Chunk | Loose | Block) -> bool:
     return isinstance(part, Chunk) and part.codec != "none"
 
 
-def _alone(source: Source, opcode: int, length: int, what: str, summed: int) -> Iterator[Block]:
-    """Yield a single record as blocks; the footer and indexes without chunks are skipped."""
-    if opcode == MESSAGE_INDEX:
-        source.read(length, what)
-    elif opcode not in _ENDS:
-        yield from read_pieces(source, opcode, length, what, summed)
-
-
-def _continues(pending: Chunk | Loose, opcode: int) -> bool:
+def _continues(pending: Chunk | Loose | Block, opcode: int) -> bool:
     """Return whether a record belongs to the part being collected."""
     if isinstance(pending, Chunk):
         return opcode == MESSAGE_INDEX
-    return opcode in _LOOSE and len(pending.data) < _BATCH_BYTES
+    return isinstance(pending, Loose) and opcode in _LOOSE and len(pending.data) < _BATCH_BYTES

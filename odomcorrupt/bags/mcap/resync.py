@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codecs import beginning
-from odomcorrupt.bags.mcap.chunk import CODECS, Chunk, read_chunk
+from odomcorrupt.bags.codec_streams import PackedInSource, beginning
+from odomcorrupt.bags.mcap.chunk import CODECS, chunks_of, read_chunk_head
 from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS, read_contents
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
@@ -36,9 +37,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.mcap.chunk import Chunk
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records", "without"]
+__all__ = [
+    "beginning_of_chunk",
+    "loss_of_cut_chunk",
+    "next_record",
+    "stands_behind",
+    "stands_here",
+    "whole_records",
+    "without",
+]
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 256
@@ -120,8 +130,8 @@ def next_record(source: Source, begin: int, kinds: Container[int] = _EVERYTHING)
     return at < size
 
 
-def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chunk, str]:
-    """Return a chunk, or the intact part of one truncated by the file's end, and a sentence on the loss ("" for none).
+def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
+    """Return a sentence on a chunk of `length` bytes that is truncated by the file's end.
 
     Raises
     ------
@@ -129,19 +139,20 @@ def read_chunk_or_beginning(source: Source, length: int, what: str) -> tuple[Chu
         If the chunk is damaged otherwise: its length covers later records.
 
     """
-    left = _left(source)
-    if length <= left:
-        return read_chunk(source, length, what), ""
-    here = source.position
+    here, left = source.position, _left(source)
     lost = f"{source.name}: {what} needs {length} bytes, {left} are left: the bag is truncated in a chunk"
     if any(_found(source, here, here + left, (CHUNK,))):
         raise BagError(lost)
     source.seek(here)
-    content = source.read(left, what)
-    name_length = int.from_bytes(content[28:32], "little")
-    name = content[32 : 32 + name_length].decode(errors="replace")
-    data = np.frombuffer(beginning(name or "none", content[40 + name_length :], source.budget), dtype=np.uint8)
-    return Chunk(whole_records(data), name or "none", f"{source.name}: {what}"), lost
+    return lost
+
+
+def beginning_of_chunk(source: Source, length: int, what: str) -> Iterator[Chunk]:
+    """Yield the intact records of a chunk that is truncated by the file's end."""
+    head = read_chunk_head(source, length, what)
+    packed = PackedInSource(source, _left(source), what)
+    for chunk in chunks_of(beginning(head.codec, packed, source.budget), head, source):
+        yield replace(chunk, data=whole_records(chunk.data))
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from odomcorrupt.errors import BagError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["Contents", "read_contents"]
+__all__ = ["Contents", "read_contents", "record_bytes"]
 
 MOST_RECORDS = 1 << 22
 """What a chunk without an index of its messages is walked for: no recorder writes a tenth of it."""
@@ -64,6 +64,19 @@ def read_contents(data: NDArray[np.uint8], indexes: list[bytes], what: str) -> C
     indexes : data of the index records that follow it, possibly wrong
     """
     return _indexed(data, indexes) or _walk(data.data, 0, data.size, what)
+
+
+def record_bytes(data: memoryview, at: int) -> int:
+    """Return the size of the record at an offset, bytes, as `record_blocks` asks for it."""
+    header = at + 4
+    if header > len(data):
+        return 4
+    end = header + int.from_bytes(data[at:header], "little")
+    if end + 4 > len(data):
+        return end + 4 - at
+    if b"op=" not in bytes(data[header:end]):
+        return 0
+    return end + 4 + int.from_bytes(data[end : end + 4], "little") - at
 
 
 def _indexed(data: NDArray[np.uint8], indexes: list[bytes]) -> Contents | None:

@@ -12,7 +12,7 @@ from odomcorrupt.bags.budget import Budget
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import Undecodable, loss_of
-from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunk, read_head
+from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunks, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import (
     BAG_HEADER,
@@ -27,8 +27,9 @@ from odomcorrupt.bags.ros1.records import (
     pack_record,
 )
 from odomcorrupt.bags.ros1.resync import (
+    beginning_of_chunk,
+    loss_of_cut_chunk,
     next_record,
-    read_chunk_or_beginning,
     stands_behind,
     stands_here,
     whole_records,
@@ -177,7 +178,10 @@ class Ros1Reader:
             begin, end = source.position - 8 - len(head.header), source.position + head.size
             try:
                 if head.op == CHUNK:
-                    chunk = self._chunk(source, head)
+                    for part in self._chunks(source, head):
+                        if chunk:
+                            yield chunk
+                        chunk = part
                 elif head.op == CONNECTION and not self._recover:
                     yield _Connected(head.header, source.read(head.size, head.what))
                 else:
@@ -211,13 +215,12 @@ class Ros1Reader:
         if source.position != self._index_at:
             raise BagError(f"{self.name}: chunks reach beyond the index at byte {self._index_at}; the bag is damaged")
 
-    def _chunk(self, source: Source, head: Head) -> Chunk:
-        if not self._recover:
-            return read_chunk(source, head)
-        chunk, lost = read_chunk_or_beginning(source, head)
-        if lost:
-            self.losses.append(lost)
-        return chunk
+    def _chunks(self, source: Source, head: Head) -> Iterator[Chunk]:
+        if not self._recover or source.position + head.size <= (source.size or 0):
+            yield from read_chunks(source, head, verify=self._recover)
+        else:
+            self.losses.append(loss_of_cut_chunk(source, head))
+            yield from beginning_of_chunk(source, head)
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
         """Process a record between chunks; return the chunk being collected."""

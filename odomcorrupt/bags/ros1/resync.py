@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codecs import beginning
-from odomcorrupt.bags.ros1.chunk import CODECS, Chunk, Head, Ros1Framing, read_chunk, read_head
+from odomcorrupt.bags.codec_streams import PackedInSource, beginning
+from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing, chunks_of, codec_and_size, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
@@ -18,9 +19,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from odomcorrupt.bags.ros1.chunk import Chunk, Head
     from odomcorrupt.bags.source import Source
 
-__all__ = ["next_record", "read_chunk_or_beginning", "stands_behind", "stands_here", "whole_records", "without"]
+__all__ = [
+    "beginning_of_chunk",
+    "loss_of_cut_chunk",
+    "next_record",
+    "stands_behind",
+    "stands_here",
+    "whole_records",
+    "without",
+]
 
 _WINDOW_BYTES = 1 << 20
 _LOOK_BYTES = 1 << 13
@@ -79,8 +89,8 @@ def next_record(source: Source, begin: int) -> bool:
     return at < size
 
 
-def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
-    """Return a chunk, or the intact part of one truncated by the file's end, and a sentence on the loss ("" for none).
+def loss_of_cut_chunk(source: Source, head: Head) -> str:
+    """Return a sentence on a chunk that is truncated by the file's end.
 
     Raises
     ------
@@ -88,17 +98,20 @@ def read_chunk_or_beginning(source: Source, head: Head) -> tuple[Chunk, str]:
         If the chunk is damaged otherwise: its length covers later records.
 
     """
-    left = (source.size or 0) - source.position
-    if head.size <= left:
-        return read_chunk(source, head), ""
-    here = source.position
+    here, left = source.position, (source.size or 0) - source.position
     lost = f"{source.name}: {head.what} needs {head.size} bytes, {left} are left: the bag is truncated in a chunk"
     if next_record(source, here - 8 - len(head.header)):
         raise BagError(lost)
     source.seek(here)
-    codec = head.fields.get("compression", b"").decode(errors="replace")
-    data = np.frombuffer(beginning(codec, source.read(left, head.what), source.budget), dtype=np.uint8)
-    return Chunk(whole_records(data), codec, f"{source.name}: {head.what}"), lost
+    return lost
+
+
+def beginning_of_chunk(source: Source, head: Head) -> Iterator[Chunk]:
+    """Yield the intact records of a chunk that is truncated by the file's end."""
+    codec, _ = codec_and_size(head, f"{source.name}: {head.what}")
+    packed = PackedInSource(source, (source.size or 0) - source.position, head.what)
+    for chunk in chunks_of(beginning(codec, packed, source.budget), head, source):
+        yield replace(chunk, data=whole_records(chunk.data))
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -143,7 +156,8 @@ def _found(source: Source, begin: int, end: int, kinds: Container[int]) -> Itera
         window = source.sniff(_WINDOW_BYTES + _LOOK_BYTES)
         hit = window.find(_OP)
         while 0 <= hit < _WINDOW_BYTES:
-            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1):
+            kind = int.from_bytes(window[hit + len(_OP) : hit + len(_OP) + 1], "little")
+            for start in range(hit - 4, max(-1, hit - _BACK_BYTES), -1) if kind in kinds else ():
                 if begin + start < end and _kind_at(window, start, (source.size or 0) - begin - start) in kinds:
                     yield begin + start
                     break
@@ -160,9 +174,9 @@ def _here(source: Source) -> int | None:
 def _kind_at(window: bytes, at: int, left: int) -> int | None:
     """Return the kind of a plausible record at a byte; None for none."""
     length = int.from_bytes(window[at : at + 4], "little")
-    header = window[at + 4 : at + 4 + length]
-    if not 9 <= length <= _LOOK_BYTES - 8 or len(header) < length or left < length + 8:
+    if not 9 <= length <= _LOOK_BYTES - 8 or len(window) < at + 4 + length or left < length + 8:
         return None
+    header = window[at + 4 : at + 4 + length]
     try:
         fields = parse_fields(header, "")
         kind = number(fields, "op", "")
