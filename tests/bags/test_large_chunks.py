@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 import zlib
+from itertools import pairwise
 from pathlib import Path
 
 import lz4.frame
@@ -206,21 +207,23 @@ print(code, int(re.search(r"VmHWM:\s*(\d+)", Path("/proc/self/status").read_text
 
 
 def with_zeros(kind):
-    """Return a change that puts 100 messages of 1 MB of zeros before the second half of a chunk's records."""
+    """Return a change that puts 100 messages of 1 MB of zeros between a chunk's records."""
 
     def change(data):
-        at = 0
-        while at < len(data) // 2:
+        at, ends = 0, []
+        while at < len(data):
             at += 9 + struct.unpack_from("<Q", data, at + 1)[0] if kind == "mcap" else size_of_ros1(data, at)
+            ends.append(at)
         if kind == "mcap":
             schemas = record(4, struct.pack("<HHI", 999, 0, 6), b"/zeros", struct.pack("<I4sI", 4, b"json", 0))
-            more = schemas + record(5, struct.pack("<HIQQ", 999, 1, 1, 1), bytes(MB)) * 100
+            zeros = record(5, struct.pack("<HIQQ", 999, 1, 1, 1), bytes(MB))
         else:
             number = struct.pack("<I", 999)
             fields = packed({"topic": b"/zeros", "type": b"a/B", "md5sum": b"*", "message_definition": b""}, b"")[4:-4]
-            more = packed({"conn": number, "op": b"\x07", "topic": b"/zeros"}, fields)
-            more += packed({"conn": number, "op": b"\x02", "time": struct.pack("<II", 1, 1)}, bytes(MB)) * 100
-        return data[:at] + more + data[at:]
+            schemas = packed({"conn": number, "op": b"\x07", "topic": b"/zeros"}, fields)
+            zeros = packed({"conn": number, "op": b"\x02", "time": struct.pack("<II", 1, 1)}, bytes(MB))
+        places = [0, *ends[90 :: len(ends) // 100][:100], len(data)]
+        return schemas + zeros.join(data[begin:end] for begin, end in pairwise(places))
 
     return change
 
@@ -241,4 +244,4 @@ def test_a_chunk_of_100_mb_takes_less_than_160_mb(kind, codec, piped, tmp_path):
     zeros = [one.data for one in found if one.topic == "/zeros"]
     assert len(zeros) == 100
     assert set(zeros) == {bytes(MB)}
-    assert len(found) == 100 + len(everything(kind, in_one_chunk(kind, codec, source)))
+    assert len(found) == 100 + len(everything(kind, in_one_chunk(kind, codec, tmp_path / f"plain.{kind}")))
