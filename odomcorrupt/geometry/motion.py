@@ -77,12 +77,17 @@ class LineFits:
         self._spread, self._middle = np.maximum(stt - st**2 / count, 1e-12), st / count
 
     def slopes(self, values: Array) -> Array:
-        """Return the time derivatives (m, c) of values (n, c): the slopes of the lines."""
+        """Return the time derivatives (m, c) of values (n, c): the slopes of the lines.
+
+        Where no value changes they are zero: what running sums round off over a long run would pass for motion at rest.
+        """
         slope = np.empty((len(self._first), values.shape[1]))
         # channel by channel, for contiguous memory
         for i, origin in enumerate(values.mean(axis=0)):
             x = values[:, i] - origin
             slope[:, i] = (self._window_sum(x * self._centred) - self._window_sum(x) * self._middle) / self._spread
+        changes = np.concatenate(([0], np.cumsum((values[1:] != values[:-1]).any(axis=1))))
+        slope[changes[self._first] == changes[self._last - 1]] = 0.0
         return slope
 
     def _window_sum(self, x: Array) -> Array:
