@@ -182,10 +182,13 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
     step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
-    hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
     prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
     root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
-    rooted: Array = unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
+    # between two neighbouring knots, both of which there are
+    left = np.minimum(np.searchsorted(knots, time, side="right") - 1, len(knots) - 2)
+    part = ((time - knots[left]) / step)[:, None]
+    between = (1.0 - part) * root[left] + part * root[left + 1]
+    rooted: Array = unit_column(problem, process)[:, :, None] * between[:, None, :]
     return rooted
 
 
