@@ -46,7 +46,7 @@ MAX_ROUNDS = 2000
 _NUDGE = 0.5
 """How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
 
-_BLOCK = 2048
+_BLOCK = 1024
 
 _RUNAWAY = 1e6
 """An increment that changes by more metres than this diverges."""

@@ -88,11 +88,12 @@ def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_pose
     for name in ("start_s", "residual", "share", "lever", "truth_xyt"):
         whole = np.concatenate([getattr(one.nodes, name) for one in apart])
         np.testing.assert_allclose(getattr(together.nodes, name), whole, rtol=0.0, atol=1e-12)
-    # the step in which the truth jumps belongs to two intervals of one motion
+    # about a jump the motion of one stretch ends and that of the other begins
     inner = together.nodes.linked & np.append(together.nodes.linked[1:], True)
     for effect in tried:
         whole = np.concatenate([one.columns(effect) for one in apart])
-        np.testing.assert_allclose(together.columns(effect), whole, rtol=0.0, atol=2e-5, err_msg=effect.name)
+        most = (1e-3 if side == "odometry" else 0.02) * np.abs(whole).max()
+        np.testing.assert_allclose(together.columns(effect), whole, rtol=0.0, atol=most)
         np.testing.assert_allclose(together.columns(effect)[inner], whole[inner], rtol=0.0, atol=1e-7)
 
 

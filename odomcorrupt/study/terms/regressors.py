@@ -83,7 +83,9 @@ class MotionSmoother:
             _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)
             for (stretch, part), width_s in zip(shared, widths_s, strict=True)
         ]
-        self._speeds = LineFits(middle, middle, max(widths_s))
+        parts = zip((part for _, part in shared), widths_s, strict=True)
+        self._speeds = [LineFits(part, part, width_s) for part, width_s in parts]
+        self._cuts = np.cumsum([len(part) for _, part in shared])[:-1]
 
     @cached_property
     def recorded(self) -> Motion:
@@ -100,7 +102,7 @@ class MotionSmoother:
             v=v,
             vy=vy,
             omega=omega,
-            acceleration=self._speeds.slopes(twist),
+            acceleration=self._accelerations(twist),
             x=self._x,
             y=self._y,
             theta=self._theta,
@@ -110,7 +112,11 @@ class MotionSmoother:
 
     def acceleration(self, recording: Recording) -> Array:
         """Return the acceleration (n, 3) of `motion` alone."""
-        return self._speeds.slopes(self._twist(recording))
+        return self._accelerations(self._twist(recording))
+
+    def _accelerations(self, twist: Array) -> Array:
+        parts = np.split(twist, self._cuts)
+        return np.concatenate([fits.slopes(part) for fits, part in zip(self._speeds, parts, strict=True)])
 
     def _twist(self, recording: Recording) -> Array:
         if self._side == "odometry":
