@@ -17,11 +17,14 @@ from scipy.linalg import lapack
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
 
 __all__ = [
+    "Shrunk",
     "Whitener",
     "band_of",
     "dense_covariance",
@@ -39,19 +42,34 @@ BAND = 5
 
 
 @dataclass(frozen=True, slots=True)
+class Shrunk:
+    """Orthonormal directions L^-1 S M of whitened residuals along which a process makes them shrink.
+
+    As S is sparse and M small they are never multiplied out: that would take as much memory as hundreds of columns, and
+    most of the time of everything that is whitened.
+
+    spread : S (3 K, k) what each knot of a process does to each residual, sparse
+    mixing : M (k, m) of the knots, for each direction
+    factors : (m,) by which whitened data shrink along them
+    """
+
+    spread: csr_array
+    mixing: Array
+    factors: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Whitener:
     """The banded Cholesky factor L of the residuals' covariance.
 
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
-    directions, shrink : (3 K, m) orthonormal, and (m,) factors by which whitened data shrink along them: what a
-        process spread over all residuals adds to the covariance; none by default
+    shrunk : what a process spread over all residuals adds to the covariance; none by default
     """
 
     factor: Array
     log_det: float
-    directions: Array | None = None
-    shrink: Array | None = None
+    shrunk: Shrunk | None = None
 
     def whiten(self, columns: Array) -> Array:
         """Return L^-1 x for x of shape (K, 3) or (K, 3, c), as (3 K,) or (3 K, c): standardised innovations."""
@@ -62,23 +80,27 @@ class Whitener:
         """Return L^-1 x for x of shape (3 K, c)."""
         if not flat.shape[1]:  # LAPACK writes where there is nothing
             return flat
-        solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
-        if info != 0:
-            raise FitError("the covariance of the residuals is singular")
-        if self.directions is not None and self.shrink is not None:
-            solved = solved - self.directions @ ((1.0 - self.shrink)[:, None] * (self.directions.T @ solved))
-        white: Array = solved
-        return white
+        white = self._solved(flat)
+        return white if self.shrunk is None else white - self._lost(white, self.shrunk)
 
     def pulled(self, white: Array) -> Array:
         """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
-        rest = white
-        if self.directions is not None and self.shrink is not None:
-            rest = white - self.directions @ ((1.0 - self.shrink) * (self.directions.T @ white))
-        solved, info = lapack.dtbtrs(self.factor, rest[:, None], uplo="L", trans="T")
+        rest = white[:, None]
+        if self.shrunk is not None:
+            rest = rest - self._lost(rest, self.shrunk)
+        return self._solved(rest, transposed=True).reshape(-1, 3)
+
+    def _lost(self, white: Array, shrunk: Shrunk) -> Array:
+        """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""
+        along = shrunk.mixing.T @ (shrunk.spread.T @ self._solved(white, transposed=True))
+        return self._solved(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
+
+    def _solved(self, flat: Array, *, transposed: bool = False) -> Array:
+        """Return L^-1 x for x of shape (3 K, c), or its transpose's."""
+        solved, info = lapack.dtbtrs(self.factor, flat, uplo="L", trans="T" if transposed else "N")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
-        back: Array = solved.reshape(-1, 3)
+        back: Array = solved
         return back
 
     def log_likelihood(self, innovations: Array) -> float:
