@@ -12,6 +12,7 @@ import os
 import pkgutil
 import signal
 import sys
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -163,6 +164,11 @@ def _path(args: Sequence[str]) -> str:
     return f"odomcorrupt {args[0]}" if named else "odomcorrupt"
 
 
+def _warn(message: Warning | str, *_where: object, **_more: object) -> None:
+    """Say a warning in a line, without the place in the source."""
+    _say(f"warning: {message}")
+
+
 def _say(sentence: str) -> None:
     click.echo(f"odomcorrupt: {visible(sentence.replace(chr(10), ' '))}", err=True)
 
@@ -174,6 +180,7 @@ def _terminated(number: int, _frame: object) -> NoReturn:
 def main() -> NoReturn:
     """Run the command line with the arguments of the program, and end the program."""
     install()
+    warnings.showwarning = _warn
     # threads of a linear algebra library only wait for each other on matrices as narrow as ours
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # a kill unwinds like an error, so that a half-written output is removed

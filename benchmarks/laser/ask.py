@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from laser.drives import Seen
     from odomcorrupt.study.io.laser_truth import LaserRun
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
 
 __all__ = ["ask"]
@@ -73,9 +75,17 @@ def ask(case: Case) -> dict[str, Any]:
     row["error"] = {
         "before": ten_second_error([recording]),
         "mocap": ten_second_error([recording], _robots(mocap)),
-        "laser": ten_second_error([recording], _robots(laser)),
+        "laser": ten_second_error([_in_the_map(recording, seen, recordings[0])], _robots(laser)),
     }
     return row
+
+
+def _in_the_map(judged: Recording, seen: Seen, taught: Recording) -> Recording:
+    """Return a recording whose exact truth is in the frame of the laser's map, where places and slopes were learned."""
+    origin_ns = int(seen.exact.stamps_ns[0])
+    exact = seen.exact.at((taught.truth.stamps_ns[:1] - origin_ns) * 1e-9 - seen.lag_s, origin_ns)
+    moved = compose(taught.truth.xyt[:1], between(exact, judged.truth.xyt))
+    return replace(judged, truth=replace(judged.truth, xyt=moved))
 
 
 def _robots(learned: Learned) -> list[Any]:

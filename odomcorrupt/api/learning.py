@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.comparison import Comparison
@@ -32,7 +32,15 @@ class Learned(Findings):
     @property
     def model(self) -> Model:
         """The model that was learned, as it can be used."""
-        return Model.of(self.result.proof.model)
+        from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
+
+        model = self.result.proof.model
+        said = reproduction_sentence(self.result.reproduction)
+        if said:
+            written = model.source.get("remarks", [])
+            remarks = [*(written if isinstance(written, list) else []), said]
+            model = replace(model, source=dict(model.source) | {"remarks": remarks})
+        return Model.of(model)
 
     @property
     def comparison(self) -> Comparison:
@@ -57,6 +65,8 @@ class Learned(Findings):
             found.advice,
             found.comparison,
             fit=self._fit,
+            robot=found.robot,
+            reproduction=found.reproduction,
             notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
             following=next_line(self.following),
         )
@@ -66,15 +76,22 @@ class Learned(Findings):
         from odomcorrupt.report.text.comparison import comparison_text
         from odomcorrupt.report.text.diagnosis import found_text
         from odomcorrupt.report.text.fit import fit_text
+        from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
 
         found = self.result
         said = found_text(found.search, found.advice, judged=self._judged, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
-        return "\n".join([said, *found.dropped, *fitted, "", comparison_text(found.comparison)])
+        drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
+        return "\n".join([said, *drifts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return what was found, and the comparison, as docs/json.md describes them."""
-        return Findings.to_dict(self) | {"comparison": self.comparison.to_dict()}
+        from odomcorrupt.report.json.diagnosis import reproduction_json
+
+        return Findings.to_dict(self) | {
+            "reproduction": reproduction_json(self.result.reproduction),
+            "comparison": self.comparison.to_dict(),
+        }
 
     def draw(self, picture: str) -> Figure:
         """Return a picture of the errors without and with what was found.

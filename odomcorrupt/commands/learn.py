@@ -73,7 +73,14 @@ def command(
     with reading.stages(voice) as stages:
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
-    result = replace(result, following=_following(output, [*map(str, paths), *reading.words()]))
+    judged_on = [*map(str, validate or paths), *reading.words()]
+    usable = not result.comparison.rejected and result.result.reproduction.holds
+    result = replace(
+        result,
+        following=_following(output, [*map(str, paths), *reading.words()])
+        if output is None or usable
+        else f"odomcorrupt compare {shlex.join([*judged_on, str(output)])} -v",
+    )
     files = dict(advice_files(result, drive, report))
     if output is not None:
         files = {output: lambda: result.model.save(output, overwrite=True), **files}

@@ -14,6 +14,7 @@ from odomcorrupt.corruption.path import PathSamples, StepGrowth, noise_variances
 from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.transform import Transform
 from odomcorrupt.errors import BagError
+from odomcorrupt.geometry.rounded_stamps import evened
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
@@ -135,7 +136,9 @@ def corrected_samples(
 
     """
     clocks = [effect for effect in model.effects if effect.clock]
-    t_ns = true_stamps(clocks, stamps_ns, first_ns)
+    # rates of rounded stamps flicker: they are taken from the grid that a fit takes them from, too
+    even_ns = evened(stamps_ns)
+    t_ns = true_stamps(clocks, stamps_ns if even_ns is None else even_ns, first_ns)
     t_s = (t_ns - t_ns[0]) * np.float64(1e-9)
     undone = undo_effects(model.effects, t_s, measured_xyt, model.track_m, frame_xyt=frame_xyt)
     origin_xy = measured_xyt[0, :2].copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,12 @@ _LONGEST_S = 0.25
 _CAUGHT_UP = 1.35
 _OFTEN = 0.005
 """Part of increments that is lost alone, for two in a row to be likely at all."""
+_BESIDE = 2
+"""Increments on each side that say what a pair of neighbours would be if they had caught up nothing."""
+_MANY = 1.5
+"""A neighbour of a lost increment is more than so many ticks: two, of whole ones."""
+_USUALLY, _ROUNDING_M = 0.8, 1e-7
+"""Part of the changes between increments that are no larger than the usual one, and what is no change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +86,7 @@ class LostIncrements(Effect):
 
     def restored(self, motion: Motion) -> Motion:
         """Return the motion with those that are plainly lost as fast as their neighbours."""
-        gone = lost(motion)
+        gone = losses(motion).lost
         if not (self.acts and gone.any()):
             return motion
         middle = np.cumsum(motion.dt_s) - motion.dt_s / 2.0
@@ -102,32 +108,74 @@ class LostIncrements(Effect):
         return (Gain(twist, np.zeros_like(motion.v), np.full_like(motion.v, variance), 0.0),)
 
 
-def moving(motion: Motion) -> NDArray[np.bool_]:
-    """Return in which intervals (n,) the odometry reports a motion that it could not be mistaken about."""
-    fast: NDArray[np.bool_] = np.hypot(motion.v, motion.vy) + _ARM_M * np.abs(motion.omega) > _MOVING_MPS
-    return fast
+class Losses(NamedTuple):
+    """What an odometry shows of lost increments.
+
+    lost : (n,) which increments are zero, alone or a few in a row, where they would have been many ticks
+    seen : how many these are
+    of : how many increments, lost or not, follow one after which a loss is seen
+    hidden : part of the moving increments that are too few ticks for a loss to be seen
+    """
+
+    lost: NDArray[np.bool_]
+    seen: int
+    of: int
+    hidden: float
+
+    @property
+    def fraction(self) -> float:
+        """Part of the increments that is lost, of those a loss of which would be seen."""
+        return self.seen / max(self.of, 1)
 
 
-def lost(motion: Motion) -> NDArray[np.bool_]:
-    """Return which increments (n,) are zero, alone or a few in a row, between neighbours that move.
+def losses(motion: Motion) -> Losses:
+    """Return which increments of an odometry are lost.
 
-    A count that only came late is none of them: a neighbour catches up, and the two beside it go farther than those
-    around them.
+    An increment of zero is a loss where both of its neighbours are plainly larger than what increments usually differ
+    by: an encoder of coarse ticks reports zeros by itself, but none between increments of two ticks. A count that only
+    came late is none: a neighbour catches up, and the two beside it go farther than those around them.
     """
     gone = np.zeros(len(motion), dtype=bool)
-    still = (np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s < _STILL
-    going = np.flatnonzero(~still)
-    way = ((np.hypot(motion.v, motion.vy) + _ARM_M * np.abs(motion.omega)) * motion.dt_s)[going]
-    fast = moving(motion)[going]
-    last, following = going[1:-2], going[2:-1]
+    arm_m = _ARM_M if motion.track_m is None else motion.track_m / 2.0
+    travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
+    going = np.flatnonzero((np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL)
+    way = travel[going]
+    if len(going) < _BESIDE + 2:
+        return Losses(gone, 0, 0, 0.0)
+    fast = way > _MOVING_MPS * motion.dt_s[going]
+    plain = fast & (way > _MANY * _usual_change(going, way))
+
+    last, following = going[:-1], going[1:]
     gap = following - last - 1
     ends_s = np.cumsum(motion.dt_s)
     gap_s = ends_s[following - 1] - ends_s[last]
     alone = (gap == 1) | ((gap > 1) & (gap <= _MOST_IN_A_ROW) & (gap_s < _LONGEST_S))
-    caught_up = way[1:-2] + way[2:-1] > _CAUGHT_UP * (way[:-3] + way[3:])
-    found = alone & fast[1:-2] & fast[2:-1] & ~caught_up
+    zero = alone & plain[:-1] & plain[1:]
+    caught_up = zero & (way[:-1] + way[1:] > _CAUGHT_UP * 2.0 * _around(way))
+    found = zero & ~caught_up
+    if caught_up.sum() > found.sum():
+        found[:] = False  # this odometry's counts come late: those that seem lost did, too
     if np.sum(found & (gap == 1)) < _OFTEN * np.sum(fast):
         found &= gap == 1  # where hardly any is lost, several in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True
-    return gone & (motion.dt_s > 0.0)  # a stamp that came twice lost nothing
+    gone &= motion.dt_s > 0.0  # a stamp that came twice lost nothing
+
+    arrived = int(np.sum(plain[:-1] & plain[1:] & ((gap == 0) | found)))
+    hidden = 1.0 - float(plain.sum()) / max(int(fast.sum()), 1)
+    return Losses(gone, int(gone.sum()), int(gone.sum()) + arrived, hidden)
+
+
+def _usual_change(going: NDArray[np.int64], way: Array) -> float:
+    """Return what an increment that moves usually differs by from the next one, metres, where it does: a tick."""
+    change = np.abs(np.diff(way))[np.diff(going) == 1]
+    change = change[change > _ROUNDING_M]
+    return float(np.quantile(change, _USUALLY)) if len(change) else 0.0
+
+
+def _around(way: Array) -> Array:
+    """Return the mean (n - 1,) of the increments around each pair of neighbours, the pair left out."""
+    padded = np.concatenate((np.full(_BESIDE, way[0]), way, np.full(_BESIDE, way[-1])))
+    total = np.convolve(padded, np.ones(2 * _BESIDE + 2), "valid")
+    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _BESIDE)
+    return around

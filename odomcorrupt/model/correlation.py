@@ -7,6 +7,7 @@ that are drawn from their standard errors alone would be worse copies than the d
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -57,10 +58,13 @@ class Correlation:
     def from_table(cls, table: Mapping[str, Any], known: Container[str]) -> Correlation:
         """Return what a model file's [fit.correlation] says; known are the parameters that have a standard error.
 
+        A file whose effects or coefficients were edited by hand may name parameters that it no longer has: then no
+        correlation is known, and a warning says so.
+
         Raises
         ------
         ModelError
-            Where names or numbers make no sense.
+            Where the table or its numbers make no sense.
 
         """
         for key in table:
@@ -71,12 +75,6 @@ class Correlation:
             raise ModelError('fit.correlation.parameters: write a list of names, as in ["rot_trans", "wheelbase.e"]')
         if len(names) > MOST or len(set(names)) < len(names):
             raise ModelError(f"fit.correlation.parameters: {len(names)} names; at most {MOST}, each once")
-        for name in names:
-            if name not in known:
-                raise ModelError(
-                    f"fit.correlation: {name!r} has no standard error in [noise] or [[effect]]; give it one, or take "
-                    "its row and column out"
-                )
         matrix = _matrix(rows, len(names))
         lowest = float(np.linalg.eigvalsh(matrix)[0]) if len(names) else 0.0
         if lowest < -_ROUNDED * len(names):
@@ -84,6 +82,14 @@ class Correlation:
                 f"fit.correlation.matrix: no errors hang together like this (its smallest eigenvalue is {lowest:.3g}, "
                 "below 0); move its numbers towards 0"
             )
+        gone = [name for name in names if name not in known]
+        if gone:
+            warnings.warn(
+                f"[fit.correlation] is left out: {', '.join(gone)} has no standard error in [noise] or [[effect]] "
+                "(edited by hand?); delete the table, or fit again",
+                stacklevel=2,
+            )
+            return cls()
         return cls(tuple(names), tuple(map(tuple, matrix.tolist())))
 
     def among(self, names: Iterable[str]) -> Correlation:

@@ -12,10 +12,13 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.design.advise import Advice, advise
 from odomcorrupt.study.estimate.calibrate import RobotFit, fit_robot
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.validate.compare import Comparison, compare
 from odomcorrupt.study.validate.held_out import keep_what_holds
 from odomcorrupt.study.validate.model_sequence import sequence_comparison
+from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
 
 if TYPE_CHECKING:
@@ -47,6 +50,7 @@ class LearnedRobot:
     advice : what these data leave open, and which drive would settle it
     base, robot : the fits without effects and with all that was found
     proof : the model as it can be used: read back, corrected and corrupted with
+    reproduction : how far the model drifts beside the recordings, the stretches that the fit left out included
     dropped : sentences of what was found, but is not in the model because held-out data speak against it
     comparison : both, judged on the held-out recordings or by cross-validation
     """
@@ -58,6 +62,7 @@ class LearnedRobot:
     base: RobotFit
     robot: RobotFit
     proof: RoundTrip
+    reproduction: Reproduction
     dropped: tuple[str, ...]
     comparison: Comparison
 
@@ -79,6 +84,9 @@ def learn_robot(
     watch : called before each stage
     """
     watch("search for missing effects", 0.0)
+    recordings, held_out = (
+        with_correlation_lengths(some, choose_approach(some)) if some else some for some in (recordings, held_out)
+    )
     search, parts = keep_what_holds(learn(recordings), held_out)
     watch("what the data leave open", 0.6)
     advice = advise(search)
@@ -102,6 +110,7 @@ def learn_robot(
         base=base,
         robot=robot,
         proof=proof,
+        reproduction=reproduction_of(robot.fit, proof.model),
         dropped=tuple(part.remark for part in parts if part.harm),
         comparison=compare(judged_on, models),
     )

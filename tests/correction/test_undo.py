@@ -57,6 +57,17 @@ def there_and_back(chosen, stamps_ns, clean):
     return np.abs(wrong - clean).max(), np.abs(back - clean).max()
 
 
+def test_rounded_stamps_do_not_make_a_law_of_the_acceleration_flicker():
+    stamps_ns, measured = drive(rate_hz=29.4)
+    law = user_effect("soft", "left += v * (k * where(a * sign(v) > -0.25, 1, 0))", {"k": -0.02})
+    exact, rounded = (
+        corrected_samples(model(law), at_ns, measured, first_ns=int(at_ns[0])).error_xyt
+        for at_ns in (stamps_ns, stamps_ns // 10_000_000 * 10_000_000)
+    )
+    assert np.abs(exact).max() > 0.2
+    assert np.abs(rounded - exact).max() < 0.02 * np.abs(exact).max()
+
+
 @pytest.mark.parametrize("name", SYSTEMATIC)
 def test_every_systematic_effect_is_taken_out_exactly(name):
     moved, left = there_and_back(model(usual(name)), *drive(sideways=registry()[name].needs_sideways))

@@ -81,8 +81,6 @@ def test_file_keeps_it_in_the_order_of_its_parameters():
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
-        ('"trans_trans"]', '"rot_rot"]', "'rot_rot' has no standard error"),
-        ('"trans_trans"]', '"lever_arm.x"]', "has no standard error"),
         ('"trans_trans"]', '"wheelbase.e"]', "each once"),
         ('["wheelbase.e", "wheel_scale.e", "trans_trans"]', '"wheelbase.e"', "write a list of names"),
         ("[0.0, 0.2, 1]", "[0.0, 0.2]", "3 rows of 3 numbers"),
@@ -103,6 +101,23 @@ def test_what_makes_no_sense_is_reported_in_one_line(old, new, word):
         parse_model(FILE.replace(old, new))
     assert word in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "gone"),
+    [
+        ("{ value = 0.02, standard_error = 0.005 }", "0.02", "trans_trans"),
+        ('name = "wheelbase"', 'name = "gyro_scale"', "wheelbase.e"),
+    ],
+)
+def test_an_edited_file_is_read_without_its_correlation_and_one_warning_says_so(old, new, gone):
+    assert old in FILE
+    with pytest.warns(UserWarning, match=rf"\[fit.correlation\] is left out: {gone} has no standard error") as said:
+        model = parse_model(FILE.replace(old, new))
+    assert len(said) == 1
+    assert "\n" not in str(said[0].message)
+    assert len(model.correlation) == 0
+    assert "[fit" not in format_model(model)
 
 
 def test_errors_that_cannot_hang_together_so_are_refused():

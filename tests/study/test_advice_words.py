@@ -18,6 +18,7 @@ def learned(*effects, track_m=None):
         fit=SimpleNamespace(effects=effects, problem=problem),
         rounds=(SimpleNamespace(candidates=()),),
         drive_type=DriveType("differential"),
+        may_be_losses=lambda _: False,
     )
 
 

@@ -116,3 +116,19 @@ def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
         seen += [t_s for one, t_s in driven if one is long]
     assert min(t_s[0] for t_s in seen) < 300.0
     assert max(t_s[-1] for t_s in seen) == long.t_s[-1]
+
+
+def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive):
+    silent = Noise("diffusion", Coefficients(0.0, 0.0, 0.0, 0.0))
+    soft = user_effect("soft", "left += v * (k * 1)", {"k": -0.02})
+    wrong = drive.odometry.xyt + corrupted(MotionModel(silent, (soft,), track_m=0.4), drive)
+    jitter_ns = np.random.default_rng(4).integers(-8_000_000, 8_000_000, len(wrong))
+    run = replace(drive, odometry=Trajectory(drive.odometry.stamps_ns + jitter_ns, wrong), track_m=0.4)
+    law = user_effect("soft", "left += v * (k * where(a * sign(v) > -1.5, 1, 0))", {"k": -0.02})
+    found = verified_model(MotionModel(NOISE, (law,), track_m=0.4, standard_errors={"soft.k": 0.001}), [run])
+    (mean,) = found.model.effects
+    assert mean.expression.text == "left += v * k"
+    assert mean.k == pytest.approx(-0.02, rel=0.02)
+    assert "replaced by its mean" in found.changes[0]
+    assert "the fit" in found.changes[0]
+    assert parse_model(format_model(found.model)).source["remarks"] == list(found.changes)

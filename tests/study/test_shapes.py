@@ -9,16 +9,19 @@ import pytest
 from hidden import as_recording
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.motion import motion_of
 from odomcorrupt.simulation import simulate
 from odomcorrupt.study.estimate.cluster_variance import between_blocks, inflation, shared_variance
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.select.shape_search import maximise
+from odomcorrupt.study.select.shape_search import maximise, starts
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis.motion import functions_of_motion
 from odomcorrupt.study.terms.basis.place import _box, _strip
+from odomcorrupt.study.terms.channels import Action
+from odomcorrupt.study.terms.term import BasisTerm
 
 FAR_AWAY = np.array([512_345.0, 4_998_765.0, 0.0])
 """Where a map in UTM may begin, m."""
@@ -28,6 +31,15 @@ def test_a_ridge_is_followed_to_its_top():
     # no single number moved alone gains anything on the way
     top = maximise(lambda v: -50.0 * (v[0] - v[1]) ** 2 - 5.0 * (v[0] + v[1] - 6.0) ** 2, np.zeros(2), np.full(2, 0.1))
     assert top == pytest.approx([3.0, 3.0], abs=0.05)
+
+
+@pytest.mark.parametrize("side", ["left", "right", "wheels", "along"])
+def test_a_step_is_searched_beside_a_hinge_of_the_same_regressor(side):
+    motion = motion_of(np.arange(401) * 0.05, np.column_stack((np.linspace(0.0, 4.0, 401) ** 2, *np.zeros((2, 401)))))
+    of_speed = [f for f in functions_of_motion([motion]) if f.regressor == "speed" and f.form]
+    ranked = [BasisTerm(f, Action(side, "v")) for f in sorted(of_speed, key=lambda f: f.form)]
+    assert [term.function.form for term in starts(ranked, 500.0)] == ["hinge", "step"]
+    assert "where(abs(v) >" in next(f for f in of_speed if f.form == "step").text
 
 
 @pytest.mark.slow

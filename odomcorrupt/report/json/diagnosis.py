@@ -17,7 +17,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import drive_sentence
 from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.clock_gain import clock_gain
 
@@ -28,13 +28,15 @@ if TYPE_CHECKING:
     from odomcorrupt.report.text.confidence import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.random_effects import RandomCoefficient
     from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = ["learned_json"]
+__all__ = ["learned_json", "recordings_json", "reproduction_json"]
 
 SCHEMA = 2
 
@@ -68,6 +70,7 @@ def learned_json(
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unknown else "missing" if found else "complete",
             "rejected": (judged and rejection(judged)) or None,
+            "recordings": recordings_json(learned.fit.problem.recordings),
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
             "candidates": [_candidate(c) for c in learned.rounds[0].candidates],
@@ -105,6 +108,28 @@ def learned_json(
             "contradictions": [{"effect": one.name, "why": one.refused} for one in learned.contradictions],
             "ladder": [_step(judgement) for judgement in sequence],
             **_advice(advice),
+        }
+    )
+    return values
+
+
+def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
+    """Return what reading noticed of each recording, and how fast a filter pulls its odometry to poses (0: none)."""
+    return [
+        {"name": one.name, "odometry_pulled_per_s": one.pulled_per_s, "notes": list(one.notes)} for one in recordings
+    ]
+
+
+def reproduction_json(one: Reproduction) -> dict[str, Any]:
+    """Return how far a model drifts beside the recordings that it was learned from."""
+    values: dict[str, Any] = finite(
+        {
+            "measured_rmse_10s": one.measured_m,
+            "corrupted_rmse_10s": one.drawn_m,
+            "corrupted_rmse_10s_range": [one.least_m, one.most_m],
+            "holds": one.holds,
+            "outliers": {"count": one.outliers, "duration_s": one.outlier_s, "share": one.outlier_share},
+            "sentence": reproduction_sentence(one) or None,
         }
     )
     return values

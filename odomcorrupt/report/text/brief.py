@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import isfinite
+from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.effects.effect import amplitudes
@@ -17,7 +17,7 @@ from odomcorrupt.report.text.confidence import (
 )
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import size
+from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size
 from odomcorrupt.report.text.summary import Line, Summary
 from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
 from odomcorrupt.study.terms.drive_type import readings_of
@@ -34,9 +34,11 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.terms.drive_type import DriveType
     from odomcorrupt.study.validate.compare import Comparison
+    from odomcorrupt.study.validate.reproduction import Reproduction
 
 __all__ = ["comparison_brief", "findings_brief", "fit_brief", "readings"]
 
+_PER_METRE = {"rot_trans": "of heading", "trans_trans": "along", "across_trans": "across"}
 _SHOWN_MODELS = 4
 """Models of a comparison that have a line each."""
 
@@ -53,7 +55,9 @@ def findings_brief(
     comparison: Comparison,
     *,
     fit: Fit | None = None,
+    robot: RobotFit | None = None,
     notes: Sequence[str] = (),
+    reproduction: Reproduction | None = None,
     following: Line | None = None,
 ) -> Summary:
     """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
@@ -63,15 +67,19 @@ def findings_brief(
     search, advice : what was found, and what the data leave open
     comparison : the models that were judged; the first one without what was found
     fit : the final fit, where it is not the search's own
+    robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed
+    reproduction : how far the final model drifts beside the recordings, where that is known
     following : the command to type next
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
     first = lines[0].text if lines else "no known effect explains more than chance"
+    if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
+        verdict, tone, first = "MISSING", "warning", "slip_burst or push: what the fit left out as outliers"
     lines = [Line(verdict, first, tone), *lines[1:]]
-    lines += _drive_lines(search)
+    lines += (_hidden_noise(robot) if robot is not None else []) + _drive_lines(search)
     held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
@@ -86,6 +94,10 @@ def findings_brief(
     if last.verdict.rejected and not search.unknown:
         worst = last.verdict.against[0]
         lines.insert(1, Line("rejected", f"the model is still rejected: {worst.question}", "warning"))
+    drifts = reproduction_sentence(reproduction) if reproduction is not None else ""
+    if reproduction is not None and drifts:
+        # before everything else: a simulation would be far too good, or far too bad
+        lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
     return Summary((*lines, *([following] if following else [])))
@@ -185,8 +197,24 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
     if last.failures:
         from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
 
-        lines.append(Line("fails", sentence(last.failures[0]), "warning"))
+        worst = sentence(last.failures[0])
+        if last.verdict.rejected:
+            lines.append(Line("fails", worst, "warning"))
+        else:
+            lines.append(Line("deviation", f"the largest, which does not reject {last.name}: {worst}"))
     return Summary((*lines, *([following] if following else [])))
+
+
+def _hidden_noise(result: RobotFit) -> list[Line]:
+    """Return a line on noise of which a localisation shows no more than an upper bound."""
+    if not any(r.localised for r in result.fit.problem.recordings):
+        return []
+    hidden = [i for i in result.intervals if i.name in _PER_METRE and i.low == 0.0 and i.identifiable]
+    if not hidden:
+        return []
+    bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]
+    most = ", ".join(f"{bound} {_PER_METRE[i.name]}" for bound, i in zip(bounds, hidden, strict=True))
+    return [Line("noise", f"at most {most} after a metre: the truth's own noise hides it; the model has the estimate")]
 
 
 def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
@@ -199,6 +227,7 @@ def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
     k = fit.noise.coefficients
     numbers = [f"{i.name} {getattr(k, i.name):.3g}" for i in result.intervals if i.identifiable]
     lines.append(Line("noise", f"law {law}: {', '.join(numbers) or 'nothing identifiable'}"))
+    lines += _hidden_noise(result)
     hidden = [i.name for i in result.intervals if not i.identifiable]
     if hidden:
         lines.append(Line("", f"not identifiable from this drive: {', '.join(hidden)}", "warning"))

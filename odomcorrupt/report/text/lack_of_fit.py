@@ -9,8 +9,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.lack_of_fit import Failure
+    from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "sentence", "size"]
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "reproduction_sentence", "sentence", "size"]
 
 MOST = 8
 """Sentences printed for a model; JSON has all of them."""
@@ -77,7 +78,8 @@ def judgement_sentence(judgement: Judgement) -> str:
     count = len(verdict.checks)
     level = f"{100.0 * verdict.level:g} % level, {count} tests together"
     if not verdict.rejected:
-        return f"{judgement.name} is not rejected ({level}): errors of this size and kind are as predicted"
+        small = "the largest deviations do not reject it" if judgement.failures else "errors are as predicted"
+        return f"{judgement.name} is not rejected ({level}): {small}"
     worst = verdict.against[0]
     others = len(verdict.against) - 1
     more = f", and {others} more" if others else ""
@@ -98,6 +100,26 @@ def rejection(judgement: Judgement) -> str:
     if small:
         return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
     return f"{said}; the size of its errors is as predicted"
+
+
+def reproduction_sentence(one: Reproduction) -> str:
+    """Return that a model drifts plainly less or more than its recordings, and what carries their error; "" if not.
+
+    Where it does drift as much, the stretches that a fit left out are worth a sentence if they carry most of it.
+    """
+    drifts = f"corrupted with this model 10 s err by {size('along', one.drawn_m)}, recorded by "
+    drifts += size("along", one.measured_m)
+    stretches = "1 stretch" if one.outliers == 1 else f"{one.outliers} stretches"
+    carry = (
+        f"{stretches} ({one.outlier_s:.1f} s) left out of the fit {'carries' if one.outliers == 1 else 'carry'} "
+        f"{100.0 * one.outlier_share:.0f} % of the squared 10 s error"
+    )
+    if one.too_small:
+        why = f"{carry} (slip_burst or push)" if one.by_outliers else "something that makes it drift is not in it"
+        return f"{drifts}: {why}"
+    if one.too_large:
+        return f"{drifts}: its noise is too large, that of the truth may be in it"
+    return carry if one.by_outliers else ""
 
 
 def _times(h: Horizon) -> str:

@@ -26,6 +26,9 @@ __all__ = ["TOO_FEW_NATS", "Ambiguity", "open_choices"]
 TOO_FEW_NATS = 3.0
 """Less than this from ten minutes of the best drive: no drive is worth it."""
 
+_OF_LOSSES = "ticks are too coarse to show a lost increment; publish odometry less often, several ticks an increment"
+"""What separates a larger wheel from lost increments, where an increment is a tick or two."""
+
 _OUTDONE = "others explain it better"
 """How a candidate is passed over that was possible by itself, but not among the few that were fitted."""
 
@@ -66,6 +69,8 @@ def open_choices(drives: Drives, look: Step) -> tuple[list[Ambiguity], list[Gain
             continue
         found.append(Ambiguity((look.added, name), missing_motion(drives, gain, nats), plan, nats))
         gains_found.append(gain)
+    if drives.learned.may_be_losses(look.added):
+        found.append(Ambiguity((look.added, "lost_increments"), "", None, 0.0, _OF_LOSSES))
     said = {look.added, *(name for choice in found for name in choice.names)}
     drive = drives.learned.drive_type
     for twin, kind in kinds.items():

@@ -15,6 +15,7 @@ from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks, levelled
 from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import find_setup, mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
@@ -86,6 +87,7 @@ def fit_robot(
     """
     recordings = [restore_lost(recording, effects) for recording in recordings]
     approach = choose_approach(recordings, law_name)
+    recordings = with_correlation_lengths(recordings, approach)
     start_noise = None
     effects = [*effects, *mounting_of(recordings, effects)]
     if clocks is None:

@@ -14,7 +14,7 @@ from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
-from odomcorrupt.study.terms.drive_type import drive_type_of
+from odomcorrupt.study.terms.drive_type import MOUNTING, drive_type_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "find_clocks", "levelled", "with_rounding"]
+__all__ = ["Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
@@ -35,7 +35,7 @@ _PLAIN_LEVEL, _MOST_LEVEL = 1.5, 30.0
 """By how much truths differ where that is no accident of an estimate, and at most."""
 _LEAST_M, _LEAST_RAD = 1e-4, 1e-4
 """Noise of a truth below which an estimate of it is nothing to compare with."""
-NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", "lever_arm", "mount_yaw")
+_NUISANCE = ("wheel_scale", "wheelbase", "unequal_wheels", *MOUNTING)
 """Free beside the clocks while these are estimated, and then forgotten."""
 RIVALS = ("accel_slip", "backlash", "channel_lag")
 """What looks like a clock at starts and stops: a clock is kept only if it stays when these are free, too."""
@@ -81,6 +81,12 @@ class _Found:
     rival_nats: tuple[float, ...] = ()
 
 
+def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return what is free beside clocks: the usual systematic effects, and where the tracked point may sit."""
+    of_base = any(r.of_base for r in recordings)
+    return tuple(name for name in _NUISANCE if not (of_base and name in MOUNTING))
+
+
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
     """Estimate each recording's clock by exact resampling, with the usual systematic effects free beside it.
 
@@ -96,7 +102,7 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         tuple(f.free for f in each),
         with_rounding([f.errors for f in each], [f.free for f in each], recordings),
         longest.noise.free,
-        tuple(e for e in longest.onward.effects if e.name in NUISANCE),
+        tuple(e for e in longest.onward.effects if e.name in _NUISANCE),
         max(f.ambiguous_nats for f in each),
         max((f.rival_nats for f in each), key=lambda nats: max(nats, default=0.0)),
         tuple(n for n in RIVALS if _untested(registry()[n]) and any(r.track_m is None for r in recordings)),
@@ -163,7 +169,7 @@ def _find_clock(runs: Sequence[Recording], approach: Approach) -> _Found:
     """Return the one clock of all, which of its numbers are real, and their errors: both, the offset alone, nothing."""
     kinds = registry()
     rivals = _rivals(wheels=runs[0].track_m is not None, steered=drive_type_of(runs).steered)
-    nuisance: Sequence[Effect] = [kinds[name]() for name in NUISANCE]
+    nuisance: Sequence[Effect] = [kinds[name]() for name in nuisance_of(runs)]
     clock = coarse_clock(max(runs, key=lambda run: len(run.odometry)))
     noise, alone = None, None
     for free in ((True, True), (True, False)):
@@ -207,7 +213,7 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
 
     One alone may do what it takes all of them to imitate.
     """
-    nuisance, approach = nothing.fit.onward.effects[: len(NUISANCE)], clock.fit.problem.approach
+    nuisance, approach = nothing.fit.onward.effects[: len(nuisance_of(runs))], clock.fit.problem.approach
 
     def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
         clocks, effects = [Clock(offset_s)] * len(runs), (*nuisance, *effects)

@@ -8,9 +8,10 @@ from scipy.stats import chi2
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.study.estimate.clocks import NUISANCE, Clocks
+from odomcorrupt.study.estimate.clocks import Clocks, nuisance_of
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
+from odomcorrupt.study.terms.drive_type import MOUNTING
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["find_setup", "mounting_of"]
 
-_QUANTITIES = ("lever_arm", "mount_yaw")
 _LEVEL = 1e-4
 
 
@@ -34,7 +34,7 @@ def mounting_of(recordings: Sequence[Recording], beside: Sequence[Effect] = ()) 
     aboard = any(r.positioned and (r.matched or r.truth.relative) for r in recordings)
     there = {name for effect in beside for name in (effect.name, effect.twin_of)}
     there |= {name for name, kind in kinds.items() if kind.twin_of in there}
-    return tuple(kinds[name]() for name in _QUANTITIES if aboard and name not in there)
+    return tuple(kinds[name]() for name in MOUNTING if aboard and name not in there)
 
 
 def find_setup(
@@ -53,7 +53,8 @@ def find_setup(
     def usual(names: Iterable[str]) -> list[Effect]:
         return [near.get(name, kinds[name]()) for name in names if name not in asked]
 
-    free, beside = usual(_QUANTITIES), usual(name for name in NUISANCE if name not in _QUANTITIES)
+    names = nuisance_of(recordings)
+    free, beside = (usual(name for name in names if (name in MOUNTING) is ours) for ours in (True, False))
     if not free:
         return ()
 

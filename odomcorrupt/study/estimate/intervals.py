@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.increments import Increments
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Coefficients, Law, Variances
-    from odomcorrupt.study.io.recording import Recording, Trajectory
+    from odomcorrupt.study.io.recording import Recording, Trajectory, TruthField
 
 __all__ = [
     "LEAST_NODES",
@@ -37,6 +37,7 @@ __all__ = [
     "intervals",
     "join",
     "lay_nodes",
+    "memory_over",
     "pick_nodes",
 ]
 
@@ -44,6 +45,8 @@ GAP_S = 3.0
 """An interval longer than this many times the spacing is a gap in the truth and explains nothing."""
 TURN_M = 0.3
 """Way of which a turn by one radian changes what a localisation sees as much, metres."""
+_MOST_MEMORY = 0.97
+"""Correlation of errors of the truth at two nodes at most: those of one place would be the same."""
 LEAST_NODES = 20
 """Fewer intervals than this cannot carry a fit of anything."""
 
@@ -82,6 +85,10 @@ class Intervals:
     lever, lever0, lever1 : (n, 2) from the step's middle, start and end to the interval's end, in the end's frame, m
     start_shape, end_shape : (K, 3, 3) shape of the truth's noise at both ends, in its axes there: of a usual pose the
         position's part is near the identity, the heading's near one
+    way_m : (K,) way over each interval as a localisation has it: travel, and turns by what they change of the view
+    memory : (K,) correlation of the truth's errors at both ends of an interval, 0 where they are independent
+    field : (K, 5) errors of the truth where some belong to places: independent and by place (m, rad each), and how much
+        alike the latter are at both ends; 0 where none do
     random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
@@ -102,6 +109,9 @@ class Intervals:
     lever1: Array
     start_shape: Array
     end_shape: Array
+    way_m: Array
+    memory: Array
+    field: Array
     random_walk_level: Array
     start_unseen: Array
     end_unseen: Array
@@ -251,6 +261,9 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
     level = np.array([in_position, in_position, in_heading])
     shape = shape * np.outer(level, level)
     odometry_step = between(all_xyt[at_node[kept]], end_xyt)
+    gone = end - start
+    first = np.searchsorted(k, np.arange(len(kept)))
+    way_m = np.add.reduceat(np.hypot(gone[:, 0], gone[:, 1]) + TURN_M * np.abs(gone[:, 2]), first)
     return Intervals(
         start_s=node_s[kept],
         end_s=node_s[kept + 1],
@@ -259,7 +272,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         odometry_step=odometry_step,
         residual=_log(between(truth_step, odometry_step)),
         linked=np.concatenate(([False], (np.diff(kept) == 1) & (not truth.relative))),
-        first=np.searchsorted(k, np.arange(len(kept))),
+        first=first,
         source=source,
         share=share,
         axis=np.stack((np.cos(middle), np.sin(middle)), axis=1),
@@ -268,10 +281,29 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         lever1=lever1,
         start_shape=shape[kept],
         end_shape=shape[kept + 1],
+        way_m=way_m,
+        field=_field_over(recording.truth_field, truth_step),
+        memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
         random_walk_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
         end_unseen=unseen[kept + 1],
     )
+
+
+def memory_over(way_m: Array, correlation_m: float) -> Array:
+    """Return the correlation (K,) of a truth's errors over ways (K,): exponential, and never quite 1."""
+    if correlation_m <= 0.0:
+        return np.zeros(len(way_m))
+    return np.minimum(np.exp(-way_m / correlation_m), _MOST_MEMORY)
+
+
+def _field_over(field: TruthField | None, truth_step: Array) -> Array:
+    """Return the errors (n, 5) of `Intervals.field` over motions (n, 3) of the truth."""
+    if field is None:
+        return np.zeros((len(truth_step), 5))
+    alike = np.exp(-0.5 * np.sum(truth_step[:, :2] ** 2, axis=1) / field.length_m**2)
+    sizes = np.tile((field.own_xy_m, field.own_yaw_rad, field.xy_m, field.yaw_rad), (len(alike), 1))
+    return np.column_stack((sizes, alike))
 
 
 def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.problem import Problem
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
-__all__ = ["NoiseStart", "fit_noise", "fit_noise_beside"]
+__all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside"]
 
 _ROBUST_ROUNDS = 5
-_CHANCE, _SIGNAL = 0.002, 0.05
+CHANCE, _SIGNAL = 0.002, 0.05
 """Parts of the nodes: as many suspects as chance makes, and so many that they are no outliers."""
-_OUTLIER = float(chi2.isf(2e-4, 3))
+OUTLIER = float(chi2.isf(2e-4, 3))
 """A node whose squared innovations sum to more is a suspect: one in 5000 is by chance, so trimming biases nothing."""
 _MOST_ROUNDS = 8
 _SETTLED = 0.03
@@ -84,8 +84,8 @@ def fit_noise(
         return plain
     for _ in range(_ROBUST_ROUNDS):
         square = np.sum(done.innovations.reshape(-1, 3) ** 2, axis=1)
-        worse = square > _OUTLIER
-        if worse.mean() < _CHANCE:
+        worse = square > OUTLIER
+        if worse.mean() < CHANCE:
             break
         heavier = np.where(worse, done.weights * square / 3.0, done.weights)
         likelihood = NoiseLikelihood(nodes, components, columns, heavier, headings=headings)

@@ -25,6 +25,8 @@ from odomcorrupt.study.estimate.whitener import (
     band_of,
     factored,
     fixed_band,
+    odometry_piece,
+    rho_of,
     truth_pieces,
     truth_weights,
 )
@@ -114,10 +116,11 @@ class NoiseLikelihood:
         self._nodes, self._components, self._weights, self._headings = nodes, components, weights, headings
         # whatever LAPACK is given lies in memory as it wants it: column by column, a band's column at a time
         self._stacked = by_column(np.concatenate((nodes.residual[:, :, None], columns), axis=2))
-        bands = [band_of(part * weights[:, None, None]) for part in components.parts()]
+        bands = [band_of(*odometry_piece(nodes, part * weights[:, None, None])) for part in components.parts()]
         bands += [band_of(*piece) for piece in truth_pieces(nodes)]
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
         self._floor = np.asfortranarray(fixed_band(nodes))
+        self._rho = rho_of(nodes)
 
     def initial_guess(self) -> Array:
         """Return noise (m,) where truth and odometry each explain a fair part of the residual."""
@@ -130,7 +133,7 @@ class NoiseLikelihood:
     def evaluate(self, free: Array) -> NoiseFit:
         """Return the fit at given noise, columns estimated by generalised least squares."""
         coefficients, truth = self._unpack(free)
-        white = factored(self._band(self._shares(free)))
+        white = factored(self._band(self._shares(free)), self._rho)
         k = Coefficients(**dict(zip(NAMES, map(float, coefficients), strict=True)))
         nothing = np.zeros(0)
         blank = NoiseFit(
@@ -153,6 +156,8 @@ class NoiseLikelihood:
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
         if not self._headings:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
+        if self._rho is not None:  # errors that come back do not accumulate
+            high[-1] = low[-1]
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
         return self._ascend(np.clip(free, low, high), _Box(low, high), _NATS if fixed is None else _PROFILE_NATS)
@@ -205,7 +210,7 @@ class NoiseLikelihood:
         pushes = np.empty((len(pull), len(movable)), order="F")
         for i, change in enumerate(changes):
             pushes[:, i] = blas.dsbmv(BAND, 1.0, change.reshape(rows).T, pull, lower=1)
-        pushes = white.whitened(pushes)
+        pushes = white.solved(pushes)
         information: Array = 0.5 * pushes.T @ pushes
         return information
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.stats import binomtest, chi2
+from scipy.stats import binomtest, chi2, wilcoxon
 
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.effects.effect import parameters
@@ -30,6 +30,10 @@ __all__ = ["Event", "events", "odd_steps", "set_apart", "single_events", "slip_b
 _FEWEST = 6
 _LEVEL = 0.02
 """Chance that so many ordinary steps that are large by chance would all lose distance: six of six is less."""
+_LEVEL_ALONE, _NEARLY_ALL = 0.05, 0.9
+"""The same chance for ranks, where events carry so much of the squared error that they are slips or tails."""
+_OTHERWISE, _MOST_SLIP = 2.0, 0.75
+"""Factor by which bursts of the usual length have to lose too little or too much for another; and the largest slip."""
 _ODD = 2e-4
 """Chance of an ordinary step that stands out."""
 _HARDLY = 100.0
@@ -168,7 +172,10 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
     found = []
     for group in groups:
-        residual, step = nodes.residual[group], nodes.odometry_step[group]
+        step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
+        # in the frame of its beginning: while a robot turns, what is off ahead comes back from the side
+        residual = nodes.residual[group].copy()
+        residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         most = float(np.linalg.norm(residual / usual, axis=1).max())
         found.append(
@@ -233,14 +240,20 @@ def _part(lost: float, path: float) -> float:
 def slip_bursts(fit: Fit) -> Effect | None:
     """Return bursts of slip where the events are slips: the truth falls behind in nearly all of them.
 
-    Outliers of the truth and tails of the noise are on both sides.
+    Outliers of the truth and tails of the noise are on both sides. Where the events are nearly all of the error, the
+    large ones say it (signed ranks: Wilcoxon 1945, Biometrics Bulletin 1), whatever the small ones beside them do. A
+    burst lasts as long as it takes to lose what was lost.
     """
     lasting = [event for event in odd_steps(fit) if event.lasting and event.slip != 0.0]
     slips = np.array([event.slip for event in lasting])
     if len(slips) < _FEWEST:
         return None
     behind = int(np.sum(slips > 0.0))
-    if binomtest(behind, len(slips), 0.5, alternative="greater").pvalue > _LEVEL:
+    track_m = fit.problem.recordings[0].track_m
+    lost_m = np.array([_lost(event, track_m) for event in lasting])
+    if binomtest(behind, len(slips), 0.5, alternative="greater").pvalue > _LEVEL and not (
+        _is_the_error(fit, lasting) and wilcoxon(lost_m * np.sign(slips), alternative="greater").pvalue < _LEVEL_ALONE
+    ):
         return None
     nodes = fit.problem.nodes
     seconds = float(np.sum(nodes.end_s - nodes.start_s))
@@ -248,12 +261,54 @@ def slip_bursts(fit: Fit) -> Effect | None:
     # a burst is shorter than the stretch it was found in: its slip there is spread over all of it
     duration = 0.5 * spacing
     slip = float(np.median(slips[slips > 0.0])) * spacing / duration
-    seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
     # a stretch in which the truth rested or reversed asks for more than a burst can lose
     bounds = {p.name: (p.low, p.high) for p in parameters(registry()["slip_burst"])}
+    slip = float(np.clip(slip, *bounds["slip"]))
+    rims = _rims(nodes.truth_step[:, 0], nodes.truth_step[:, 2], track_m)
+    usual_mps = float(np.sqrt(np.sum(rims**2) / (2.0 * spacing * seconds)))
+    asked = float(np.sqrt(np.mean(lost_m**2))) / max(usual_mps * duration, 1e-9)
+    if asked > _OTHERWISE * _times_lost(slip):
+        duration *= asked / _times_lost(slip)
+    elif asked * _OTHERWISE < _times_lost(slip):
+        slips_at = np.linspace(0.0, slip, 200)[1:]
+        slip = float(np.interp(asked, [_times_lost(one) for one in slips_at], slips_at))
+    seen = {"rate": len(slips) / seconds, "slip": slip, "duration": duration}
     sized: dict[str, float | str] = {name: float(np.clip(v, *bounds[name])) for name, v in seen.items()}
-    words = _words([event for event in lasting if event.slip > 0.0], fit.problem.recordings[0].track_m)
+    words = _words([event for event in lasting if event.slip > 0.0], track_m)
     return effect_from_values("slip_burst", sized | words)
+
+
+def _times_lost(slip: float) -> float:
+    """Return how far a wheel spins beside what it rolls meanwhile, RMS over bursts spread evenly about a mean slip."""
+    spread = min(slip, _MOST_SLIP - slip)
+    low, high = slip - spread, slip + spread
+    if high - low < 1e-6:
+        return slip / (1.0 - slip)
+    longer = np.log((1.0 - low) / (1.0 - high)) / (high - low)
+    return float(np.sqrt(1.0 / ((1.0 - low) * (1.0 - high)) - 2.0 * longer + 1.0))
+
+
+def _rims(along: Array, turn: Array, track_m: float | None) -> Array:
+    """Return (2, n): what the right wheel and the left one travel; the robot itself where the track is not known."""
+    return np.stack(rims_of(along, turn, track_m or 0.0))
+
+
+def _lost(event: Event, track_m: float | None) -> float:
+    """Return the distance (m, positive) by which odometry and truth part in an event, of the wheel that parts more."""
+    return float(np.abs(_rims(np.array([event.along_m]), np.array([event.yaw_rad]), track_m)).max())
+
+
+def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
+    """Tell whether stretches that stand out are nearly all of the squared error of a fit."""
+    nodes, run = fit.problem.nodes, fit.problem.run
+    inside = np.zeros(len(nodes), dtype=bool)
+    for r, recording in enumerate(fit.problem.recordings):
+        for event in stretches:
+            if event.recording == recording.name:
+                inside |= (run == r) & (nodes.start_s >= event.start_s) & (nodes.end_s <= event.end_s)
+    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    square = np.sum((nodes.residual / usual) ** 2, axis=1)
+    return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 
 def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:

@@ -13,6 +13,7 @@ from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
+from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
 from odomcorrupt.study.estimate.whitener import Shrunk
 
 if TYPE_CHECKING:
@@ -98,9 +99,13 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 
     Without either it is the same fit.
     """
-    if not random and not has_bias(problem):
+    if not random and not has_bias(problem) and not has_field(problem):
         return noise
-    wider = widened(noise.whitener, problem, random)
+    white = noise.whitener
+    if has_field(problem):
+        q = problem.nodes.covariance(problem.approach.law, noise.coefficients, problem.steps)
+        white = remainder_whitener(problem.nodes, q * noise.weights[:, None, None], noise.truth)
+    wider = widened(white, problem, random)
     return estimated(noise, wider, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
@@ -118,8 +123,9 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
     """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
     roots = [_root_of(effect, problem) for effect in random]
     if has_bias(problem):
-        bias = bias_roots(problem)
-        roots.append(Root(csr_array(bias.reshape(-1, bias.shape[2])), np.eye(bias.shape[2])))
+        roots.append(_written_out(bias_roots(problem)))
+    if has_field(problem):
+        roots.append(_written_out(field_roots(problem)))
     if not roots:
         return white
     designs = np.concatenate([white.whitened(root.columns) for root in roots], axis=1)
@@ -134,6 +140,11 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
         shrunk=Shrunk(csr_array(hstack([root.spread for root in roots])), mixing, 1.0 / np.sqrt(growth)),
         log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
     )
+
+
+def _written_out(columns: Array) -> Root:
+    """Return columns (K, 3, m) that are known one by one as such a product."""
+    return Root(csr_array(columns.reshape(-1, columns.shape[2])), np.eye(columns.shape[2]))
 
 
 def root_of(effect: Effect, problem: Problem) -> Array:

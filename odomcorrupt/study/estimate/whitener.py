@@ -4,6 +4,12 @@ Noise v of the truth at a node spoils the interval before it and the one after i
 residuals are correlated: e_k = (columns) + w_k - v_{k+1} + A_k v_k with A_k = Ad(D_k^-1). Their joint covariance is
 block tridiagonal, and one banded Cholesky factor whitens residual and columns alike, in linear time
 (it equals the marginal likelihood of a linearised Kalman filter with a diffuse start).
+
+Errors of a localisation are alike over some way: a mean-reverting process c on the map (Ornstein-Uhlenbeck over the
+way), c_{k+1} = m_k c_k + n_k, which links all residuals with each other. Quasi-differences z_k = e_k - rho_k e_{k-1},
+with rho_k = m_{k-1} B_k B_{k-1}^-1 and B_k = A_k N_k - m_k N_{k+1}, hold only the fresh errors n (N_k turns axes of the
+map into those of a node). Their covariance is block tridiagonal again, and they are as likely as the residuals: what
+makes the one of the other has determinant 1.
 """
 
 from __future__ import annotations
@@ -31,6 +37,9 @@ __all__ = [
     "factored",
     "fixed_band",
     "interval_covariance",
+    "map_axes",
+    "odometry_piece",
+    "rho_of",
     "truth_pieces",
     "truth_weights",
     "whitener",
@@ -39,6 +48,8 @@ __all__ = [
 FLOOR = np.array([1e-10, 1e-10, 1e-12])
 """Variance that nothing falls below (10 um, 1 urad): a robot that stands still must not make a singular matrix."""
 BAND = 5
+_KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
+_TINY = 1e-18 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +76,32 @@ class Whitener:
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
     shrunk : what a process spread over all residuals adds to the covariance; none by default
+    rho : (K, 3, 3) of the quasi-differences that L is of, see above; None where it is of the residuals themselves
     """
 
     factor: Array
     log_det: float
     shrunk: Shrunk | None = None
+    rho: Array | None = None
 
     def whiten(self, columns: Array) -> Array:
         """Return L^-1 x for x of shape (K, 3) or (K, 3, c), as (3 K,) or (3 K, c): standardised innovations."""
         solved = self.whitened(columns.reshape(self.factor.shape[1], -1))
         return solved[:, 0] if columns.ndim == 2 else solved
 
-    def whitened(self, flat: Array) -> Array:
-        """Return L^-1 x for x of shape (3 K, c)."""
+    def solved(self, flat: Array) -> Array:
+        """Return L^-1 z for quasi-differences z of shape (3 K, c)."""
         if not flat.shape[1]:  # LAPACK writes where there is nothing
             return flat
-        white = self._solved(flat)
+        solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
+        if info != 0:
+            raise FitError("the covariance of the residuals is singular")
+        white: Array = solved
+        return white
+
+    def whitened(self, flat: Array) -> Array:
+        """Return what `whiten` does for x of shape (3 K, c)."""
+        white = self._by_band(flat)
         return white if self.shrunk is None else white - self._lost(white, self.shrunk)
 
     def pulled(self, white: Array) -> Array:
@@ -88,19 +109,27 @@ class Whitener:
         rest = white[:, None]
         if self.shrunk is not None:
             rest = rest - self._lost(rest, self.shrunk)
-        return self._solved(rest, transposed=True).reshape(-1, 3)
+        return self._back(rest).reshape(-1, 3)
 
     def _lost(self, white: Array, shrunk: Shrunk) -> Array:
         """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""
-        along = shrunk.mixing.T @ (shrunk.spread.T @ self._solved(white, transposed=True))
-        return self._solved(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
+        along = shrunk.mixing.T @ (shrunk.spread.T @ self._back(white))
+        return self._by_band(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
 
-    def _solved(self, flat: Array, *, transposed: bool = False) -> Array:
-        """Return L^-1 x for x of shape (3 K, c), or its transpose's."""
-        solved, info = lapack.dtbtrs(self.factor, flat, uplo="L", trans="T" if transposed else "N")
+    def _by_band(self, flat: Array) -> Array:
+        """Return x of shape (3 K, c), whitened by the band alone."""
+        return self.solved(flat if self.rho is None else _quasi_differences(flat, self.rho))
+
+    def _back(self, white: Array) -> Array:
+        """Return (3 K, c) whose product with any x is that of x whitened by the band with data (3 K, c)."""
+        solved, info = lapack.dtbtrs(self.factor, white, uplo="L", trans="T")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
         back: Array = solved
+        if self.rho is not None:
+            blocks = back.reshape(len(self.rho), 3, -1)
+            carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
+            back = np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(solved.shape)
         return back
 
     def log_likelihood(self, innovations: Array) -> float:
@@ -112,8 +141,11 @@ class Whitener:
 def interval_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the covariance (K, 3, 3) of each residual by itself: odometry's noise q, and the truth's at both ends."""
     total = q + unseen_piece(nodes)[0]
-    for weight, (diagonal, _) in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+    for weight, diagonal in zip(truth_weights(truth), _single_pieces(nodes), strict=True):
         total += weight * diagonal
+    there = nodes.field[:, 0] > 0.0
+    if there.any():
+        total[there] = (q + _with_field(nodes))[there]
     total[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     return total
 
@@ -126,17 +158,116 @@ def truth_weights(truth: TruthNoise) -> tuple[float, float, float]:
 def truth_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
     """Return what unit noise of the truth adds, for its position, its heading and its random walk.
 
-    Each is a pair: added to the residuals' own covariances (K, 3, 3), and to those with the one before (K - 1, 3, 3).
+    Each is a pair: added to the covariances (K, 3, 3) of the residuals (of their quasi-differences, where errors of the
+    truth are correlated), and to those with the one before (K - 1, 3, 3).
     """
-    a = _adjoint_of_inverse(nodes.truth_step)
-    pieces = [
-        _at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept)
-        for kept in (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
-    ]
-    random_walk = np.zeros_like(a)
-    random_walk[:, [0, 1], [0, 1]] = (nodes.random_walk_level**2 * (nodes.end_s - nodes.start_s))[:, None]
-    pieces.append((random_walk, np.zeros_like(a[1:])))
+    if nodes.memory.any():
+        pieces = _correlated_pieces(nodes)
+    else:
+        a = _adjoint_of_inverse(nodes.truth_step)
+        pieces = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
+    pieces.append(odometry_piece(nodes, _random_walk(nodes)))
     return pieces
+
+
+def odometry_piece(nodes: Intervals, q: Array) -> tuple[Array, Array]:
+    """Return what noise q (K, 3, 3) of each residual by itself adds, as a pair like those of `truth_pieces`."""
+    below = np.zeros_like(q[1:])
+    rho = rho_of(nodes)
+    if rho is None:
+        return q, below
+    turned = rho[1:] @ q[:-1]
+    diagonal = q.copy()
+    diagonal[1:] += turned @ np.swapaxes(rho[1:], 1, 2)
+    return diagonal, -turned
+
+
+def rho_of(nodes: Intervals) -> Array | None:
+    """Return the part (K, 3, 3) of the residual before that a quasi-difference takes off; None where it is none."""
+    if not nodes.memory.any():
+        return None
+    _, _, b = map_axes(nodes)
+    rho = np.zeros_like(b)
+    linked = np.flatnonzero(nodes.linked[1:] & (nodes.memory[:-1] > 0.0)) + 1
+    rho[linked] = nodes.memory[linked - 1, None, None] * (b[linked] @ np.linalg.inv(b[linked - 1]))
+    return rho
+
+
+def _correlated_pieces(nodes: Intervals) -> list[tuple[Array, Array]]:
+    """Return what a unit of the truth's correlated errors adds to quasi-differences, for position and heading."""
+    start, end, b = map_axes(nodes)
+    rho = rho_of(nodes)
+    linked = nodes.linked[:, None, None]
+    # an error of its own at the end, and what the end before had of its own; the first of a chain has all of it
+    before = b + (0.0 if rho is None else rho @ start)
+    fresh = 1.0 - nodes.memory**2
+    earlier = np.where(nodes.linked, np.concatenate(([1.0], fresh[:-1])), 1.0)
+    before = np.where(linked, before, b)
+    pieces = []
+    for kept in _KEPT:
+        diagonal = _congruent(end, kept, fresh) + _congruent(before, kept, earlier)
+        below = -(before @ kept @ np.swapaxes(np.concatenate((end[:1], end[:-1])), 1, 2)) * earlier[:, None, None]
+        pieces.append((diagonal, (below * linked)[1:]))
+    return pieces
+
+
+def _single_pieces(nodes: Intervals) -> list[Array]:
+    """Return what unit noise of the truth adds to the covariance (K, 3, 3) of each residual by itself."""
+    if not nodes.memory.any():
+        a = _adjoint_of_inverse(nodes.truth_step)
+        at_ends = [_at_ends(nodes, a, kept @ nodes.start_shape @ kept, kept @ nodes.end_shape @ kept) for kept in _KEPT]
+        return [*(diagonal for diagonal, _ in at_ends), _random_walk(nodes)]
+    _, end, b = map_axes(nodes)
+    fresh, one = 1.0 - nodes.memory**2, np.ones(len(nodes))
+    pieces = [_congruent(end, kept, fresh) + _congruent(b, kept, one) for kept in _KEPT]
+    return [*pieces, _random_walk(nodes)]
+
+
+def _with_field(nodes: Intervals) -> Array:
+    """Return what a truth whose errors belong to places adds to the covariance (K, 3, 3) of each residual by itself."""
+    start, end, _ = map_axes(nodes)
+    start = _adjoint_of_inverse(nodes.truth_step) @ start
+    own, place = (nodes.field[:, [i, i, i + 1], None] ** 2 * np.eye(3) for i in (0, 2))
+    across = start @ (place * nodes.field[:, 4, None, None]) @ np.swapaxes(end, 1, 2)
+    ends = (one @ (own + place) @ np.swapaxes(one, 1, 2) for one in (start, end))
+    added: Array = sum(ends) - across - np.swapaxes(across, 1, 2)
+    return added
+
+
+def map_axes(nodes: Intervals) -> tuple[Array, Array, Array]:
+    """Return N at the start and the end of each interval, and B, all (K, 3, 3), see above."""
+    start_rad = nodes.truth_xyt[:, 2]
+    start = np.linalg.cholesky(nodes.start_shape + _TINY) @ _turned(-start_rad)
+    end = np.linalg.cholesky(nodes.end_shape + _TINY) @ _turned(-start_rad - nodes.truth_step[:, 2])
+    b = _adjoint_of_inverse(nodes.truth_step) @ start - nodes.memory[:, None, None] * end
+    return start, end, b
+
+
+def _turned(angle_rad: Array) -> Array:
+    turned = np.zeros((len(angle_rad), 3, 3))
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    turned[:, 0, 0], turned[:, 0, 1], turned[:, 1, 0], turned[:, 1, 1], turned[:, 2, 2] = c, -s, s, c, 1.0
+    return turned
+
+
+def _congruent(m: Array, kept: Array, weight: Array) -> Array:
+    """Return M kept M' (K, 3, 3), each times its weight (K,)."""
+    product: Array = (m @ kept @ np.swapaxes(m, 1, 2)) * weight[:, None, None]
+    return product
+
+
+def _random_walk(nodes: Intervals) -> Array:
+    walk = np.zeros((len(nodes), 3, 3))
+    walk[:, [0, 1], [0, 1]] = (nodes.random_walk_level**2 * (nodes.end_s - nodes.start_s))[:, None]
+    return walk
+
+
+def _quasi_differences(flat: Array, rho: Array) -> Array:
+    """Return z_k = x_k - rho_k x_{k-1} of columns (3 K, c), each of them dense in memory."""
+    x = flat.reshape(len(rho), 3, -1)
+    z = x.copy()
+    z[1:] -= rho[1:] @ x[:-1]
+    return np.asfortranarray(z.reshape(flat.shape))
 
 
 def unseen_piece(nodes: Intervals) -> tuple[Array, Array]:
@@ -174,10 +305,10 @@ def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     truth : how noisy the truth is
 
     """
-    band = band_of(q) + fixed_band(nodes)
+    band = band_of(*odometry_piece(nodes, q)) + fixed_band(nodes)
     for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
         band += weight * band_of(*piece)
-    return factored(band)
+    return factored(band, rho_of(nodes))
 
 
 def fixed_band(nodes: Intervals) -> Array:
@@ -187,20 +318,23 @@ def fixed_band(nodes: Intervals) -> Array:
     return band
 
 
-def factored(band: Array) -> Whitener:
-    """Return the whitener of a lower banded covariance (6, 3 K)."""
+def factored(band: Array, rho: Array | None = None) -> Whitener:
+    """Return the whitener of a lower banded covariance (6, 3 K) of residuals, or of their quasi-differences."""
     factor, info = lapack.dpbtrf(band, lower=1)
     if info != 0:
         raise FitError("the covariance of the residuals is not positive definite")
-    return Whitener(factor, float(np.sum(np.log(factor[0]))))
+    return Whitener(factor, float(np.sum(np.log(factor[0]))), rho=rho)
 
 
 def dense_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     """Return the same covariance as a plain matrix (3 K, 3 K), for small K: tests and the curious."""
-    diagonal = interval_covariance(nodes, q, truth)
-    below = unseen_piece(nodes)[1].copy()
-    for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
+    diagonal, below = (part.copy() for part in unseen_piece(nodes))
+    for weight, piece in zip(
+        (1.0, *truth_weights(truth)), (odometry_piece(nodes, q), *truth_pieces(nodes)), strict=True
+    ):
+        diagonal += weight * piece[0]
         below += weight * piece[1]
+    diagonal[:, [0, 1, 2], [0, 1, 2]] += FLOOR
     k = len(nodes)
     full = np.zeros((3 * k, 3 * k))
     for i in range(k):
@@ -208,6 +342,10 @@ def dense_covariance(nodes: Intervals, q: Array, truth: TruthNoise) -> Array:
     for i in range(k - 1):
         full[3 * i + 3 : 3 * i + 6, 3 * i : 3 * i + 3] = below[i]
         full[3 * i : 3 * i + 3, 3 * i + 3 : 3 * i + 6] = below[i].T
+    rho = rho_of(nodes)
+    if rho is not None:
+        back = np.linalg.inv(_quasi_differences(np.eye(3 * k), rho))
+        full = back @ full @ back.T
     return full
 
 

@@ -115,13 +115,33 @@ class WindowErrors:
 
     error : (n, c) along, across (m), and yaw (rad) where the truth has headings, in the frame of the window's end
     covariance : (n, c, c) what the model expects of it, truth noise included
+    shared : (n, c, m) root of that part of it that windows have in common, where they do
     """
 
     error: Array
     covariance: Array
+    shared: Array | None = None
 
     def __len__(self) -> int:
         return len(self.error)
+
+    @property
+    def spectrum(self) -> Array:
+        """Weights (n c,) of independent chi-squares whose sum is that of all normalised squares: 1 without a share."""
+        n, c = self.error.shape
+        if self.shared is None:
+            return np.ones(n * c)
+        root = np.linalg.solve(np.linalg.cholesky(self.covariance), self.shared)
+        joint = root.reshape(n * c, -1) @ root.reshape(n * c, -1).T
+        for i in range(n):
+            joint[i * c : (i + 1) * c, i * c : (i + 1) * c] = np.eye(c)
+        weights: Array = np.maximum(np.linalg.eigvalsh(joint), 0.0)
+        return weights
+
+    def channel(self, i: int) -> WindowErrors:
+        """Return the errors of one channel alone."""
+        shared = None if self.shared is None else self.shared[:, i : i + 1]
+        return WindowErrors(self.error[:, i : i + 1], self.covariance[:, i : i + 1, i : i + 1], shared)
 
     @property
     def nees(self) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.lost_increments import lost, moving
+from odomcorrupt.effects.lost_increments import losses
 from odomcorrupt.geometry.increments import accumulate, increments
 from odomcorrupt.geometry.motion import corrected_increments, motion_of
 from odomcorrupt.study.io.recording import Trajectory
@@ -20,10 +20,12 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["encoder_effects", "restore_lost"]
+__all__ = ["encoder_effects", "hides_losses", "restore_lost"]
 
 _FEWEST_LOST = 5
 _LEAST_LOST = 5e-4
+_MOSTLY = 0.5
+"""Part of the moving increments that are too few ticks to show a loss, from which on none is expected to be seen."""
 _STEPS_M = np.geomspace(1e-3, 0.05, 600)
 """Ticks finer than a millimetre bound the error to less than the truth resolves."""
 _LATTICE = 0.9
@@ -33,16 +35,20 @@ _STILL_M = 1e-6
 
 def encoder_effects(recording: Recording) -> list[Effect]:
     """Return lost increments and coarse ticks where the odometry shows them, with their parameters."""
+    found = []
+    shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
+    if shown.seen >= _FEWEST_LOST and shown.fraction > _LEAST_LOST:
+        found.append(effect_from_values("lost_increments", {"fraction": shown.fraction}))
     step = _tick(recording)
     if step is not None:
-        # coarse ticks stand still between two counts: nothing is lost there
-        return [effect_from_values("quantization", {"step": step})]
-    motion = motion_of(recording.odometry_s, recording.odometry.xyt)
-    gone = lost(motion)
-    count, of = int(gone.sum()), int((gone | moving(motion)).sum())
-    if count >= _FEWEST_LOST and count > _LEAST_LOST * of:
-        return [effect_from_values("lost_increments", {"fraction": count / of})]
-    return []
+        found.append(effect_from_values("quantization", {"step": step}))
+    return found
+
+
+def hides_losses(recording: Recording) -> bool:
+    """Return whether ticks are so coarse that most lost increments would pass for zeros between two counts."""
+    shown = losses(motion_of(recording.odometry_s, recording.odometry.xyt, track_m=recording.track_m))
+    return shown.hidden > _MOSTLY and _tick(recording) is not None
 
 
 def restore_lost(recording: Recording, effects: Sequence[Effect]) -> Recording:

@@ -4,6 +4,11 @@ A filter (robot_localization, a fused SLAM) that is given poses takes out a part
 odometry gains on the truth in a second then depends on how far off it already is; errors of wheels and gyros do not.
 The regression is of each step's error on the error before it (Dickey & Fuller 1979, with the terms of a robot's own
 systematic errors free beside it). The error is taken some time earlier, so that the truth's own noise is on one side.
+
+Errors of a localisation are alike for longer than that, and come back, too: odometry minus truth then fades because the
+*truth* is corrected. Whose steps do it shows across: a filter that is given positions moves its odometry sideways
+towards them, wheels never do. And one slip is no filter: what fades has to fade all along the drive, so that standard
+errors are those of clustered data (Liang & Zeger 1986), a stretch of the drive being a cluster.
 """
 
 from __future__ import annotations
@@ -23,9 +28,15 @@ __all__ = ["Pull", "pull_of"]
 _STEP_S, _EARLIER = 1.0, (2, 5)
 """Steps are so long, and errors are taken so many of them earlier."""
 _FEW = 60
-_PLAIN, _TIMES, _SLOWEST = 4.5, 8.0, 0.02
-"""Standard errors of a pull, times that an error fades in a drive, and the slowest fading per second, at least: a
-random walk about its own mean seems to fade four or five times, with three or four standard errors."""
+_PLAIN, _THROUGHOUT, _TIMES, _SLOWEST = 4.5, 3.0, 8.0, 0.02
+"""Standard errors of a pull by least squares and by clusters of the drive, times that an error fades in a drive, and
+the slowest fading per second, at least: a random walk about its own mean seems to fade four or five times, with three
+or four standard errors."""
+_CLUSTERS = 20
+"""Stretches of a drive in which errors have to fade alike."""
+_OWN, _SURELY = 0.5, 2.0
+"""Part of the fading across that the odometry's own sideways steps have to show, and standard errors below it from
+which on they plainly do not."""
 
 
 class Pull(NamedTuple):
@@ -36,7 +47,11 @@ class Pull(NamedTuple):
 
 
 def pull_of(odometry: Samples, truth: Samples) -> Pull:
-    """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock."""
+    """Return how odometry is pulled towards a truth with headings; both by growing stamps, on nearly one clock.
+
+    Headings have no such witness as steps sideways: where the truth is a localisation, which is corrected itself, they
+    count only beside positions that are pulled.
+    """
     nothing = Pull(0.0, 0.0)
     if not (truth.headed and odometry.headed):
         return nothing
@@ -64,6 +79,7 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     changes = np.vstack((np.zeros((1, 2)), np.diff(np.column_stack((own[:, 0], own[:, 2])), axis=0)))
     later = np.vstack((changes[1:], np.zeros((1, 2))))
     aside = np.column_stack((own[:, 0], own[:, 2], np.abs(own[:, 2]), dt_s, swing, changes, later))
+    sideways = np.diff(np.interp(t_s, own_s, _sideways(path.xyt)))
     position, heading = 0.0, 0.0
     for earlier in _EARLIER:
         rows = np.flatnonzero(usual)[earlier:]
@@ -72,10 +88,21 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
         turned = real_xyt[rows - earlier, 2] - real_xyt[rows, 2]
         before = np.column_stack((rotate(before[:, :2], turned), before[:, 2]))
         span_s = float(t_s[-1] - t_s[0])
-        both = _fading(error[rows, :2], before[:, :2], aside[rows], dt_s[rows], span_s)
-        alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows], span_s)
-        position, heading = max(position, both), max(heading, alone)
-    return Pull(position, heading)
+        both = _fading(error[rows, :2], before[:, :2], aside[rows], dt_s[rows])
+        across = _fading(sideways[rows, None], before[:, 1:2], aside[rows], dt_s[rows])
+        alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows])
+        if both.plain(span_s) and across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate:
+            position = max(position, both.rate)
+        if alone.plain(span_s):
+            heading = max(heading, alone.rate)
+    return Pull(position, heading if position or not truth.localised else 0.0)
+
+
+def _sideways(xyt: Array) -> Array:
+    """Return how far (n,) a path has moved to its own left up to each of its poses (n, 3); arcs do not."""
+    step = between(xyt[:-1], xyt[1:])
+    moved = rotate(step[:, :2], -0.5 * wrap(step[:, 2]))[:, 1]
+    return np.concatenate(([0.0], np.cumsum(moved)))
 
 
 def _off(own_xyt: Array, real_xyt: Array) -> Array:
@@ -87,14 +114,34 @@ def _off(own_xyt: Array, real_xyt: Array) -> Array:
     return np.column_stack((xy - xy.mean(axis=0), np.unwrap(yaw) - np.mean(np.unwrap(yaw))))
 
 
-def _fading(error: Array, before: Array, aside: Array, dt_s: Array, span_s: float) -> float:
-    """Return how fast errors (n, c) before fade, per second, by errors made (n, c); 0 where that is not plain."""
+class _Fading(NamedTuple):
+    """A rate per second, and its standard errors by least squares and by clusters of the drive."""
+
+    rate: float
+    usual: float
+    clustered: float
+
+    def plain(self, span_s: float) -> bool:
+        """Tell whether errors fade plainly in a drive so long."""
+        least = max(_SLOWEST, _TIMES / span_s, _PLAIN * self.usual, _THROUGHOUT * self.clustered)
+        return self.rate > least
+
+
+def _fading(error: Array, before: Array, aside: Array, dt_s: Array) -> _Fading:
+    """Return how fast errors (n, c) before fade by errors made (n, c), beside what regressors (n, p) make of them.
+
+    Each cluster is predicted from the others (CR3: Bell & McCaffrey 2002), so that none makes its own line.
+    """
     nuisance = np.linalg.qr(np.column_stack((aside, np.ones(len(aside)))))[0]
     y, x = (part - nuisance @ (nuisance.T @ part) for part in (error, -before * dt_s[:, None]))
     square = float(np.sum(x * x))
     if square <= 0.0:
-        return 0.0
+        return _Fading(0.0, 0.0, 0.0)
     rate = float(np.sum(x * y)) / square
-    spread = float(np.sqrt(np.sum((y - rate * x) ** 2) / max(y.size - 2 * nuisance.shape[1], 1) / square))
-    plain = rate > max(_SLOWEST, _TIMES / span_s) and rate > _PLAIN * spread
-    return rate if plain else 0.0
+    left = y - rate * x
+    usual = float(np.sqrt(np.sum(left**2) / max(y.size - 2 * nuisance.shape[1], 1) / square))
+    scores, own = (
+        np.array([part.sum() for part in np.array_split(np.sum(x * other, axis=1), _CLUSTERS)]) for other in (left, x)
+    )
+    scores = scores / np.maximum(1.0 - own / square, 1e-6)
+    return _Fading(rate, usual, float(np.linalg.norm(scores)) / square)

@@ -11,8 +11,9 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.address import parse_address
+from odomcorrupt.study.io.address import parse_address, plain
 from odomcorrupt.study.io.bag import read_bag
+from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
@@ -294,7 +295,7 @@ def recordings_of(
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
     truth = without_constant_heading(odometry, truth)
     if not truth.relative:
-        truth = corrections_alone(odometry, truth)
+        truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
     for path in (calm, real):
         check_itself(path)
@@ -311,6 +312,7 @@ def recordings_of(
             notes=(opening, *r.notes, *said),
             stamp_error_s=rounded_s / math.sqrt(12.0),
             localised=truth.localised,
+            of_base=truth.localised and truth.child != "" and truth.child == plain(odometry.child),
             pulled_per_s=max(pull_of(calm, real)),
         )
         for r in recordings

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import Origin
 
-__all__ = ["UNKNOWN_M2", "Recording", "Trajectory"]
+__all__ = ["UNKNOWN_M2", "Recording", "Trajectory", "TruthField"]
 
 UNKNOWN_M2, _FEW_KNOWN = 1.0, 0.1
 """Variance of a pose of which nothing is known along an axis; and the share of poses that must be known."""
@@ -85,6 +85,21 @@ class Trajectory:
 
 
 @dataclass(frozen=True, slots=True)
+class TruthField:
+    """Errors of a localisation: independent ones of each pose, and a Gaussian field that belongs to places on the map.
+
+    own_xy_m, own_yaw_rad : standard deviations of the independent errors
+    xy_m, yaw_rad, length_m : standard deviations of the field, and over which distance it is alike
+    """
+
+    own_xy_m: float
+    own_yaw_rad: float
+    xy_m: float
+    yaw_rad: float
+    length_m: float
+
+
+@dataclass(frozen=True, slots=True)
 class Recording:
     """One run of a robot: its odometry and the truth, each on its own clock, in its own frame.
 
@@ -101,6 +116,11 @@ class Recording:
     heading_source : what a gyro in the bag shows the odometry's heading to come from: "wheels", "gyro", or "" unknown
     geodetic_origin : of the truth's frame, where it was satellite fixes
     localised : whether the truth is a localisation's (AMCL, SLAM), whose errors are alike over some length of path
+    of_base : whether the truth is a localisation's of the very frame whose odometry it is (map -> odom -> base_link),
+        so that it has no lever arm and no mounting yaw
+    truth_correlation_m : way over which errors of the truth fade to 1/e of their correlation; 0: they are independent
+        of each other; None: not estimated yet, and taken for 0
+    truth_field : which of the truth's errors belong to places, where that explains them better
     pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
     truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
     stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
@@ -134,6 +154,9 @@ class Recording:
     truth_level: tuple[float, float] = (1.0, 1.0)
     stamp_error_s: float = 0.0
     localised: bool = False
+    of_base: bool = False
+    truth_correlation_m: float | None = None
+    truth_field: TruthField | None = None
     pulled_per_s: float = 0.0
     drive_type: str = AUTO
 

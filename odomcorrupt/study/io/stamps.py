@@ -12,23 +12,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+from odomcorrupt.geometry.rounded_stamps import evened, resolution_s
 
+if TYPE_CHECKING:
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 __all__ = ["Step", "between_steps", "clock_steps", "even_stamps", "stamp_resolution_s"]
 
-_ROUNDED_NS = (100_000_000, 50_000_000, 20_000_000, 10_000_000, 5_000_000, 2_000_000, 1_000_000)
-_ALL = 0.999
-"""Part of the stamps that are multiples of what they are rounded to."""
-_USUAL = 1.5
-"""Intervals longer than so many times the usual one are gaps."""
-_VARY = 0.02
-"""Part of the intervals that differ from the usual one where rounding shows: in a regular clock's they do not."""
-_EVEN_OVER, _WITHIN, _FITS = 101, 0.6, 0.99
-"""Samples over which a publisher keeps its rate, and how far stamps are off an even grid, in parts of what they are
-rounded to, nearly all of them."""
 _STEP_S = (0.02, 1.0)
 """Smallest and largest step of a clock that is searched; a clock set back by more begins another run (`time_order`)."""
 _BESIDE, _LEAST = 25, 10
@@ -45,17 +35,8 @@ class Step(NamedTuple):
 
 
 def stamp_resolution_s(path: Samples) -> float:
-    """Return what stamps are rounded to, seconds; 0 where they are not, or where it cannot be seen.
-
-    Stamps of a clock that ticks regularly lie on a grid without being rounded: intervals have to vary on it.
-    """
-    whole = next((r for r in _ROUNDED_NS if np.mean(path.stamps_ns % r == 0) >= _ALL), 0)
-    steps = np.diff(path.stamps_ns)
-    if not whole or not len(steps):
-        return 0.0
-    usual = steps[steps < _USUAL * np.median(steps) + whole]
-    varied = float(np.mean(usual != np.median(usual))) > _VARY
-    return whole * 1e-9 if varied else 0.0
+    """Return what stamps are rounded to, seconds; 0 where they are not, or where it cannot be seen."""
+    return resolution_s(path.stamps_ns)
 
 
 def even_stamps(path: Samples) -> Samples:
@@ -64,32 +45,10 @@ def even_stamps(path: Samples) -> Samples:
     if not rounded_s:
         return path
     said = f"stamps are rounded to {rounded_s * 1e3:g} ms: a clock that is off by less than half of that cannot be seen"
-    even = _evened(path.stamps_ns, rounded_s)
+    even = evened(path.stamps_ns)
     if even is None:
         return path.noted(said)
     return path.stamped(even).noted(f"{said}; they were spaced evenly")
-
-
-def _evened(stamps_ns: NDArray[np.int64], rounded_s: float) -> NDArray[np.int64] | None:
-    """Return stamps (n,) on an even grid that slowly changes, None where they are farther off it than rounding does."""
-    if len(stamps_ns) < 2 * _EVEN_OVER:
-        return None
-    t_s = (stamps_ns - stamps_ns[0]).astype(np.float64) * 1e-9
-    steps = np.diff(t_s)
-    usual = steps[steps < _USUAL * np.median(steps) + rounded_s]
-    period_s = float(np.mean(usual))
-    if period_s < 2.0 * rounded_s:
-        return None
-    count = np.concatenate(([0.0], np.cumsum(np.maximum(np.round(steps / period_s), 1.0))))
-    off = t_s - count * period_s
-    half = _EVEN_OVER // 2
-    # reflected about its ends, a line stays one
-    padded = np.concatenate((2.0 * off[0] - off[half:0:-1], off, 2.0 * off[-1] - off[-2 : -half - 2 : -1]))
-    smooth = np.convolve(padded, np.full(_EVEN_OVER, 1.0 / _EVEN_OVER), "valid")
-    if np.mean(np.abs(off - smooth) < _WITHIN * rounded_s) < _FITS:
-        return None
-    even = stamps_ns[0] + np.round((count * period_s + smooth) * 1e9).astype(np.int64)
-    return even if np.all(np.diff(even) > 0) else None
 
 
 def clock_steps(path: Samples) -> list[Step]:

@@ -131,6 +131,7 @@ class EdgeReader:
             none.astype(np.int64),
             none,
             tuple(notes),
+            child=self.way[-1][0].parent if self.way[-1][1] else self.way[-1][0].child,
             localised=found is not None,
         )
 

@@ -98,6 +98,8 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
     if step.added not in RIVALS and any(r.pulled_per_s > 0.0 for r in learned.fit.problem.recordings):
         # what a filter that is given poses takes out passes for gains and biases of any kind
         rivals = (*rivals, own)
+    if learned.may_be_losses(step.added or ""):
+        rivals = (*rivals, own)  # lost increments are the same on average
     left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
     margin = learned.margins.get(step.added or "", inf)

@@ -41,6 +41,10 @@ if TYPE_CHECKING:
 __all__ = ["ModelComparison", "Proposal", "best_dependence", "best_replacement", "compare_with_basis", "name_for"]
 
 
+_NEAR_FORM = 0.05
+"""Part of the gain of the best form that another, its threshold refined, may make up for."""
+
+
 @dataclass(frozen=True, slots=True)
 class Proposal:
     """A dependence whose basis function may be included: the candidate, with the form that fits best."""
@@ -141,12 +145,20 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
         fits = [(fit.refit((*fit.effects, score.estimated)), score) for score in forms]
-        included = max(fits, key=lambda pair: pair[0].log_likelihood - pair[1].penalty)
-        with_it, score = with_shape_refined(*included, decisions)
+        # a step and a hinge are each compared at their own best threshold
+        most = max(map(_worth, fits))
+        near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
+        refined = [with_shape_refined(*pair, decisions) for pair in fits if _worth(pair) >= most - near]
+        with_it, score = max(refined, key=_worth)
         candidate = tried(fit, with_it, score, decisions, least=best.candidate.gain if best else 0.0)
         if not candidate.refused:
             best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
     return best
+
+
+def _worth(included: tuple[Fit, Score]) -> float:
+    """Return the log likelihood of a fit less the penalty of the term that it includes."""
+    return included[0].log_likelihood - included[1].penalty
 
 
 def _reshaped(one: Dependence, score: Score) -> Dependence:

@@ -72,6 +72,7 @@ class Learned:
     disagreements : parameters that recordings do not agree about
     contradictions : effects that would explain the data only with a sign that physics forbids, refused with the reason
     decisions : the decisions it was selected by
+    hides_losses : whether ticks are too coarse to show lost increments, which then look like a larger wheel
     held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
     """
 
@@ -86,12 +87,18 @@ class Learned:
     disagreements: tuple[ParameterDifference, ...] = ()
     contradictions: tuple[Candidate, ...] = ()
     decisions: Decisions = DECISIONS
+    hides_losses: bool = False
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def drive_type(self) -> DriveType:
         """How the robot's wheels steer it."""
         return drive_type_of(self.fit.problem.recordings)
+
+    def may_be_losses(self, name: str) -> bool:
+        """Return whether an effect may as well be increments that are lost: travel is missing, and ticks hide zeros."""
+        grown = any(e.name == name == "wheel_scale" and getattr(e, "e", 0.0) > 0.0 for e in self.fit.effects)
+        return grown and self.hides_losses
 
     @property
     def added(self) -> tuple[str, ...]:

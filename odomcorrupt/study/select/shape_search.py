@@ -227,6 +227,8 @@ def _apart(one: Term, other: Term) -> bool:
     """Return whether two terms are likely to lead to different maxima."""
     if getattr(one, "action", None) != getattr(other, "action", None) or len(one.shape) != len(other.shape):
         return True
+    if isinstance(one, BasisTerm) and isinstance(other, BasisTerm) and one.function.form != other.function.form:
+        return True
     return one.several_maxima and bool(np.any(np.abs(one.shape - other.shape) > one.steps))
 
 

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
 from odomcorrupt.study.estimate.gauss_newton import Fit, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
-from odomcorrupt.study.io.encoders import encoder_effects, restore_lost
+from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import (
     FORBIDDEN,
     Candidate,
@@ -88,8 +89,10 @@ def learn(
         decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
     encoders = encoder_effects(recordings[0])
+    hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
+    recordings = with_correlation_lengths(recordings, approach)
     clocks = find_clocks(recordings, approach)
     recordings = levelled(recordings, clocks)
     fitted = fit(
@@ -121,6 +124,7 @@ def learn(
         disagreements=disagreements(final, decisions.heterogeneity_level),
         contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
+        hides_losses=hidden,
     )
 
 

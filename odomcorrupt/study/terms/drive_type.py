@@ -40,7 +40,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["DriveType", "drive_type_of", "library_families", "readings_of"]
+__all__ = ["MOUNTING", "DriveType", "drive_type_of", "library_families", "readings_of"]
+
+MOUNTING = ("lever_arm", "mount_yaw")
+"""Where on the robot sits what the truth follows; a truth of the odometry's own frame has none of it."""
 
 _FAST, _SLOW, _STILL = 0.6, 0.4, 0.03
 """Parts of the usual speed: the largest curvature is seen above one, tested below one; and those of a robot at rest."""
@@ -169,6 +172,8 @@ def library_families(
     for name, kind in registry().items():
         wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
+        if name in MOUNTING and any(r.of_base for r in recordings):
+            continue
         if wanted and possible:
             family = with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
             if drive.steered:  # it has no two wheels that odometry compares

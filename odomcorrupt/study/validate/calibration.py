@@ -24,6 +24,8 @@ _FEWEST = 3
 """Fewer windows than this say nothing."""
 _DRAWS = 20_000
 _SEED = 1_950_128
+_NO_WEIGHT = 1e-3
+"""A share of a chi-square that is nothing beside the others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +80,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
         measured=_three(both.measured),
         expected=_three(both.expected),
         bias=_three(both.error.mean(axis=0)),
-        excess_p=_three(_excess(both)),
+        excess_p=_three(_excess(both, [errors for errors, _ in parts])),
         position_measured=float(position[0]),
         position_expected=float(position[1]),
         nees=nees,
@@ -99,13 +101,32 @@ def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], co
     for errors, doubt in parts:
         own = len(errors) * count
         scale, offset = doubt.draw(rng, _DRAWS)
-        total += scale * rng.noncentral_chisquare(own, own * offset)
+        if errors.shared is None:
+            total += scale * rng.noncentral_chisquare(own, own * offset)
+        else:
+            total += scale * (_draws(errors, rng) + own * offset)
     return total / freedom
 
 
-def _excess(errors: WindowErrors) -> Array:
+def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
+    """Return draws of the sum of all normalised squares of windows that have errors in common."""
+    total = np.zeros(_DRAWS)
+    for weight in errors.spectrum:
+        if weight > _NO_WEIGHT:
+            total += weight * rng.chisquare(1, _DRAWS)
+    return total
+
+
+def _excess(errors: WindowErrors, parts: Sequence[WindowErrors]) -> Array:
     """Return, per channel, the two-sided probability of the sum of squares over what is expected."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
+    if any(part.shared is not None for part in parts):
+        rng = np.random.default_rng(_SEED)
+        above = np.zeros(len(square))
+        for i, own in enumerate(square):
+            drawn = sum(_draws(part.channel(i), rng) for part in parts)
+            above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
+        return np.minimum(1.0, 2.0 * np.minimum(above, 1.0 - above + 1.0 / _DRAWS))
     tail: Array = np.minimum(chi2.sf(square, len(errors)), chi2.cdf(square, len(errors)))
     return np.minimum(1.0, 2.0 * tail)
 

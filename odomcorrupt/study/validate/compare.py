@@ -9,10 +9,12 @@ Clocks belong to a recording, not to a robot: they are estimated on each one, th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import degrees
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.problem import undo
@@ -93,6 +95,7 @@ class Comparison:
 def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
     """Judge models (by name) on recordings."""
     approach = choose_approach(recordings)
+    recordings = with_correlation_lengths(recordings, approach)
     found = clocks_beside(recordings, approach, list(models.values())[-1])
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
@@ -206,14 +209,19 @@ def _notes(model: MotionModel, pieces: Sequence[Evaluation]) -> tuple[str, ...]:
         notes.append(
             f"the model states no noise of the truth; {truth.xy_m * 1e3:.2g} mm was estimated from these recordings"
         )
-    elif any(piece.truth.xy_m != model.setup.truth.xy_m for piece in pieces if piece.headed and not piece.refitted):
-        own = ", ".join(f"{piece.truth.xy_m * 1e3:.2g} mm" for piece in pieces)
+    elif any(piece.truth != model.setup.truth for piece in pieces if piece.headed and not piece.refitted):
+        own = "; ".join(_truth_words(piece) for piece in pieces)
         notes.append(
             f"its truth is noisier or better than that of the fitted recordings, and was judged as such ({own})"
         )
     if not all(piece.headed for piece in pieces):
         notes.append("the truth has positions only: nothing is said of yaw")
     return tuple(notes)
+
+
+def _truth_words(piece: Evaluation) -> str:
+    heading = f", {degrees(piece.truth.yaw_rad):.2g} deg" if piece.headed else ""
+    return f"{piece.truth.xy_m * 1e3:.2g} mm{heading}"
 
 
 def _refit(model: MotionModel, recordings: Sequence[Recording], approach: Approach) -> MotionModel:

@@ -10,11 +10,14 @@ from scipy.optimize import minimize
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.study.estimate.noise_fit import CHANCE, OUTLIER
 from odomcorrupt.study.estimate.problem import Problem, pose_problem, undo
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE, widened
-from odomcorrupt.study.estimate.whitener import Whitener, interval_covariance, whitener
+from odomcorrupt.study.estimate.truth_field import remainder_whitener, window_roots
+from odomcorrupt.study.estimate.whitener import FLOOR, Whitener, interval_covariance, whitener
 from odomcorrupt.study.estimate.windows import WindowErrors, distance_windows, window_errors
 from odomcorrupt.study.io.headings import UNKNOWN_RAD, with_recomputed_headings
+from odomcorrupt.study.terms.regressors import truth_noise
 from odomcorrupt.study.validate.calibration import Horizon, horizon_of
 from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertainty, uncertainty_of
 from odomcorrupt.study.validate.random_covariance import random_covariance
@@ -34,6 +37,8 @@ __all__ = ["Evaluation", "evaluate_stretch", "horizons_of"]
 _OTHER_NATS_PER_NODE = 0.3
 """A truth is another one where its own noise explains so much more of each interval: as noise half as large again
 does where it is most of the residual."""
+_SHOWN, _ROBUST_ROUNDS = 5.0, 6
+"""How many times the noise that its own samples show a truth's noise may be; a filter of its tracker hides some."""
 _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
@@ -89,7 +94,9 @@ class Evaluation:
         errors = window_errors(windows, self.model.noise, self.truth, self.problem.steps, headed=self.headed)
         count = errors.error.shape[1]
         more = random_covariance(_noisy(self.model), windows, self.problem.motions[0])[:, :count, :count]
-        errors = replace(errors, covariance=errors.covariance + more)
+        shared = window_roots(self.left, windows)
+        shared = None if shared is None else shared[:, :count]
+        errors = replace(errors, covariance=errors.covariance + more, shared=shared)
         return errors, uncertainty_of(
             self.model, windows, errors, self.problem, inflate=_HALF if self.refitted else 1.0
         )
@@ -104,10 +111,10 @@ def evaluate_stretch(
     nodes = problem.nodes
     q = nodes.covariance(model.noise.law, model.noise.coefficients, problem.steps)
     headed = recording.headed
-    truth = model.setup.truth or _truth_noise(nodes, q, headed=headed)
+    truth = model.setup.truth or _truth_noise(nodes, q, recording)
     if model.setup.truth is not None and not refitted:
-        truth = _own_truth(nodes, q, truth, headed=headed)
-    band = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        truth = _own_truth(nodes, q, truth, recording)
+    band = remainder_whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
     random = [effect for effect in model.effects if effect.name in CORRELATED_NOISE]
     white = widened(band, problem, random)
     innovations = white.whiten(nodes.residual)
@@ -147,34 +154,87 @@ def _noisy(model: MotionModel) -> list[Effect]:
     return [effect for effect in model.effects if effect.kind == "noise" and not effect.restorable]
 
 
-def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, *, headed: bool) -> TruthNoise:
+def _own_truth(nodes: Intervals, q: Array, stated: TruthNoise, recording: Recording) -> TruthNoise:
     """Return the noise of a recording's truth where it plainly is another than a model states of its own recordings.
 
-    The noise of a truth is no property of the robot: a model may be fitted to motion capture and judged on AMCL.
+    The noise of a truth is no property of the robot: a model may be fitted to motion capture and judged on AMCL. But it
+    is no excuse for the robot's own errors either: it is estimated and judged without the few intervals that stand out,
+    and a truth that shows its noise in every sample has not many times as much between samples.
     """
-    own = _truth_noise(nodes, q, headed=headed)
+    own, usual = _robust_truth(nodes, q, recording)
+    most = _most_noise(recording, stated)
+    own = TruthNoise(*(min(one, bound) for one, bound in zip(_numbers(own), _numbers(most), strict=True)))
 
     def nats(truth: TruthNoise) -> float:
-        white = whitener(nodes, q, truth if headed else replace(truth, yaw_rad=UNKNOWN_RAD))
+        white = whitener(nodes, usual, truth if recording.headed else replace(truth, yaw_rad=UNKNOWN_RAD))
         return white.log_likelihood(white.whiten(nodes.residual))
 
     return own if nats(own) - nats(stated) > _OTHER_NATS_PER_NODE * len(nodes) else stated
 
 
-def _truth_noise(nodes: Intervals, q: Array, *, headed: bool) -> TruthNoise:
-    """Return the truth's noise of largest likelihood, for a model that was written by hand and states none."""
+def _most_noise(recording: Recording, stated: TruthNoise) -> TruthNoise:
+    """Return the most that a truth's noise may be taken for, from what its samples show; no bound where they do not.
 
-    def unpack(free: Array) -> TruthNoise:
-        xy, yaw, random_walk = np.exp(free)
-        return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))
+    Errors of a localisation, of matched scans and of motions by odometry of another kind are alike from sample to
+    sample, and a drive may be on worse terms with its satellites than the one before.
+    """
+    truth = recording.truth
+    if recording.localised or truth.covariance is not None or not recording.headed:
+        return TruthNoise(np.inf, np.inf, np.inf)
+    x, y, yaw = (_SHOWN * truth_noise(truth)).tolist()
+    xy = float(np.hypot(x, y)) / _HALF
+    return TruthNoise(max(xy, stated.xy_m), max(yaw, stated.yaw_rad), max(xy, stated.random_walk))
+
+
+def _numbers(truth: TruthNoise) -> tuple[float, float, float]:
+    return truth.xy_m, truth.yaw_rad, truth.random_walk
+
+
+def _truth_noise(nodes: Intervals, q: Array, recording: Recording) -> TruthNoise:
+    """Return the truth's noise, for a model that was written by hand and states none."""
+    return _robust_truth(nodes, q, recording)[0]
+
+
+def _robust_truth(nodes: Intervals, q: Array, recording: Recording) -> tuple[TruthNoise, Array]:
+    """Return the truth's noise of largest likelihood, and the odometry's covariances (K, 3, 3) that go with it.
+
+    Those of intervals that stand out are wider, as in a fit: a slip of some degrees is no noise of the truth. What is
+    usual is taken from the medians, which slips do not move.
+    """
+    spread = (1.4826 * np.median(np.abs(nodes.residual), axis=0)) ** 2
+    both = np.maximum(spread - np.median(np.einsum("kii->ki", q), axis=0), 0.1 * spread) / 2.0
+    low, high = np.log(2e-5), 0.0
+    start = np.clip([*np.log([max(both[0], both[1], 1e-12), max(both[2], 1e-12)]) / 2.0, np.log(1e-4)], low, high)
+    truth, usual = _unpacked(start, headed=recording.headed), q
+    for _ in range(_ROBUST_ROUNDS):
+        try:
+            white = whitener(nodes, usual, truth)
+        except FitError:
+            break
+        square = np.sum(white.whiten(nodes.residual).reshape(-1, 3) ** 2, axis=1)
+        worse = square > OUTLIER
+        if worse.mean() < CHANCE:
+            break
+        own = np.eye(3) * FLOOR + interval_covariance(nodes, usual, truth)
+        usual = usual + np.where(worse, np.maximum(square / 3.0 - 1.0, 0.0), 0.0)[:, None, None] * own
+    return _likeliest_truth(nodes, usual, start, headed=recording.headed), usual
+
+
+def _likeliest_truth(nodes: Intervals, q: Array, start: Array, *, headed: bool) -> TruthNoise:
+    """Return the truth's noise of largest likelihood beside the odometry's (K, 3, 3)."""
 
     def cost(free: Array) -> float:
         try:
-            white = whitener(nodes, q, unpack(free))
+            white = whitener(nodes, q, _unpacked(free, headed=headed))
         except FitError:
             return 1e12
         return -white.log_likelihood(white.whiten(nodes.residual))
 
-    start = np.log([0.003, 0.003, 1e-4])
     bounds = [(np.log(2e-5), 0.0), (np.log(2e-5), 0.0), (np.log(1e-6), np.log(0.3))]
-    return unpack(minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x)
+    found = minimize(cost, start, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-4, "maxiter": 40}).x
+    return _unpacked(found, headed=headed)
+
+
+def _unpacked(free: Array, *, headed: bool) -> TruthNoise:
+    xy, yaw, random_walk = np.exp(free)
+    return TruthNoise(float(xy), float(yaw) if headed else UNKNOWN_RAD, float(random_walk))

@@ -18,6 +18,7 @@ from odomcorrupt.corruption.path import NoisyPath
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.effects.user import UserEffect, user_effect
 from odomcorrupt.errors import EffectError, ModelError, OdomCorruptError
+from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.study.estimate.problem import undo
@@ -25,6 +26,7 @@ from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.terms.regressors import MotionSmoother
 from odomcorrupt.study.validate.predictive_check import overlapping, smooth_truth
 
 if TYPE_CHECKING:
@@ -51,6 +53,10 @@ _PART = re.compile(r"^(along|yaw|left|right|wheels) \+= (v|abs\(v\)|omega) \* \(
 """A law as the search writes it: a part of the motion that it adds to."""
 _HARM = 1.03
 """Factor by which a correction may make the error of the fitted data larger."""
+_BROKEN = 1.25
+"""Factor by which `correct` may leave more on the fitted data than the fit, before a law is replaced."""
+_LEAST_SHARE = 0.05
+"""Part of a law that its mean is at least, where the mean takes its place."""
 _AT_BOUND = 1e-6
 _OTHER_ERROR = 0.05
 """Part by which two errors have to differ for the reason to be said."""
@@ -98,7 +104,8 @@ def verified_model(model: MotionModel, recordings: Sequence[Recording], *, runs:
         # where no single change helps, the last one that was added goes, and it is tried again
         model, change = mended or _without(model, _weakest(model))
         changes.append(f"{change}: {failure}")
-    said = (*changes, *bound_notes(model), *_setup_note(model, recordings))
+    model, notes = _as_delivered(model, drives, runs)
+    said = (*changes, *notes, *bound_notes(model), *_setup_note(model, recordings))
     if said:
         model = replace(model, source=dict(model.source) | {"remarks": list(said)})
     return RoundTrip(model, said)
@@ -227,14 +234,63 @@ def _harm(model: MotionModel, drives: Sequence[_Drive]) -> str:
     if not any(effect.reads_truth for effect in model.effects):
         return ""
     left_m, plain_m = (_corrected_error(effects, model, drives) for effects in (model.effects, ()))
-    if not left_m > _HARM * plain_m:
-        return ""
-    by_fit = phased_rmse(
-        [with_recomputed_headings(undo(d.recording, (*model.effects, *model.setup.effects))) for d in drives]
-    )
-    if not left_m > _HARM * by_fit:
+    if not left_m > _HARM * plain_m or not left_m > _HARM * _fitted_error(model, drives):
         return ""
     return f"`correct` with it leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, {plain_m * 1e3:.1f} without"
+
+
+def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tuple[MotionModel, list[str]]:
+    """Return the model of which `correct` leaves least, where it leaves plainly more than the fit, and a sentence.
+
+    A fit reads accelerations of smooth motion, a correction those from each pose to the next: where stamps jitter, a
+    law that switches at one flickers, and does less than its mean would.
+    """
+    reading = [effect for effect in model.effects if effect.reads_truth and effect.kind != "noise"]
+    if not reading:
+        return model, []
+    left_m, fitted_m = _corrected_error(model.effects, model, drives), _fitted_error(model, drives)
+    if not left_m > (1.0 + _OTHER_ERROR) * fitted_m:
+        return model, []
+    errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
+    if left_m > _BROKEN * fitted_m:
+        means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
+        others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
+        usable = [one for one in others if not _failure(one[0], drives, runs)]
+        errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
+        if errors_m and min(errors_m) < left_m:
+            other, change = usable[int(np.argmin(errors_m))]
+            return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}"]
+    names = " and ".join(effect.name for effect in reading)
+    why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
+    return model, [f"`correct` with this model {errors}: {names} {why}"]
+
+
+def _mean_of(model: MotionModel, law: UserEffect, drives: Sequence[_Drive]) -> tuple[MotionModel, str] | None:
+    """Return the model with the mean of a law in its place, and what was changed; None where that is about zero."""
+    match = _PART.match(law.expression.text)
+    values = {p.name: float(getattr(law, p.name)) for p in parameters(law)}
+    if match is None or set(values) != {"k"}:
+        return None
+    words = {word: getattr(law, word) for word in choices(law)}
+    even = user_effect(law.name, f"{match[1]} += {match[2]} * k", values, {}, words)
+    motions = [MotionSmoother([drive.recording], "odometry").recorded for drive in drives]
+    moved = [np.concatenate([error_of(one, m) * m.dt_s[:, None] for m in motions]) for one in (law, even)]
+    share = float(np.sum(moved[0] * moved[1]) / max(np.sum(moved[1] ** 2), 1e-300))
+    if not abs(share) > _LEAST_SHARE:
+        return None
+    mean = user_effect(law.name, even.expression.text, {"k": share * values["k"]}, {}, words)
+    errors = dict(model.standard_errors)
+    if (own := f"{law.name}.k") in errors:
+        errors[own] *= abs(share)
+    effects = tuple(mean if effect is law else effect for effect in model.effects)
+    change = f"{law.name} ({law.expression.text}) replaced by its mean, k = {share * values['k']:.4g}"
+    return replace(model, effects=effects, standard_errors=errors), change
+
+
+def _fitted_error(model: MotionModel, drives: Sequence[_Drive]) -> float:
+    """Return the error (m) after 10 s on the fitted data that the fit leaves."""
+    effects = (*model.effects, *model.setup.effects)
+    return phased_rmse([with_recomputed_headings(undo(d.recording, effects)) for d in drives])
 
 
 def _correction(effects: Sequence[Effect], drive: _Drive) -> Array:

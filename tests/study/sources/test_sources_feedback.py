@@ -8,6 +8,7 @@ from sourcebags import topic, write
 from sourcedrive import Rows, path
 
 from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.report.json.diagnosis import recordings_json
 from odomcorrupt.study.io import Source, read_runs
 
 RATE_HZ, SECONDS = 20.0, 200.0
@@ -41,11 +42,11 @@ CAUSES = {
 }
 
 
-def said_of(tmp_path, poses):
+def said_of(tmp_path, poses, true=None):
     def rows(xyt):
         return Rows((1.7e18 + TIMES * 1e9).astype(np.int64), np.column_stack((xyt[:, :2], 0.0 * TIMES)), xyt[:, 2])
 
-    true = REAL + np.random.default_rng(9).normal(0.0, 0.002, REAL.shape)
+    true = REAL + np.random.default_rng(9).normal(0.0, 0.002, REAL.shape) if true is None else true
     bag = topic("/odom", "Odometry", rows(poses)), topic("/mocap", "PoseStamped", rows(true))
     (recording,) = read_runs(Source(write(tmp_path / "run.mcap", *bag)))
     return " ".join(recording.notes)
@@ -63,3 +64,35 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, p
     said = said_of(tmp_path, odometry(CAUSES[cause], pull))
     assert "its errors fade by" in said
     assert "clocks and lags as ever; record the wheels' own odometry" in said
+
+
+def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(tmp_path):
+    """A localisation errs by 3 cm for seconds and comes back, wheels without a sideways step hardly drift."""
+    wheels = odometry(lambda steps, rng: rng.normal(0.0, [1e-4, 0.0, 3e-4], steps.shape))
+    keeps, rng = np.exp(-1.0 / (RATE_HZ * 6.0)), np.random.default_rng(4)
+    error = np.zeros(REAL.shape)
+    for i, new in enumerate(rng.normal(0.0, [0.03, 0.03, 0.004], REAL.shape)[1:], start=1):
+        error[i] = keeps * error[i - 1] + np.sqrt(1.0 - keeps**2) * new
+    assert "fade" not in said_of(tmp_path, wheels, REAL + error)
+
+
+@pytest.mark.parametrize("turned_deg", [38.0, -10.0])
+def test_one_slip_is_no_filter(tmp_path, turned_deg):
+    def slip(steps, rng):
+        errors = noise(steps, rng)
+        errors[140:180, 2] += np.radians(turned_deg) / 40.0
+        return errors
+
+    assert "filter" not in said_of(tmp_path, odometry(slip))
+
+
+def test_how_fast_errors_fade_is_in_the_json(tmp_path):
+    def pulled(poses):
+        stamps = (1.7e18 + TIMES * 1e9).astype(np.int64)
+        rows = [Rows(stamps, np.column_stack((xyt[:, :2], 0.0 * TIMES)), xyt[:, 2]) for xyt in (poses, REAL)]
+        bag = topic("/odom", "Odometry", rows[0]), topic("/mocap", "PoseStamped", rows[1])
+        (entry,) = recordings_json(read_runs(Source(write(tmp_path / "run.mcap", *bag))))
+        return entry["odometry_pulled_per_s"]
+
+    assert pulled(odometry(noise)) == 0.0
+    assert pulled(odometry(noise, 0.1)) == pytest.approx(0.1, rel=0.5)

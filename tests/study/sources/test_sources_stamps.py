@@ -55,6 +55,16 @@ def test_rounded_stamps_of_a_regular_publisher_are_spaced_evenly(rounded_s):
     assert "cannot be seen; they were spaced evenly" in even.notes[0]
 
 
+def test_rounding_shows_in_stamps_that_were_floats_of_seconds_since_1970():
+    # their steps of 238 ns put them beside the multiples
+    whole = path(np.floor(RATE_30 / 0.01) * 0.01)
+    as_floats = (whole.stamps_ns.astype(np.float64) * 1e-9 * 1e9).astype(np.int64) // 128 * 128
+    assert np.mean(as_floats % 10_000_000 == 0) < 0.9
+    even = even_stamps(whole.stamped(as_floats))
+    assert "rounded to 10 ms" in even.notes[0]
+    assert np.abs(even.stamps_ns - even_stamps(whole).stamps_ns).max() < 1_000
+
+
 def test_stamps_that_vary_by_more_than_their_rounding_are_left_as_they_are():
     rounded = path(np.floor(UNEVEN / 0.001) * 0.001)
     even = even_stamps(rounded)

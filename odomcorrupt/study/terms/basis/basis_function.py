@@ -30,6 +30,7 @@ class BasisFunction:
     parts : what each coefficient multiplies, of a motion of n intervals (n,)
     trials : size of the family that it is selected from
     wavelength_m : of a wave over the travelled distance, else 0
+    form : "step" or "hinge" at a threshold, which are searched apart; else ""
     reaches : what it may act on, see `Action.reaches`; not where the library has that effect
     shape, steps : shape parameters that may be refined, and the first step of a search over each
     with_shape : returns the function with other shape parameters
@@ -41,6 +42,7 @@ class BasisFunction:
     parts: tuple[Of, ...]
     trials: int = 1
     wavelength_m: float = 0.0
+    form: str = ""
     reaches: tuple[str, ...] = ("body",)
     shape: tuple[float, ...] = ()
     steps: tuple[float, ...] = ()

@@ -1,0 +1,100 @@
+"""Excursions of a localisation: poses that leave where odometry and the rest of the truth agree, and come back.
+
+A localisation that loses its way for some seconds is off by decimetres and returns to where it was. A robot that was
+pushed or lifted stays where it is. Compared with running medians of the difference, the first departs and the second
+does not: a median follows a step that lasts, and passes by one that does not.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odomcorrupt.geometry.se2 import rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.raw_trajectory import Samples
+
+__all__ = ["without_excursions"]
+
+_REACH_S = 20.0
+"""Half the window of the running medians, seconds: what lasts shorter is an excursion."""
+_FEWEST = 7
+"""Poses in a window for its median to say anything."""
+_SIGMAS, _STILL_SIGMAS = 5.0, 3.0
+"""How far an excursion departs, in deviations of usual poses, and as long as what lies beside it does."""
+_LEAST = np.array([0.05, 0.03])
+"""Metres and radians by which an excursion departs at least."""
+_MOST = 0.2
+"""Part of the poses above which they are no excursions, but how this truth is."""
+_APART_S = 3.0
+
+
+def without_excursions(odometry: Samples, truth: Samples) -> Samples:
+    """Return a localisation's poses without its excursions; any other truth, and one without headings, as it is.
+
+    Parameters
+    ----------
+    odometry, truth : by growing stamps, on nearly the same clock
+
+    """
+    if not (truth.localised and truth.headed and odometry.headed):
+        return truth
+    t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
+    own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
+    if len(inside) < _FEWEST:
+        return truth
+    apart = np.zeros((len(truth), 2))
+    apart[inside] = _departures(odometry, own_s, truth, t_s, inside)
+    usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
+    out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    # on its way out and back, and where noise brings it nearer, it is still the same one
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
+    for first, end in edges.reshape(-1, 2):
+        out[first:end] = out[first:end].any()
+    if not out.any() or out.mean() > _MOST:
+        return truth
+    rows = np.flatnonzero(out)
+    groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > _APART_S) + 1)
+    where = ", ".join(
+        f"{np.max(apart[g, 0]):.2f} m and {np.degrees(np.max(apart[g, 1])):.0f} deg at {t_s[g[0]]:.0f} s"
+        for g in groups[:6]
+    )
+    what = "an excursion that comes back" if len(groups) == 1 else f"{len(groups)} excursions that come back"
+    return truth.only(~out, f"{what}, {len(rows)} poses, left out ({where}): errors of the localisation")
+
+
+def _departures(odometry: Samples, own_s: Array, truth: Samples, t_s: Array, inside: NDArray[np.int64]) -> Array:
+    """Return how far poses (m, 2) are from the running medians of truth less odometry: metres, and radians."""
+    at = t_s[inside]
+    heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
+    turned = np.unwrap(np.unwrap(truth.yaw_rad)[inside] - heading)
+    way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
+    design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
+    # what a bias, a gain of turns and unequal wheels make of it goes on all the time
+    steady = design @ np.linalg.lstsq(design, turned, rcond=None)[0]
+    usual = steady + _medians(at, (turned - steady)[:, None])[:, 0]
+    # the odometry's path, laid along the truth by its headings
+    path = np.stack([np.interp(at, own_s, odometry.xyz[:, axis]) for axis in (0, 1)], axis=1)
+    steps = rotate(np.diff(path, axis=0), (usual[1:] + usual[:-1]) / 2.0)
+    laid = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
+    # travel of another length departs from it, too, as far as the path does
+    away = truth.xyz[inside, :2] - laid
+    similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
+    away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
+    return np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
+
+
+def _medians(t_s: Array, values: Array) -> Array:
+    """Return the running medians (n, c) of values (n, c); where too few are near, the values themselves."""
+    first, last = np.searchsorted(t_s, t_s - _REACH_S), np.searchsorted(t_s, t_s + _REACH_S, side="right")
+    medians = values.copy()
+    for i, (a, b) in enumerate(zip(first, last, strict=True)):
+        if b - a >= _FEWEST:
+            medians[i] = np.median(values[a:b], axis=0)
+    return medians

@@ -1,0 +1,56 @@
+"""A localisation that loses its way comes back; a robot that was moved does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from odomcorrupt.study.io.excursions import without_excursions
+from odomcorrupt.study.io.raw_trajectory import Samples
+
+NOWHERE = np.zeros(0)
+
+
+def samples(t_s, xy, yaw, *, localised):
+    return Samples(
+        "run: /x", "/x", "map", np.round(t_s * 1e9).astype(np.int64), np.column_stack((xy, np.zeros(len(xy)))), yaw,
+        NOWHERE.astype(np.int64), NOWHERE, localised=localised,
+    )  # fmt: skip
+
+
+def drive(jump_s, lasts_s, *, scale=1.0, gain=1.0):
+    """Return odometry and a localisation that is 25 cm off from a time on, for some seconds, and which poses are."""
+    t_s = np.arange(0.0, 240.0, 0.02)
+    turn = 0.4 * np.sign(np.sin(2.0 * np.pi * t_s / 40.0))
+    paths = []
+    for length, gained in ((scale, gain), (1.0, 1.0)):
+        yaw = np.cumsum(turn * 0.02) * gained
+        paths.append((np.cumsum(0.4 * 0.02 * length * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), axis=0), yaw))
+    rows = slice(10, None, 25)
+    rng = np.random.default_rng(1)
+    at = t_s[rows]
+    out = (at >= jump_s) & (at < jump_s + lasts_s)
+    xy = paths[1][0][rows] + rng.normal(0.0, 0.02, (len(at), 2)) + out[:, None] * (0.22, -0.12)
+    odometry = samples(t_s, *paths[0], localised=False)
+    return odometry, samples(at, xy, paths[1][1][rows] + rng.normal(0.0, 0.008, len(at)), localised=True), out
+
+
+@pytest.mark.parametrize(("scale", "gain"), [(1.0, 1.0), (1.012, 1.0), (1.0, 1.02)])
+def test_an_excursion_is_left_out_whole_and_nothing_else(scale, gain):
+    odometry, truth, out = drive(95.0, 6.0, scale=scale, gain=gain)
+    left = without_excursions(odometry, truth)
+    np.testing.assert_array_equal(left.stamps_ns, truth.stamps_ns[~out])
+    assert "an excursion that comes back, 12 poses, left out (0.2" in left.notes[-1]
+
+
+def test_what_stays_is_no_excursion():
+    odometry, truth, _ = drive(95.0, 1e9)
+    assert without_excursions(odometry, truth) is truth
+
+
+def test_only_a_localisation_is_looked_at():
+    odometry, truth, _ = drive(95.0, 6.0)
+    tracked = replace(truth, localised=False)
+    assert without_excursions(odometry, tracked) is tracked

@@ -1,0 +1,111 @@
+"""A model has to drift about as much as the recordings it was learned from, what its fit left out included."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.report.json.diagnosis import reproduction_json
+from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
+from odomcorrupt.study.estimate.calibrate import model_of
+from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import slip_bursts
+from odomcorrupt.study.validate.reproduction import reproduction_of
+
+QUIET = Coefficients(0.006, 0.003, 0.004, 0.0)
+
+
+def drive(slips=(), *, excursion_m=0.0):
+    """Return four minutes with slips of 15 degrees in a second, and a truth that is elsewhere for six seconds."""
+    steps = wander(7, 240.0)
+    turned = steps.dtheta_rad.copy()
+    for at in slips:
+        turned[at * 50 : at * 50 + 50] += np.radians(15.0) / 50.0
+    run = recording(steps, noisy_path(steps, QUIET, 7), truth_mm=2.0, truth_rad=0.002, seed=7)
+    true = run.truth.xyt.copy()
+    true[100 * 50 : 106 * 50, 0] += excursion_m
+    path = noisy_path(Increments(steps.ds_m, steps.dl_m, turned), QUIET, 7)
+    return replace(run, odometry=replace(run.odometry, xyt=path), truth=replace(run.truth, xyt=true))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return fit([drive()], approach=Approach())
+
+
+@pytest.fixture(scope="module")
+def slipped():
+    return fit([drive((20, 60, 100, 140, 180, 220))], approach=Approach())
+
+
+def test_a_model_that_holds_reproduces_the_drift_it_was_learned_from(plain):
+    one = reproduction_of(plain, model_of(plain))
+    assert one.holds
+    assert one.drawn_m == pytest.approx(one.measured_m, rel=0.4)
+    assert reproduction_sentence(one) == ""
+
+
+def test_slips_that_a_robust_fit_left_out_are_missed(slipped):
+    one = reproduction_of(slipped, model_of(slipped))
+    assert one.too_small
+    assert one.outliers == 6
+    assert one.outlier_share > 0.8
+    assert "6 stretches (" in reproduction_sentence(one)
+    assert "slip_burst or push" in reproduction_sentence(one)
+    assert reproduction_json(one)["holds"] is False
+
+
+def test_a_model_that_draws_far_too_much_is_said_to(plain):
+    wild = model_of(plain)
+    wild = replace(wild, noise=replace(wild.noise, coefficients=Coefficients(0.1, 0.05, 0.08, 0.0)))
+    one = reproduction_of(plain, wild)
+    assert one.too_large
+    assert "its noise is too large" in reproduction_sentence(one)
+
+
+def test_an_excursion_of_the_truth_alone_is_no_drift_of_the_robot():
+    away = fit([drive(excursion_m=0.5)], approach=Approach())
+    one = reproduction_of(away, model_of(away))
+    assert one.holds
+    assert one.outliers == 0
+
+
+def spinning(slips, *, part=0.5, seconds=2.0, track_m=0.4):
+    """Return two minutes on a floor where the right wheel spins now and then, so that it rolls a part less."""
+    steps = wander(7, 120.0)
+    ds, turned = steps.ds_m.copy(), steps.dtheta_rad.copy()
+    for at in slips:
+        inside = slice(round(at * 50), round((at + seconds) * 50))
+        right = ds[inside] + turned[inside] * track_m / 2.0
+        more = right * part / (1.0 - part)
+        ds[inside] += more / 2.0
+        turned[inside] += more / track_m
+    run = recording(steps, noisy_path(steps, QUIET, 7), truth_mm=2.0, truth_rad=0.002, seed=7)
+    path = noisy_path(Increments(ds, steps.dl_m, turned), QUIET, 7)
+    return replace(run, odometry=replace(run.odometry, xyt=path), track_m=track_m)
+
+
+AT = (7, 20, 33, 44, 58, 71, 85, 98, 110)
+
+
+def test_a_model_with_bursts_slips_about_as_far_as_the_robot_did():
+    fitted = fit([spinning(AT)], approach=Approach())
+    bursts = slip_bursts(fitted)
+    assert bursts is not None
+    assert reproduction_of(fitted, model_of(fitted)).too_small
+    assert reproduction_of(fitted, model_of(fitted, [bursts]), runs=5).holds
+
+
+def test_bursts_that_are_too_short_to_see_are_not_made_too_strong():
+    fitted = fit([spinning(AT, part=0.4, seconds=0.25)], approach=Approach())
+    bursts = slip_bursts(fitted)
+    assert bursts is not None
+    assert bursts.duration == pytest.approx(0.25)
+    assert bursts.slip == pytest.approx(0.4, rel=0.5)
+    assert reproduction_of(fitted, model_of(fitted, [bursts]), runs=5).holds

@@ -1,0 +1,164 @@
+"""Errors of a localisation are its own: those that fade over the way, and those that belong to places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+from wandering import noisy_path, recording, wander
+
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.model.noise_laws import LAWS, Coefficients
+from odomcorrupt.study.estimate.clocks import nuisance_of
+from odomcorrupt.study.estimate.config import Approach, choose_approach
+from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.variance_components import VarianceComponents
+from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
+from odomcorrupt.study.io.recording import Trajectory, TruthField
+from odomcorrupt.study.terms.drive_type import MOUNTING, library_families
+
+QUIET = Coefficients(0.002, 0.0024, 0.0005, 0.0, 0.0005)
+TRUTH = TruthNoise(0.02, 0.008, 0.0)
+EVERY = 25
+"""Samples of the odometry between two corrections: 0.5 s."""
+
+
+def eights(seconds):
+    """Return figures of eight of 2 m, at 0.4 m/s: the same places again and again."""
+    half = np.arange(0.0, seconds, 0.02) // (2.0 * np.pi / 0.4) % 2.0
+    along = np.full(len(half), 0.4 * 0.02)
+    return Increments(along, np.zeros(len(half)), np.where(half == 0.0, 0.4, -0.4) * 0.02)
+
+
+def localised(error_of, *, seed=3, seconds=300.0, noise=QUIET, drive=wander):
+    """Return a drive whose truth has errors (n, 3) on the map, given by its way (n,) and its places (n, 2)."""
+    steps = wander(seed, seconds) if drive is wander else drive(seconds)
+    run = recording(steps, noisy_path(steps, noise, seed), seed=seed)
+    true = accumulate(np.zeros(3), steps)[::EVERY]
+    way = np.concatenate(([0.0], np.cumsum(np.abs(steps.ds_m) + 0.3 * np.abs(steps.dtheta_rad))))[::EVERY]
+    error = error_of(np.random.default_rng(seed), way, true[:, :2])
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns[::EVERY], true + error), localised=True)
+
+
+def alike_over(length_m):
+    def error_of(rng, way, places):
+        error = rng.normal(0.0, [0.02, 0.02, 0.008], (len(way), 3))
+        for i in range(1, len(way)):
+            kept = np.exp(-(way[i] - way[i - 1]) / length_m)
+            error[i] = kept * error[i - 1] + np.sqrt(1.0 - kept**2) * error[i]
+        return error
+
+    return error_of
+
+
+def by_place(rng, way, places):
+    wave, phase = rng.normal(0.0, 1.0 / 1.5, (3, 12, 2)), rng.uniform(0.0, 2.0 * np.pi, (3, 12))
+    size = np.array([0.022, 0.022, 0.008]) * np.sqrt(2.0 / 12.0)
+    field = (size * np.cos(np.einsum("ckx,nx->nck", wave, places) + phase).transpose(2, 0, 1)).sum(axis=0)
+    return field + rng.normal(0.0, [0.01, 0.01, 0.004], (len(way), 3))
+
+
+def small(length_m=2.0, **changes):
+    run = replace(localised(alike_over(2.0), seconds=60.0), truth_correlation_m=length_m, **changes)
+    return pose_problem([run], approach=Approach(spacing_s=2.0))
+
+
+def test_quasi_differences_are_as_likely_as_residuals_with_every_correlation():
+    problem = small()
+    nodes, k = problem.nodes, len(problem.nodes)
+    assert nodes.linked[1:].all()
+    q = nodes.covariance(LAWS["diffusion"], QUIET, problem.steps)
+    # errors c of all k + 1 nodes on the map, and what they do to the residuals
+    at = np.concatenate(([0.0], np.cumsum(-np.log(nodes.memory))))
+    alike = np.exp(-np.abs(at[:, None] - at))
+    _, end, b = map_axes(replace(nodes, memory=np.zeros(k)))
+    carry = np.zeros((3 * k, 3 * (k + 1)))
+    full = np.zeros((3 * k, 3 * k))
+    for i in range(k):
+        rows = slice(3 * i, 3 * i + 3)
+        carry[rows, rows], carry[rows, 3 * i + 3 : 3 * i + 6] = b[i], -end[i]
+        full[rows, rows] = q[i]
+    errors = np.kron(alike, np.diag([TRUTH.xy_m**2, TRUTH.xy_m**2, TRUTH.yaw_rad**2]))
+    full += carry @ errors @ carry.T
+    white = whitener(nodes, q, TRUTH)
+    banded = white.log_likelihood(white.whiten(nodes.residual))
+    assert banded == pytest.approx(multivariate_normal(cov=full).logpdf(nodes.residual.ravel()), abs=1e-3)
+    np.testing.assert_allclose(dense_covariance(nodes, q, TRUTH), full, rtol=1e-5, atol=1e-8)
+    single = np.stack([full[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] for i in range(k)])
+    np.testing.assert_allclose(interval_covariance(nodes, q, TRUTH), single, rtol=1e-6, atol=1e-9)
+    other = np.random.default_rng(0).normal(size=3 * k)
+    assert white.pulled(other).ravel() @ nodes.residual.ravel() == pytest.approx(other @ white.whiten(nodes.residual))
+
+
+def test_the_slope_of_the_likelihood_is_its_difference():
+    problem = small()
+    pieces = VarianceComponents(LAWS["diffusion"], problem.nodes, problem.steps)
+    likelihood = NoiseLikelihood(
+        problem.nodes, pieces, np.zeros((len(problem.nodes), 3, 0)), np.ones(len(problem.nodes))
+    )
+    at, every = likelihood.initial_guess(), np.arange(len(pieces.active) + 2)
+    moves = 1e-4 * np.eye(len(at))[every]
+    measured = [
+        (likelihood.evaluate(at + m).log_likelihood - likelihood.evaluate(at - m).log_likelihood) / 2e-4 for m in moves
+    ]
+    np.testing.assert_allclose(likelihood.slope(likelihood.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
+
+
+@pytest.mark.parametrize("error_of", [alike_over(1.0), alike_over(2.5), by_place])
+def test_a_localisations_errors_are_no_noise_of_the_robot(error_of):
+    run = localised(error_of)
+    approach = choose_approach([run])
+    (run,) = with_correlation_lengths([run], approach)
+    noise = fit([run], approach=approach).noise.coefficients
+    assert noise.trans_trans < 0.004
+    assert noise.across_trans < 0.004
+    assert QUIET.rot_trans / 1.6 < np.hypot(noise.rot_trans, noise.rot_rot) < 1.6 * np.hypot(QUIET.rot_trans, 0.002)
+
+
+def test_noise_of_a_robot_that_is_larger_than_the_truths_is_still_its_own():
+    strong = Coefficients(0.01, 0.015, 0.03, 0.0, 0.02)
+    run = localised(alike_over(1.5), noise=strong)
+    approach = choose_approach([run])
+    (run,) = with_correlation_lengths([run], approach)
+    found = fit([run], approach=approach).noise.coefficients
+    assert found.trans_trans == pytest.approx(strong.trans_trans, rel=0.35)
+    assert found.rot_trans == pytest.approx(strong.rot_trans, rel=0.35)
+
+
+def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
+    run = localised(by_place, drive=eights)
+    (run,) = with_correlation_lengths([run], choose_approach([run]))
+    field = run.truth_field
+    assert field is not None
+    assert field.own_xy_m == pytest.approx(0.01, rel=0.3)
+    assert 0.01 < field.xy_m < 0.045
+    assert 0.7 <= field.length_m <= 2.0
+
+
+def test_windows_know_what_their_places_add():
+    field = TruthField(0.01, 0.004, 0.03, 0.01, 1.5)
+    nodes = small(0.0, truth_field=field).nodes
+    nothing = np.zeros((len(nodes), 3, 3))
+    far = interval_covariance(replace(nodes, field=nodes.field * (1, 1, 1, 1, 0)), nothing, TRUTH)
+    same = interval_covariance(replace(nodes, field=nodes.field * (1, 1, 1, 1, 0) + (0, 0, 0, 0, 1)), nothing, TRUTH)
+    assert np.allclose(far[:, 2, 2], 2.0 * (0.004**2 + 0.01**2), rtol=1e-3)
+    assert np.allclose(same[:, 2, 2], 2.0 * 0.004**2, rtol=1e-3)
+
+
+def test_the_truth_of_the_base_itself_has_no_mounting():
+    run = localised(by_place, seconds=60.0)
+    motions = pose_problem([run], approach=Approach()).motions
+
+    def tested(r):
+        return {term.name for family in library_families([r], motions, ()) for term in family}
+
+    assert set(MOUNTING) <= set(nuisance_of([run]))
+    assert set(MOUNTING) <= tested(run)
+    base = replace(run, of_base=True)
+    assert not set(MOUNTING) & (set(nuisance_of([base])) | tested(base))
