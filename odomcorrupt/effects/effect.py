@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -279,11 +280,17 @@ def choices(effect: Effect | type[Effect]) -> dict[str, tuple[str, ...]]:
 
 def parameters(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:
     """Return the parameters that a class of effects declares, in order; of an effect, those that it makes use of."""
-    fields = dataclasses.fields(effect)  # type: ignore[arg-type]  # every subclass is a dataclass
-    declared = tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
+    declared = _declared(effect if isinstance(effect, type) else type(effect))  # type: ignore[arg-type]  # it is hashable
     if isinstance(effect, type):
         return declared
     return tuple(p for p in declared if not p.optional or getattr(effect, p.name) != p.identity)
+
+
+@lru_cache(maxsize=256)
+def _declared(kind: type[Effect]) -> tuple[Parameter, ...]:
+    """Return the parameters of a class of effects; thousands of fits ask for the same ones."""
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every subclass is a dataclass
+    return tuple(Parameter(name=f.name, **f.metadata) for f in fields if "unit" in f.metadata)
 
 
 def amplitudes(effect: Effect | type[Effect]) -> tuple[Parameter, ...]:

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.effects.effect import Motion
+from odomcorrupt.effects.effect import Effect, Motion
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.rng import stream
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
 
 __all__ = [
@@ -47,6 +46,8 @@ MAX_ROUNDS = 2000
 _NUDGE = 0.5
 """How far off, m/s^2 and rad/s^2, it is tried how strongly an acceleration acts."""
 
+_BLOCK = 1024
+
 _RUNAWAY = 1e6
 """An increment that changes by more metres than this diverges."""
 
@@ -54,8 +55,9 @@ _RUNAWAY = 1e6
 class LineFits:
     """Line fits to samples within +- width_s / 2 of some times: all of them that the times alone decide.
 
-    Linear in the number of samples at any rate by running sums; stamps may be uneven. Where a window holds fewer than
-    two samples, the nearest ones on both sides are used.
+    Linear in the number of samples at any rate by running sums; stamps may be uneven. Sums start again every `_BLOCK`
+    windows: over an hour they would lose a thousandth of a speed. Where a window holds fewer than two samples, the
+    nearest ones on both sides are used.
 
     Parameters
     ----------
@@ -69,25 +71,48 @@ class LineFits:
         first = np.searchsorted(t_s, at_s - width_s / 2.0, side="left")
         last = np.searchsorted(t_s, at_s + width_s / 2.0, side="right")
         here = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-        self._first, self._last = np.minimum(first, here - 1), np.maximum(last, here + 1)
+        self._t_s, self._first, self._last = t_s, np.minimum(first, here - 1), np.maximum(last, here + 1)
         count = (self._last - self._first).astype(np.float64)
-        self._centred = t_s - t_s.mean()
-        self._running = np.zeros(len(t_s) + 1)
-        st, stt = self._window_sum(self._centred), self._window_sum(self._centred**2)
-        self._spread, self._middle = np.maximum(stt - st**2 / count, 1e-12), st / count
+        self._middle, self._spread = np.empty(len(at_s)), np.empty(len(at_s))
+        for rows, samples in self._blocks():
+            t = self._since(samples)
+            st, stt = self._sums(np.stack((t, t**2), axis=1), rows, samples).T
+            self._middle[rows] = st / count[rows]
+            self._spread[rows] = np.maximum(stt - st**2 / count[rows], 1e-12)
 
     def slopes(self, values: Array) -> Array:
-        """Return the time derivatives (m, c) of values (n, c): the slopes of the lines."""
-        slope = np.empty((len(self._first), values.shape[1]))
-        # channel by channel, for contiguous memory
-        for i, origin in enumerate(values.mean(axis=0)):
-            x = values[:, i] - origin
-            slope[:, i] = (self._window_sum(x * self._centred) - self._window_sum(x) * self._middle) / self._spread
+        """Return the time derivatives (m, c) of values (n, c): the slopes of the lines.
+
+        Where no value changes they are zero: what sums round off would pass for motion at rest.
+        """
+        width = values.shape[1]
+        slope = np.empty((len(self._first), width))
+        for rows, samples in self._blocks():
+            x = values[samples] - values[samples.start]
+            both = np.concatenate((x, x * self._since(samples)[:, None]), axis=1)
+            sums = self._sums(both, rows, samples)
+            slope[rows] = sums[:, width:] - sums[:, :width] * self._middle[rows, None]
+        slope /= self._spread[:, None]
+        changes = np.concatenate(([0], np.cumsum((values[1:] != values[:-1]).any(axis=1))))
+        slope[changes[self._first] == changes[self._last - 1]] = 0.0
         return slope
 
-    def _window_sum(self, x: Array) -> Array:
-        np.cumsum(x, out=self._running[1:])
-        summed: Array = self._running[self._last] - self._running[self._first]
+    def _blocks(self) -> Iterator[tuple[slice, slice]]:
+        """Yield blocks of windows, and the samples that they hold."""
+        for begin in range(0, len(self._first), _BLOCK):
+            rows = slice(begin, begin + _BLOCK)
+            yield rows, slice(int(self._first[rows].min()), int(self._last[rows].max()))
+
+    def _since(self, samples: slice) -> Array:
+        """Return the times of samples since the first of them, seconds."""
+        since: Array = self._t_s[samples] - self._t_s[samples.start]
+        return since
+
+    def _sums(self, values: Array, rows: slice, samples: slice) -> Array:
+        """Return the sums (windows, c) of values (samples, c) over each window of a block."""
+        running = np.zeros((len(values) + 1, values.shape[1]))
+        np.cumsum(values, axis=0, out=running[1:])
+        summed: Array = running[self._last[rows] - samples.start] - running[self._first[rows] - samples.start]
         return summed
 
 
@@ -186,7 +211,9 @@ def motion_of(t_s: Array, xyt: Array, *, track_m: float | None = None) -> Motion
 
 def error_of(effect: Effect, motion: Motion) -> Array:
     """Return an effect's twist error f (n, 3), m/s and rad/s, over a whole motion from its initial state."""
-    return effect.twist_error(motion, effect.start(stream(0, 0, effect.name))).f
+    # to seed a stream takes longer than most effects; one without memory has no use for it
+    state = effect.start(stream(0, 0, effect.name)) if type(effect).start is not Effect.start else None
+    return effect.twist_error(motion, state).f
 
 
 def corrected_increments(effects: Sequence[Effect], motion: Motion, place_xyt: Array | None = None) -> Increments:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.validate.round_trip import verified_model
+from odomcorrupt.study.validate.round_trip import _driven, verified_model
 
 NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
 LAW = "along += abs(v) * (k * abs(v * omega))"
@@ -99,6 +100,22 @@ def test_a_law_that_reads_more_out_of_rough_odometry_than_the_fit_did_is_left_ou
     found = verified_model(MotionModel(NOISE, (brakes,)), [run])
     assert found.model.effects == ()
     assert "`correct` with it leaves" in found.changes[0]
+
+
+def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():
+    long = SimpleNamespace(t_s=np.arange(0.0, 2000.0, 0.1))
+    short = SimpleNamespace(t_s=np.arange(5.0, 65.0, 0.1))
+    drives = [long, short]
+    whole = [(one, one.t_s[rows]) for one, rows in _driven(drives, 0, 20)]
+    assert [(one, len(t_s)) for one, t_s in whole] == [(long, 20000), (short, 600)]
+    seen = []
+    for run in range(1, 20):
+        driven = [(one, one.t_s[rows]) for one, rows in _driven(drives, run, 20)]
+        assert 290.0 < sum(t_s[-1] - t_s[0] for _, t_s in driven) < 301.0
+        assert driven[0][0] is drives[run % 2]
+        seen += [t_s for one, t_s in driven if one is long]
+    assert min(t_s[0] for t_s in seen) < 300.0
+    assert max(t_s[-1] for t_s in seen) == long.t_s[-1]
 
 
 def test_a_law_that_flickers_with_jittering_stamps_is_replaced_by_its_mean(drive):

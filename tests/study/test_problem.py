@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import Intervals
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.io.clock import Clock
+from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.terms.regressors import driving_motion
 
@@ -57,3 +59,52 @@ def test_the_same_model_is_not_posed_again_and_one_with_a_dropped_effect_is(reco
     alone = pose_problem([recording], (), problem.clocks, approach=problem.approach)
     assert np.array_equal(posed.nodes.residual, alone.nodes.residual)
     assert not np.array_equal(posed.nodes.residual, bare.nodes.residual)
+
+
+def stretches(recording: Recording, *times_s: float) -> list[Recording]:
+    """Return the stretches of a recording whose truth jumps, each with the odometry from the beginning."""
+    cut = []
+    for i, (first_s, last_s) in enumerate(pairwise((0.0, *times_s, np.inf))):
+        truth_s, own = recording.truth.seconds_since(recording.origin_ns), recording.odometry
+        rows = (truth_s >= first_s) & (truth_s < last_s)
+        known = recording.odometry_s <= truth_s[rows][-1] + 1.0
+        jumped = recording.truth.xyt[rows] + (float(i), 0.5 * i, 0.0)
+        truth = Trajectory(recording.truth.stamps_ns[rows], jumped)
+        odometry = Trajectory(own.stamps_ns[known], own.xyt[known])
+        cut.append(replace(recording, name=f"part {i}", clock="one", odometry=odometry, truth=truth))
+    return cut
+
+
+@pytest.mark.parametrize("side", ["odometry", "truth"])
+def test_stretches_of_a_run_share_its_motion_and_pose_the_problem_that_each_poses_alone(recording, side):
+    parts = stretches(recording, 17.3, 38.0)
+    approach = replace(choose_approach([recording]), side=side)
+    lever = effect_from_values("lever_arm", {"x": 0.1})
+    tried = (lever, *EFFECTS, *(effect_from_values(name, {}) for name in ("slope", "time_offset", "region_slip")))
+    together = pose_problem(parts, EFFECTS, [Clock(0.03)] * 3, approach=approach)
+    apart = [pose_problem([part], EFFECTS, [Clock(0.03)], approach=approach) for part in parts]
+    assert len(together.motions) == 1
+    assert len(together.motions[0]) == len(recording.odometry) - 1
+    for name in ("start_s", "residual", "share", "lever", "truth_xyt"):
+        whole = np.concatenate([getattr(one.nodes, name) for one in apart])
+        np.testing.assert_allclose(getattr(together.nodes, name), whole, rtol=0.0, atol=1e-12)
+    # about a jump the motion of one stretch ends and that of the other begins
+    inner = together.nodes.linked & np.append(together.nodes.linked[1:], True)
+    for effect in tried:
+        whole = np.concatenate([one.columns(effect) for one in apart])
+        most = (1e-3 if side == "odometry" else 0.02) * np.abs(whole).max()
+        np.testing.assert_allclose(together.columns(effect), whole, rtol=0.0, atol=most)
+        if side == "odometry":
+            np.testing.assert_allclose(together.columns(effect)[inner], whole[inner], rtol=0.0, atol=1e-7)
+
+
+def test_recordings_with_clocks_or_odometry_of_their_own_share_no_motion(recording):
+    first, second = stretches(recording, 30.0)
+    approach = choose_approach([recording])
+    changed = replace(second, odometry=Trajectory(second.odometry.stamps_ns, 1.01 * second.odometry.xyt))
+    for parts, clocks in (
+        ([first, second], [Clock(), Clock(0.1)]),
+        ([first, changed], [Clock()] * 2),
+        ([first, replace(second, clock="other")], [Clock()] * 2),
+    ):
+        assert len(pose_problem(parts, (), clocks, approach=approach).motions) == 2

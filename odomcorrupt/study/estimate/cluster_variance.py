@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["PRIOR_DOF", "between_blocks", "block_of", "inflation", "shared_variance"]
+__all__ = ["PRIOR_DOF", "between_blocks", "block_of", "block_sums", "inflation", "shared_variance"]
 
 PRIOR_DOF = 20.0
 """Degrees of freedom that the common opinion is worth."""
@@ -44,7 +44,7 @@ def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Arr
     block, r : (m,) where each innovation is, and the innovations
     pull : (m, p) what each of them does to each estimate
     """
-    moved, known = _sums(block, pull * r[:, None]), _sums(block, pull**2)
+    moved, known = block_sums(block, pull * r[:, None]), block_sums(block, pull**2)
     whole = np.maximum(known.sum(axis=0), 1e-300)
     parts = known / whole
     left = moved - parts * moved.sum(axis=0)
@@ -53,7 +53,8 @@ def between_blocks(block: NDArray[np.int64], pull: Array, r: Array) -> tuple[Arr
     return variance, dof
 
 
-def _sums(block: NDArray[np.int64], values: Array) -> Array:
+def block_sums(block: NDArray[np.int64], values: Array) -> Array:
+    """Return the sums (blocks, p) over each block of values (m, p)."""
     sums: Array = np.stack([np.bincount(block, column) for column in values.T], axis=1).astype(np.float64)
     return sums
 

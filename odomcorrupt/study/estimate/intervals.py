@@ -306,15 +306,14 @@ def _field_over(field: TruthField | None, truth_step: Array) -> Array:
     return np.column_stack((sizes, alike))
 
 
-def join(parts: Sequence[Intervals], steps: Sequence[int]) -> Intervals:
-    """Return the intervals of several runs as one chain with breaks between the runs.
+def join(parts: Sequence[Intervals], before: Sequence[int]) -> Intervals:
+    """Return the intervals of several recordings as one chain with breaks between them.
 
-    steps : how many increments each run's odometry has; the joined `source` counts through all of them
+    before : how many increments of odometry come before those of each; stretches of one run share theirs
     """
-    n0 = np.concatenate(([0], np.cumsum(steps)))
     n1 = np.concatenate(([0], np.cumsum([len(p.source) for p in parts])))
     joined = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Intervals)}
-    joined["source"] = np.concatenate([p.source + n for p, n in zip(parts, n0, strict=False)])
+    joined["source"] = np.concatenate([p.source + n for p, n in zip(parts, before, strict=True)])
     joined["first"] = np.concatenate([p.first + n for p, n in zip(parts, n1, strict=False)])
     return Intervals(**joined)
 

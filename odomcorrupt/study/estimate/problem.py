@@ -48,7 +48,7 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
     left = recording
     reading = any(effect.reads_truth for effect in effects)
     if reading and smoother is None:
-        smoother = MotionSmoother(recording, "odometry")
+        smoother = MotionSmoother([recording], "odometry")
     # a force accelerates the body, not the wheels: accelerations are taken again from what the first pass left
     for again in range(2 if reading else 1):
         if smoother is not None and reading:
@@ -70,9 +70,9 @@ def undo(recording: Recording, effects: Sequence[Effect], *, smoother: MotionSmo
 class Problem:
     """Recordings, effects and clocks of a model, and the intervals of what these leave.
 
-    smoothers : per run, the recording on the truth's clock and its smooth motion
-    left : per run, what the effects leave of that recording; nothing where effects were changed to first order only
-    nodes : the K intervals of all runs
+    smoothers : per run, its recordings (several, where its truth jumped) on the truth's clock, and its smooth motion
+    left : per recording, what the effects leave of it; nothing where effects were changed to first order only
+    nodes : the K intervals of all recordings
     run : (K,) which recording an interval belongs to
     motions : per run, what drives the regressors (one entry per odometry interval)
     """
@@ -145,13 +145,15 @@ def pose_problem(
     seen = [smoother.recorded for smoother in smoothers]
     if approach.side == "truth":
         seen = [_robots(motion, [e for e in effects if _follows(e)]) for motion in seen]
-    own = smoothers if approach.side == "odometry" else [None] * len(smoothers)
-    left = [undo(s.recording, effects, smoother=same) for s, same in zip(smoothers, own, strict=True)]
+    whole = [_undone(smoother, effects, approach.side) for smoother in smoothers]
+    left = _left(recordings, clocks, smoothers, whole)
     nodes = [lay_nodes(recording, approach.spacing_s) for recording in left]
     if approach.side == "odometry" and effects:
         # speeds of the odometry as it was, accelerations of what is left of it
-        again = zip(seen, smoothers, left, strict=True)
+        again = zip(seen, smoothers, whole, strict=True)
         seen = [replace(motion, acceleration=smoother.acceleration(now)) for motion, smoother, now in again]
+    first = np.cumsum([0, *(len(motion) for motion in seen)])
+    before_run = {i: int(n) for run, n in zip(_runs(recordings, clocks), first, strict=False) for i in run}
     return Problem(
         recordings=recordings,
         effects=effects,
@@ -159,7 +161,7 @@ def pose_problem(
         approach=approach,
         smoothers=smoothers,
         left=tuple(left),
-        nodes=join(nodes, [len(r.odometry) - 1 for r in left]),
+        nodes=join(nodes, [before_run[i] for i in range(len(recordings))]),
         run=np.repeat(np.arange(len(nodes)), [len(n) for n in nodes]),
         motions=tuple(seen),
     )
@@ -168,15 +170,66 @@ def pose_problem(
 def _smoothers(
     recordings: tuple[Recording, ...], clocks: tuple[Clock, ...], side: Side, before: Problem | None
 ) -> tuple[MotionSmoother, ...]:
-    """Return every recording on the truth's clock with its smooth motion; an earlier problem's where clocks agree."""
+    """Return every run on the truth's clock with its smooth motion; an earlier problem's where clocks agree."""
     known = {}
     if before is not None and before.smoothers and before.approach.side == side:
-        of_before = zip(before.recordings, before.clocks, before.smoothers, strict=True)
-        known = {(id(recording), clock): smoother for recording, clock, smoother in of_before}
+        of_before = zip(_runs(before.recordings, before.clocks), before.smoothers, strict=True)
+        known = {
+            (tuple(id(before.recordings[i]) for i in run), before.clocks[run[0]]): smoother
+            for run, smoother in of_before
+        }
     return tuple(
-        known.get((id(recording), clock)) or MotionSmoother(aligned(recording, clock), side)
-        for recording, clock in zip(recordings, clocks, strict=True)
+        known.get((tuple(id(recordings[i]) for i in run), clocks[run[0]]))
+        or MotionSmoother([aligned(recordings[i], clocks[run[0]]) for i in run], side)
+        for run in _runs(recordings, clocks)
     )
+
+
+def _runs(recordings: Sequence[Recording], clocks: Sequence[Clock]) -> list[list[int]]:
+    """Return which recordings are stretches of one run: each has the odometry of the run up to an end of its own."""
+    runs: list[list[int]] = []
+    for i, recording in enumerate(recordings):
+        own = (run for run in runs if clocks[run[0]] == clocks[i] and _one_run(recordings[run[0]], recording))
+        run = next(own, None)
+        if run is None:
+            runs.append([i])
+        else:
+            run.append(i)
+    return runs
+
+
+def _one_run(one: Recording, other: Recording) -> bool:
+    """Whether two recordings have the odometry of one run from its beginning."""
+    if not one.clock or (one.clock, one.origin_ns, one.track_m) != (other.clock, other.origin_ns, other.track_m):
+        return False
+    if one.odometry is other.odometry:
+        return True
+    shared = min(len(one.odometry), len(other.odometry))
+    a, b = one.odometry, other.odometry
+    return np.array_equal(a.stamps_ns[:shared], b.stamps_ns[:shared]) and np.array_equal(a.xyt[:shared], b.xyt[:shared])
+
+
+def _undone(smoother: MotionSmoother, effects: Sequence[Effect], side: Side) -> Recording:
+    """Return what effects leave of the odometry of a run."""
+    if side != "odometry" and any(effect.reads_truth for effect in effects):
+        smoother = MotionSmoother(smoother.stretches, "odometry")
+    return undo(smoother.recording, effects, smoother=smoother)
+
+
+def _left(
+    recordings: Sequence[Recording],
+    clocks: Sequence[Clock],
+    smoothers: Sequence[MotionSmoother],
+    whole: Sequence[Recording],
+) -> list[Recording]:
+    """Return each recording with what effects leave of the odometry of its run."""
+    left = {}
+    for run, smoother, undone in zip(_runs(recordings, clocks), smoothers, whole, strict=True):
+        for i, stretch in zip(run, smoother.stretches, strict=True):
+            own = slice(len(stretch.odometry))
+            odometry = Trajectory(undone.odometry.stamps_ns[own], undone.odometry.xyt[own])
+            left[i] = stretch if undone is smoother.recording else replace(stretch, odometry=odometry)
+    return [left[i] for i in range(len(recordings))]
 
 
 def _robots(motion: Motion, setup: Sequence[Effect]) -> Motion:

@@ -6,13 +6,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cholesky, eigh
+from scipy.linalg import block_diag, cholesky, eigh
+from scipy.sparse import csr_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
+from odomcorrupt.study.estimate.whitener import Shrunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -50,6 +52,24 @@ _COARSELY, FINELY = 2.0, 8.0
 """Knots to a correlation time: a few show that a process is there, more show how rough it is."""
 _WALK_S = 20.0
 _BREAK_S = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Root:
+    """Columns S M whose independent standard normal factors make a process.
+
+    spread : S (3 K, k) what each of its knots does to each residual, sparse
+    mixing : M (k, m) what each factor does to each knot
+    """
+
+    spread: csr_array
+    mixing: Array
+
+    @property
+    def columns(self) -> Array:
+        """The columns (3 K, m) multiplied out."""
+        columns: Array = self.spread @ self.mixing
+        return columns
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,41 +112,51 @@ def with_random(noise: NoiseFit, problem: Problem, columns: Array, random: Seque
 def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFit:
     """Return the same noise without random coefficients."""
     white = noise.whitener
-    if white.shrink is None:
+    if white.shrunk is None:
         return noise
-    plain = replace(white, directions=None, shrink=None, log_det=white.log_det + float(np.log(white.shrink).sum()))
+    plain = replace(white, shrunk=None, log_det=white.log_det + float(np.log(white.shrunk.factors).sum()))
     plain = widened(plain, problem, ())
     return estimated(noise, plain, by_column(np.concatenate((problem.nodes.residual[:, :, None], columns), axis=2)))
 
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
     """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
-    roots = [root_of(effect, problem) for effect in random]
+    roots = [_root_of(effect, problem) for effect in random]
     if has_bias(problem):
-        roots.append(bias_roots(problem))
+        roots.append(_written_out(bias_roots(problem)))
     if has_field(problem):
-        roots.append(field_roots(problem))
+        roots.append(_written_out(field_roots(problem)))
     if not roots:
         return white
-    designs = np.concatenate([white.whiten(root) for root in roots], axis=1)
+    designs = np.concatenate([white.whitened(root.columns) for root in roots], axis=1)
     # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
     square, turned = eigh(designs.T @ designs)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)
-    square, directions = square[plain], designs @ (turned[:, plain] / np.sqrt(square[plain]))
+    square, turned = square[plain], turned[:, plain] / np.sqrt(square[plain])
     growth = 1.0 + square
+    mixing = block_diag(*(root.mixing for root in roots)) @ turned
     return replace(
         white,
-        directions=directions,
-        shrink=1.0 / np.sqrt(growth),
+        shrunk=Shrunk(csr_array(hstack([root.spread for root in roots])), mixing, 1.0 / np.sqrt(growth)),
         log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
     )
 
 
+def _written_out(columns: Array) -> Root:
+    """Return columns (K, 3, m) that are known one by one as such a product."""
+    return Root(csr_array(columns.reshape(-1, columns.shape[2])), np.eye(columns.shape[2]))
+
+
 def root_of(effect: Effect, problem: Problem) -> Array:
     """Return columns (K, 3, m) whose independent standard normal factors make a random coefficient of its own size."""
+    columns: Array = _root_of(effect, problem).columns
+    return columns.reshape(len(problem.nodes), 3, -1)
+
+
+def _root_of(effect: Effect, problem: Problem) -> Root:
     (process,) = processes_like(effect)
-    root: Array = getattr(effect, process.scale) * rooted(problem, process, FINELY)
-    return root
+    root = _rooted(problem, process, FINELY)
+    return Root(root.spread, getattr(effect, process.scale) * root.mixing)
 
 
 def processes() -> list[Process]:
@@ -181,6 +211,10 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
 
     Its knots lie a correlation time over `parts` apart.
     """
+    return _rooted(problem, process, parts).columns.reshape(len(problem.nodes), 3, -1)
+
+
+def _rooted(problem: Problem, process: Process, parts: float) -> Root:
     nodes = problem.nodes
     # runs lie far apart: a process starts again in each
     time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)
@@ -189,11 +223,15 @@ def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Arra
     step = max((_WALK_S if tau is None else tau) / parts, float(gaps[gaps < _BREAK_S].sum()) / _MOST_KNOTS)
     cells = np.unique(np.floor(time / step))
     knots = np.unique(np.concatenate((cells, cells + 1.0))) * step
-    hats = np.maximum(1.0 - np.abs(time[:, None] - knots) / step, 0.0)
     prior = process.variance * np.exp(-np.abs(knots[:, None] - knots) / tau) if tau is not None else _walk(knots)
     root = cholesky(prior + 1e-9 * np.eye(len(knots)) * np.trace(prior) / len(knots), lower=True)
-    rooted: Array = unit_column(problem, process)[:, :, None] * (hats @ root)[:, None, :]
-    return rooted
+    # between two neighbouring knots, both of which there are
+    left = np.minimum(np.searchsorted(knots, time, side="right") - 1, len(knots) - 2)
+    part = (time - knots[left]) / step
+    unit, rows, left = unit_column(problem, process).ravel(), np.arange(3 * len(nodes)), np.repeat(left, 3)
+    weights = np.concatenate((unit * np.repeat(1.0 - part, 3), unit * np.repeat(part, 3)))
+    where = np.tile(rows, 2), np.concatenate((left, left + 1))
+    return Root(csr_array((weights, where), shape=(len(rows), len(knots))), root)
 
 
 def _walk(knots: Array) -> Array:

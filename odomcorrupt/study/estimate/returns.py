@@ -123,7 +123,7 @@ def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
 
 def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Problem:
     """Return the ends as a regression problem, the effects taken out of the odometry."""
-    smoothers = [MotionSmoother(drive, "odometry") for drive in drives]
+    smoothers = [MotionSmoother([drive], "odometry") for drive in drives]
     left = [undo(drive, effects, smoother=smoother) for drive, smoother in zip(drives, smoothers, strict=True)]
     nodes = [intervals(drive, np.array([0, 1])) for drive in left]
     return Problem(
@@ -133,10 +133,15 @@ def _problem(drives: Sequence[Recording], effects: tuple[Effect, ...]) -> Proble
         approach=Approach(),
         smoothers=tuple(smoothers),
         left=tuple(left),
-        nodes=join(nodes, [len(drive.odometry) - 1 for drive in left]),
+        nodes=join(nodes, _starts([len(drive.odometry) - 1 for drive in left])),
         run=np.arange(float(len(nodes))),
         motions=tuple(smoother.recorded for smoother in smoothers),
     )
+
+
+def _starts(steps: Sequence[int]) -> list[int]:
+    """Return how many increments come before those of each drive."""
+    return [sum(steps[:i]) for i in range(len(steps))]
 
 
 def _covariance(problem: Problem) -> Array:

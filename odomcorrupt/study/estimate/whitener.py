@@ -23,11 +23,14 @@ from scipy.linalg import lapack
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
 
 __all__ = [
+    "Shrunk",
     "Whitener",
     "band_of",
     "dense_covariance",
@@ -50,20 +53,35 @@ _TINY = 1e-18 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
+class Shrunk:
+    """Orthonormal directions L^-1 S M of whitened residuals along which a process makes them shrink.
+
+    As S is sparse and M small they are never multiplied out: that would take as much memory as hundreds of columns, and
+    most of the time of everything that is whitened.
+
+    spread : S (3 K, k) what each knot of a process does to each residual, sparse
+    mixing : M (k, m) of the knots, for each direction
+    factors : (m,) by which whitened data shrink along them
+    """
+
+    spread: csr_array
+    mixing: Array
+    factors: Array
+
+
+@dataclass(frozen=True, slots=True)
 class Whitener:
     """The banded Cholesky factor L of the residuals' covariance.
 
     factor : (6, 3 K) lower banded
     log_det : sum of log of L's diagonal
+    shrunk : what a process spread over all residuals adds to the covariance; none by default
     rho : (K, 3, 3) of the quasi-differences that L is of, see above; None where it is of the residuals themselves
-    directions, shrink : (3 K, m) orthonormal, and (m,) factors by which whitened data shrink along them: what a
-        process spread over all residuals adds to the covariance; none by default
     """
 
     factor: Array
     log_det: float
-    directions: Array | None = None
-    shrink: Array | None = None
+    shrunk: Shrunk | None = None
     rho: Array | None = None
 
     def whiten(self, columns: Array) -> Array:
@@ -83,23 +101,35 @@ class Whitener:
 
     def whitened(self, flat: Array) -> Array:
         """Return what `whiten` does for x of shape (3 K, c)."""
-        solved = self.solved(flat if self.rho is None else _quasi_differences(flat, self.rho))
-        if self.directions is not None and self.shrink is not None:
-            solved = solved - self.directions @ ((1.0 - self.shrink)[:, None] * (self.directions.T @ solved))
-        white: Array = solved
-        return white
+        white = self._by_band(flat)
+        return white if self.shrunk is None else white - self._lost(white, self.shrunk)
 
     def pulled(self, white: Array) -> Array:
         """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
-        rest = white
-        if self.directions is not None and self.shrink is not None:
-            rest = white - self.directions @ ((1.0 - self.shrink) * (self.directions.T @ white))
-        solved, info = lapack.dtbtrs(self.factor, rest[:, None], uplo="L", trans="T")
+        rest = white[:, None]
+        if self.shrunk is not None:
+            rest = rest - self._lost(rest, self.shrunk)
+        return self._back(rest).reshape(-1, 3)
+
+    def _lost(self, white: Array, shrunk: Shrunk) -> Array:
+        """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""
+        along = shrunk.mixing.T @ (shrunk.spread.T @ self._back(white))
+        return self._by_band(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
+
+    def _by_band(self, flat: Array) -> Array:
+        """Return x of shape (3 K, c), whitened by the band alone."""
+        return self.solved(flat if self.rho is None else _quasi_differences(flat, self.rho))
+
+    def _back(self, white: Array) -> Array:
+        """Return (3 K, c) whose product with any x is that of x whitened by the band with data (3 K, c)."""
+        solved, info = lapack.dtbtrs(self.factor, white, uplo="L", trans="T")
         if info != 0:
             raise FitError("the covariance of the residuals is singular")
-        back: Array = solved.reshape(-1, 3)
+        back: Array = solved
         if self.rho is not None:
-            back[:-1] -= np.einsum("kji,kj->ki", self.rho[1:], back[1:])
+            blocks = back.reshape(len(self.rho), 3, -1)
+            carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
+            back = np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(solved.shape)
         return back
 
     def log_likelihood(self, innovations: Array) -> float:

@@ -29,7 +29,7 @@ from odomcorrupt.study.select.score import project_out, score_columns
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Container, Iterable, Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -170,14 +170,20 @@ def _reshaped(one: Dependence, score: Score) -> Dependence:
 
 
 def best_replacement(
-    fit: Fit, compared: Iterable[tuple[Effect, ModelComparison]], decisions: Decisions
+    fit: Fit,
+    compared: Iterable[tuple[Effect, ModelComparison]],
+    decisions: Decisions,
+    contradicted: Container[str] = (),
 ) -> Proposal | None:
-    """Return a dependence that explains plainly more than an included effect, and the fit with it instead."""
+    """Return a dependence that explains plainly more than an included effect, and the fit with it instead.
+
+    contradicted : channels on which no dependence is named
+    """
     for effect, own in compared:
         others = [e for e in fit.effects if e is not effect]
         best = None
         for one in own.better(decisions):
-            if one.best is None or one.name in {e.name for e in others}:
+            if one.best is None or one.channel in contradicted or one.name in {e.name for e in others}:
                 continue
             score = one.best.score
             with_it = fit.refit((*others, score.estimated))

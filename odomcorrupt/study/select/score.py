@@ -14,7 +14,14 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import f as fisher_f
 
-from odomcorrupt.study.estimate.cluster_variance import PRIOR_DOF, between_blocks, block_of, inflation, shared_variance
+from odomcorrupt.study.estimate.cluster_variance import (
+    PRIOR_DOF,
+    between_blocks,
+    block_of,
+    block_sums,
+    inflation,
+    shared_variance,
+)
 from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.select.decisions import penalty
 
@@ -192,25 +199,22 @@ def _test(r: Array, column: Array, raw: Array, block: NDArray[np.int64]) -> _Tes
     estimate = covariance @ (column.T @ r)
     best = column @ estimate
     statistic = float(best @ r)
-    blocks = int(block.max()) + 1
     length = np.sqrt(max(float(best @ best), 1e-300))
     unit = best / length
     ((variance,), (dof,)) = between_blocks(block, unit[:, None], r)
-    held_out = _held_out(r, column, block, blocks)
+    held_out = _held_out(r, column, block)
     return _Test(estimate, covariance, statistic, float(variance), float(dof), separable=True, held_out=held_out)
 
 
-def _held_out(r: Array, column: Array, block: NDArray[np.int64], blocks: int) -> Array:
+def _held_out(r: Array, column: Array, block: NDArray[np.int64]) -> Array:
     """Return the gain (nats) of each block when the estimate comes from all the others."""
-    by_block = np.array([(column[block == b].T @ column[block == b]).ravel() for b in range(blocks)])
-    score = np.array([column[block == b].T @ r[block == b] for b in range(blocks)])
     count = column.shape[1]
-    normal = by_block.reshape(blocks, count, count)
-    gains = np.zeros(blocks)
-    for b in range(blocks):
-        rest = normal.sum(axis=0) - normal[b]
-        theta = np.linalg.lstsq(rest, score.sum(axis=0) - score[b], rcond=None)[0]
-        gains[b] = theta @ score[b] - 0.5 * theta @ normal[b] @ theta
+    squares = (column[:, :, None] * column[:, None, :]).reshape(-1, count * count)
+    normal = block_sums(block, squares).reshape(-1, count, count)
+    score = block_sums(block, column * r[:, None])
+    rest = np.linalg.pinv(normal.sum(axis=0) - normal, rcond=count * np.finfo(np.float64).eps, hermitian=True)
+    theta = np.einsum("bij,bj->bi", rest, score.sum(axis=0) - score)
+    gains: Array = np.einsum("bi,bi->b", theta, score) - 0.5 * np.einsum("bi,bij,bj->b", theta, normal, theta)
     return gains
 
 

@@ -43,9 +43,7 @@ _NEAR, _WORTH = 0.03, 0.05
 """Parts of the first steps, and nats, below which the simplex ends."""
 
 _REFINED, _REFINED_NATS = 1.5, 5.0
-"""Factor and nats by which exact columns raise what a family explains, at most. TODO
-
-"""
+"""Factor and nats by which exact columns may raise what a family explains: by a quarter at most, as far as was seen."""
 
 T = TypeVar("T", bound=Term)
 

@@ -249,7 +249,9 @@ class _Selection:
         if len(self.included) >= decisions.max_dependences:
             return None
         effects = [(e, self.compared[e.name]) for e in self.fit.effects if alone and e.name in self.compared]
-        return best_replacement(self.fit, effects, decisions) or best_dependence(self.fit, self.open, decisions)
+        # what the data contradict in one place is no better in another: it would come and go
+        replacement = best_replacement(self.fit, effects, decisions, self._contradicted())
+        return replacement or best_dependence(self.fit, self.open, decisions)
 
     def _compare(self, design: CoarseDesign) -> None:
         added = {step.added for step in self.steps}

@@ -7,8 +7,10 @@ carries the noise itself, sample by sample: take the truth then. The odometry's 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -58,23 +60,32 @@ class MotionSmoother:
 
     Parameters
     ----------
-    recording : as it was recorded, on the truth's clock; where the robot is, is its truth's to say
+    stretches : of one run, as they were recorded, on the truth's clock: the odometry of each is that of the run from
+        its beginning, and where the robot was in its time is its truth's to say
     side : of which side's poses the speeds are local slopes
 
     """
 
-    def __init__(self, recording: Recording, side: Side) -> None:
-        source = recording.odometry if side == "odometry" else recording.truth
-        self.recording, self._side = recording, side
-        t_s, own = recording.odometry_s, source.seconds_since(recording.origin_ns)
-        width_s = SMOOTHING_S if side == "odometry" else _truth_window(source)
+    def __init__(self, stretches: Sequence[Recording], side: Side) -> None:
+        self.stretches, self._side = tuple(stretches), side
+        self.recording = whole = max(stretches, key=lambda r: len(r.odometry))
+        t_s = whole.odometry_s
         self._ends_s, self._dt_s, middle = t_s[1:], np.diff(t_s), (t_s[:-1] + t_s[1:]) / 2.0
-        self._poses, self._speeds = LineFits(own, middle, width_s), LineFits(middle, middle, width_s)
-        self._place = source.place_of(np.clip(middle, own[0], own[-1]), recording.origin_ns)
         # slopes and regions lie in the world
-        truth_s = recording.truth.seconds_since(recording.origin_ns)
-        at = recording.truth.at(np.clip(middle, truth_s[0], truth_s[-1]), recording.origin_ns)
+        shared = _by_truth(self.stretches, middle)
+        at = np.concatenate([_where(stretch.truth, part, whole.origin_ns) for stretch, part in shared])
         self._x, self._y, self._theta = np.ascontiguousarray(at.T)
+        if side == "odometry":
+            shared, widths_s = [(whole, middle)], [SMOOTHING_S]
+        else:
+            widths_s = [_truth_window(stretch.truth) for stretch, _ in shared]
+        self._slopes = [
+            _Slopes.of(stretch.odometry if side == "odometry" else stretch.truth, part, whole.origin_ns, width_s)
+            for (stretch, part), width_s in zip(shared, widths_s, strict=True)
+        ]
+        parts = zip((part for _, part in shared), widths_s, strict=True)
+        self._speeds = [LineFits(part, part, width_s) for part, width_s in parts]
+        self._cuts = np.cumsum([len(part) for _, part in shared])[:-1]
 
     @cached_property
     def recorded(self) -> Motion:
@@ -91,7 +102,7 @@ class MotionSmoother:
             v=v,
             vy=vy,
             omega=omega,
-            acceleration=self._speeds.slopes(twist),
+            acceleration=self._accelerations(twist),
             x=self._x,
             y=self._y,
             theta=self._theta,
@@ -101,18 +112,58 @@ class MotionSmoother:
 
     def acceleration(self, recording: Recording) -> Array:
         """Return the acceleration (n, 3) of `motion` alone."""
-        return self._speeds.slopes(self._twist(recording))
+        return self._accelerations(self._twist(recording))
+
+    def _accelerations(self, twist: Array) -> Array:
+        parts = np.split(twist, self._cuts)
+        return np.concatenate([fits.slopes(part) for fits, part in zip(self._speeds, parts, strict=True)])
 
     def _twist(self, recording: Recording) -> Array:
-        source = recording.odometry if self._side == "odometry" else recording.truth
-        world = self._poses.slopes(source.xyt)
-        heading = source.headings_between(*self._place)
+        if self._side == "odometry":
+            return self._slopes[0].twist(recording.odometry)
+        return np.concatenate([part.twist(part.path) for part in self._slopes])
+
+
+@dataclass(frozen=True, slots=True)
+class _Slopes:
+    """Line fits to the poses of a path at some times, and where on the path these times are."""
+
+    path: Trajectory
+    lines: LineFits
+    left: NDArray[np.int64]
+    fraction: Array
+
+    @classmethod
+    def of(cls, path: Trajectory, at_s: Array, origin_ns: int, width_s: float) -> Self:
+        """Return the fits to a path at times (m,), in windows of a width."""
+        own = path.seconds_since(origin_ns)
+        left, fraction = path.place_of(np.clip(at_s, own[0], own[-1]), origin_ns)
+        return cls(path, LineFits(own, at_s, width_s), left, fraction)
+
+    def twist(self, path: Trajectory) -> Array:
+        """Return the twist (m, 3) of a path with the same stamps."""
+        world = self.lines.slopes(path.xyt)
+        heading = path.headings_between(self.left, self.fraction)
         return np.concatenate((rotate(world[:, :2], -heading), world[:, 2:]), axis=1)
+
+
+def _by_truth(stretches: Sequence[Recording], at_s: Array) -> list[tuple[Recording, Array]]:
+    """Return the stretches of a run in order, and of growing times (m,) those that are nearest to the truth of each."""
+    ordered = sorted(stretches, key=lambda r: int(r.truth.stamps_ns[0]))
+    ends = [r.truth.seconds_since(r.origin_ns)[[0, -1]] for r in ordered]
+    between = [(before[1] + after[0]) / 2.0 for before, after in pairwise(ends)]
+    return list(zip(ordered, np.split(at_s, np.searchsorted(at_s, between)), strict=True))
+
+
+def _where(path: Trajectory, at_s: Array, origin_ns: int) -> Array:
+    """Return the poses (m, 3) of a path at times (m,), of its ends beyond them."""
+    own = path.seconds_since(origin_ns)
+    return path.at(np.clip(at_s, own[0], own[-1]), origin_ns)
 
 
 def driving_motion(recording: Recording, side: Side) -> Motion:
     """Return the motion over the odometry's intervals, speeds being local slopes of the poses of one side."""
-    return MotionSmoother(recording, side).recorded
+    return MotionSmoother([recording], side).recorded
 
 
 def truth_noise(truth: Trajectory) -> Array:

@@ -1,0 +1,44 @@
+"""A random process in the covariance: whitened data are those of the whole covariance, written out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hidden import as_recording
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.simulation import simulate
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.problem import pose_problem
+from odomcorrupt.study.estimate.random_process import root_of, widened
+from odomcorrupt.study.estimate.whitener import dense_covariance, whitener
+
+RANDOM = (
+    effect_from_values("gauss_markov", {"sigma": 0.05, "tau": 8.0}),
+    effect_from_values("gyro_bias_walk", {"density": 1e-3}),
+)
+
+
+@pytest.mark.parametrize("biased", [False, True])
+def test_residuals_are_whitened_by_the_whole_covariance(biased):
+    recording = as_recording(simulate(93, "wheel_scale", duration_s=45.0))
+    recording = replace(recording, truth_scale_error=0.002 if biased else 0.0)
+    problem = pose_problem([recording], approach=choose_approach([recording]))
+    nodes, truth = problem.nodes, TruthNoise(0.002, 0.003, 1e-4)
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
+    white = widened(whitener(nodes, q, truth), problem, RANDOM)
+    roots = np.concatenate([root_of(effect, problem) for effect in RANDOM], axis=2).reshape(3 * len(nodes), -1)
+    whole = dense_covariance(nodes, q, truth) + roots @ roots.T
+    if biased:
+        travel = [np.stack((m.v, m.vy, 0.0 * m.v), axis=1) * m.dt_s[:, None] for m in problem.motions]
+        along = 0.002 * (nodes.column(-np.concatenate(travel)) * (1.0, 1.0, 0.0)).ravel()
+        whole = whole + np.outer(along, along)
+    x = np.random.default_rng(4).normal(size=(3 * len(nodes), 2)) * 1e-3
+    w, solved = white.whitened(x), np.linalg.solve(whole, x)
+    np.testing.assert_allclose(w.T @ w, x.T @ solved, rtol=1e-5)
+    np.testing.assert_allclose(2.0 * white.log_det, np.linalg.slogdet(whole)[1], rtol=1e-8)
+    pulled = white.pulled(w[:, 0]).ravel()
+    np.testing.assert_allclose(pulled, solved[:, 0], rtol=0.0, atol=1e-6 * np.abs(solved).max())
