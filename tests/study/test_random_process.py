@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hidden import as_recording
+from scipy.linalg import lapack
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.motion_model import TruthNoise
@@ -42,3 +43,20 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     np.testing.assert_allclose(2.0 * white.log_det, np.linalg.slogdet(whole)[1], rtol=1e-8)
     pulled = white.pulled(w[:, 0]).ravel()
     np.testing.assert_allclose(pulled, solved[:, 0], rtol=0.0, atol=1e-6 * np.abs(solved).max())
+
+
+def test_nothing_is_whitened_without_a_call_of_lapack_which_would_write_where_there_is_nothing(monkeypatch):
+    recording = as_recording(simulate(93, "wheel_scale", duration_s=45.0))
+    problem = pose_problem([recording], approach=choose_approach([recording]))
+    nodes = problem.nodes
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
+    white = widened(whitener(nodes, q, TruthNoise(0.002, 0.003, 1e-4)), problem, RANDOM)
+    solve = lapack.dtbtrs
+
+    def counted(factor, columns, **options):
+        assert columns.size
+        return solve(factor, columns, **options)
+
+    monkeypatch.setattr(lapack, "dtbtrs", counted)
+    assert white.whiten(np.zeros((len(nodes), 3, 0))).shape == (3 * len(nodes), 0)
+    assert white.pulled(white.whiten(nodes.residual)).shape == nodes.residual.shape

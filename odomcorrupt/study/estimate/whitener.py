@@ -91,13 +91,7 @@ class Whitener:
 
     def solved(self, flat: Array) -> Array:
         """Return L^-1 z for quasi-differences z of shape (3 K, c)."""
-        if not flat.shape[1]:  # LAPACK writes where there is nothing
-            return flat
-        solved, info = lapack.dtbtrs(self.factor, flat, uplo="L")
-        if info != 0:
-            raise FitError("the covariance of the residuals is singular")
-        white: Array = solved
-        return white
+        return _band_solve(self.factor, flat)
 
     def whitened(self, flat: Array) -> Array:
         """Return what `whiten` does for x of shape (3 K, c)."""
@@ -122,14 +116,11 @@ class Whitener:
 
     def _back(self, white: Array) -> Array:
         """Return (3 K, c) whose product with any x is that of x whitened by the band with data (3 K, c)."""
-        solved, info = lapack.dtbtrs(self.factor, white, uplo="L", trans="T")
-        if info != 0:
-            raise FitError("the covariance of the residuals is singular")
-        back: Array = solved
+        back = _band_solve(self.factor, white, transposed=True)
         if self.rho is not None:
             blocks = back.reshape(len(self.rho), 3, -1)
             carried = np.einsum("kji,kjc->kic", self.rho[1:], blocks[1:])
-            back = np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(solved.shape)
+            back = np.concatenate((blocks[:-1] - carried, blocks[-1:])).reshape(white.shape)
         return back
 
     def log_likelihood(self, innovations: Array) -> float:
@@ -309,6 +300,17 @@ def whitener(nodes: Intervals, q: Array, truth: TruthNoise) -> Whitener:
     for weight, piece in zip(truth_weights(truth), truth_pieces(nodes), strict=True):
         band += weight * band_of(*piece)
     return factored(band, rho_of(nodes))
+
+
+def _band_solve(factor: Array, flat: Array, *, transposed: bool = False) -> Array:
+    """Return L^-1 z, or L^-T z, for z of shape (3 K, c) and the lower banded L (6, 3 K)."""
+    if not flat.shape[1]:  # LAPACK would write where there is nothing
+        return flat
+    solved, info = lapack.dtbtrs(factor, flat, uplo="L", trans="T" if transposed else "N")
+    if info != 0:
+        raise FitError("the covariance of the residuals is singular")
+    white: Array = solved
+    return white
 
 
 def fixed_band(nodes: Intervals) -> Array:
