@@ -21,7 +21,7 @@ from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.estimate.windows import phased_rmse, rmse, time_windows
 from odomcorrupt.study.io.clock import Clock, aligned
 from odomcorrupt.study.io.encoders import restore_lost
-from odomcorrupt.study.io.headings import with_recomputed_headings
+from odomcorrupt.study.io.headings import with_headings, with_recomputed_headings
 from odomcorrupt.study.validate.calibration import CURVE_M, HORIZONS_M, Horizon
 from odomcorrupt.study.validate.cross_validation import cutting_of
 from odomcorrupt.study.validate.evaluation import Evaluation, evaluate_stretch, horizons_of
@@ -33,6 +33,7 @@ from odomcorrupt.study.validate.trajectory_error import TrajectoryError, traject
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.io.recording import Recording
@@ -126,7 +127,7 @@ def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: Mo
     plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
         return plain
-    applied = find_clocks([undo(recording, effects) for recording in recordings], approach)
+    applied = find_clocks([_taken_out(recording, effects) for recording in recordings], approach)
 
     def error_m(clocks: Sequence[Clock]) -> float:
         on_time = [aligned(r, c) for r, c in zip(recordings, clocks, strict=True)]
@@ -139,6 +140,15 @@ def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: Mo
         if error_m(other.clocks) < _CLOSER * error_m(found.clocks):
             found = other
     return found
+
+
+def _taken_out(recording: Recording, effects: Sequence[Effect]) -> Recording:
+    """Return a recording without what effects do to it, its truth as it came.
+
+    An effect that depends on the heading in the world needs one, where the truth has positions alone.
+    """
+    left = undo(with_headings(recording), effects)
+    return replace(left, truth=recording.truth, heading_error_rad=recording.heading_error_rad)
 
 
 def _fitted_on(model: MotionModel) -> list[str]:
