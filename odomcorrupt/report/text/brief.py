@@ -193,9 +193,9 @@ def _track_lines(search: Learned, *, failed: bool) -> list[Line]:
         return []
     fitted = [e.name for e in search.fit.effects if getattr(e, "track", 0.0)]
     ghosts = [name for name in search.added if name in _LIKE_SINGLE_WHEELS]
-    said = f"the track of {', '.join(fitted)} was fitted" if fitted else "errors of single wheels are approximated"
-    said += f"; {', '.join(ghosts)} may come from them" if ghosts else ""
-    return [Line("no --track", f"{said}: measure the track and give it", "warning")]
+    said = f"that of {', '.join(fitted)} was fitted" if fitted else "errors of single wheels are approximated"
+    said += f", {', '.join(ghosts)} may come from them" if ghosts else ""
+    return [Line("track", f"not given: {said}; measure it (--track)", "warning")]
 
 
 def _open_lines(search: Learned, advice: Advice) -> list[Line]:
