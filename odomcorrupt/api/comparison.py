@@ -56,7 +56,7 @@ class Comparison(Result):
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and every failure."""
         from odomcorrupt.report.text.comparison import comparison_text
-        from odomcorrupt.report.text.tables import clock_lines
+        from odomcorrupt.report.text.numbers import clock_lines
 
         lines = clock_lines(self.result.recordings, self.result.clocks)
         return "\n".join([*lines, comparison_text(self.result)])

@@ -100,27 +100,25 @@ class Corruption(Result):
         from odomcorrupt.report.json.numbers import finite
 
         outcome = self.outcome
-        return dict(
-            finite(
-                {
-                    "schema": 2,
-                    "input": self.source,
-                    "output": self.target,
-                    "seed": outcome.seed,
-                    "run": outcome.run,
-                    "law": outcome.model.noise.law_name,
-                    "parameters": self.model.parameters,
-                    "odometry": outcome.odometry,
-                    "odom_frame": outcome.frames.odom,
-                    "base_frame": outcome.frames.base,
-                    "moved": self.moved,
-                    "added": dict(outcome.added),
-                    "drift": asdict(outcome.drift),
-                    "remarks": oddities(outcome),
-                    "losses": list(outcome.losses),
-                    "earlier": list(self.earlier),
-                }
-            )
+        return finite(
+            {
+                "schema": 2,
+                "input": self.source,
+                "output": self.target,
+                "seed": outcome.seed,
+                "run": outcome.run,
+                "law": outcome.model.noise.law_name,
+                "parameters": self.model.parameters,
+                "odometry": outcome.odometry,
+                "odom_frame": outcome.frames.odom,
+                "base_frame": outcome.frames.base,
+                "moved": self.moved,
+                "added": dict(outcome.added),
+                "drift": asdict(outcome.drift),
+                "remarks": oddities(outcome),
+                "losses": list(outcome.losses),
+                "earlier": list(self.earlier),
+            }
         )
 
     def rows(self) -> list[dict[str, Any]]:

@@ -159,8 +159,7 @@ class Diagnosis(Findings):
 
     def details(self) -> str:
         """Return the candidates, what was found, what each addition gains, and what is open."""
-        from odomcorrupt.report.text.diagnosis import found_text, shares_text
-        from odomcorrupt.report.text.tables import candidates_table
+        from odomcorrupt.report.text.diagnosis import candidates_table, found_text, shares_text
 
         found = self.result
         said = found_text(found.search, found.advice, judged=self._judged)

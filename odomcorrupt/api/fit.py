@@ -60,7 +60,7 @@ class Fit(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
-        from odomcorrupt.report.json.fit import fit_json
+        from odomcorrupt.report.json.diagnosis import fit_json
 
         return fit_json(self.result, self.laws)
 

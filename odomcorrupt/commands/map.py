@@ -16,7 +16,6 @@ from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_
 from odomcorrupt.commands._progress import part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
-from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -264,7 +263,7 @@ def _hits_line(off_surface_m: Any) -> str:
 def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
-    content: dict[str, Any] = {
+    return {
         "schema": 2,
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
@@ -274,4 +273,3 @@ def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[
         "off_surface_m": {s.name: s.off_surface_m.tolist() for s in surveys[1:]},
         "notes": list(notes),
     }
-    return dict(finite(content))

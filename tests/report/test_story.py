@@ -20,12 +20,11 @@ from odomcorrupt.report.json.diagnosis import learned_json
 from odomcorrupt.report.plots.diagnosis import draw_candidates, draw_plan, draw_unknown
 from odomcorrupt.report.plots.figure import rendered
 from odomcorrupt.report.text.comparison import comparison_text
-from odomcorrupt.report.text.confidence import fitted_expression, law_numbers
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
 from odomcorrupt.report.text.fit import fit_text, laws_table
 from odomcorrupt.report.text.lack_of_fit import rejection
-from odomcorrupt.report.text.tables import clock_lines, value_text
+from odomcorrupt.report.text.numbers import clock_lines, fitted_expression, law_numbers, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
 from odomcorrupt.study.design.plan import plan_of

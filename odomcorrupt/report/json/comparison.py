@@ -23,7 +23,7 @@ SCHEMA = 2
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison."""
-    values: dict[str, Any] = finite(
+    return finite(
         {
             "schema": SCHEMA,
             "signs": SIGNS,
@@ -38,7 +38,6 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             "models": [_judgement(j) for j in comparison.judgements],
         }
     )
-    return values
 
 
 def _judgement(j: Judgement) -> dict[str, Any]:

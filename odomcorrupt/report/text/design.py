@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.tables import value_text
+from odomcorrupt.report.text.numbers import value_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
