@@ -83,14 +83,7 @@ class Comparison(Result):
         ]
 
     def horizon_rows(self) -> list[dict[str, Any]]:
-        """Return the errors over windows of each length, as measured and as each model expects them.
-
-        Returns
-        -------
-        list of dict
-            A row for each model and length of path: RMS errors in metres and radians, NEES, number of windows.
-
-        """
+        """Return a row for each model and length of path: RMS errors, measured and expected, m and rad, and NEES."""
         return [
             {
                 "model": j.name,
@@ -107,37 +100,14 @@ class Comparison(Result):
         ]
 
     def report(self) -> str:
-        """Return the comparison as one page of HTML.
-
-        Returns
-        -------
-        str
-            Tables and pictures in one text, which needs no network.
-
-        """
+        """Return the comparison as one page of HTML, tables and pictures in one text, which needs no network."""
         from odomcorrupt import __version__
         from odomcorrupt.report.html.comparison import report_html
 
         return report_html(self.result, version=__version__)
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture.
-
-        Parameters
-        ----------
-        picture : str
-            error (against distance; also ""), path, nees, residuals, map or pit.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        OdomCorruptError
-            Where there is no such picture.
-
-        """
+        """Return a picture by its name: error (against distance; also ""), path, nees, residuals, map or pit."""
         from odomcorrupt.report.plots.comparison import PICTURES
 
         if (picture or "error") not in PICTURES:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from odomcorrupt.api.model import as_model
 from odomcorrupt.api.recordings import as_recordings
@@ -40,14 +40,12 @@ class Findings(Result):
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
         """Whether something was found; unknown where something is left that no known effect explains."""
-        verdict: Literal["complete", "missing", "unknown"] = self.to_dict()["verdict"]
-        return verdict
+        return cast('Literal["complete", "missing", "unknown"]', self.to_dict()["verdict"])
 
     @property
     def found(self) -> list[dict[str, Any]]:
         """What was found, as docs/json.md describes it: clocks, effects in order, noise."""
-        found: list[dict[str, Any]] = self.to_dict()["found"]
-        return found
+        return cast("list[dict[str, Any]]", self.to_dict()["found"])
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -57,15 +55,7 @@ class Findings(Result):
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each parameter of what was found."""
         return [
-            {
-                "effect": one["effect"],
-                "kind": one["kind"],
-                "parameter": name,
-                "value": number["value"],
-                "standard_error": number["standard_error"],
-                "unit": number["unit"],
-                "confidence": one["confidence"],
-            }
+            {"effect": one["effect"], "kind": one["kind"], "parameter": name, **number, "confidence": one["confidence"]}
             for one in self.found
             for name, number in one["parameters"].items()
         ]
@@ -116,14 +106,7 @@ class Findings(Result):
         return learned_json(found.search, found.sequence.judgements, found.advice, judged=self._judged, fit=self._fit)
 
     def report(self) -> str:
-        """Return what was found as one page of HTML.
-
-        Returns
-        -------
-        str
-            Tables and pictures in one text, which needs no network.
-
-        """
+        """Return what was found as one page of HTML, tables and pictures in one text, which needs no network."""
         from odomcorrupt import __version__
         from odomcorrupt.report.html.diagnosis import Story, found_html
 

@@ -94,18 +94,7 @@ class Learned(Findings):
         }
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture of the errors without and with what was found.
-
-        Parameters
-        ----------
-        picture : str
-            "" for that; or another picture of a comparison by name, as of `Comparison.draw`.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        """
+        """Return a picture of the errors without and with what was found; by name, another one of `Comparison.draw`."""
         return self.comparison.draw(picture)
 
 

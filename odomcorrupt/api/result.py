@@ -66,14 +66,7 @@ class Result(ABC):
         raise OdomCorruptError(f"there is no picture of a {type(self).__name__}")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table as a pandas data frame; needs the extra `pandas`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            The rows of `rows()`, with units in the names of the columns.
-
-        """
+        """Return the rows of `rows()` as a pandas data frame; needs the extra `pandas`."""
         require("pandas", "tables need it", "pandas")
         import pandas as pd
 

@@ -9,7 +9,6 @@ import click
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import standard_options
-from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
@@ -43,5 +42,5 @@ def command(
         losses = list(reader.losses)
     values = summarise(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     values["provenance"] = [*watcher.provenance(source)]
-    voice.say(brief(values, input_), summary_text(values), finite(values))
+    voice.say(brief(values, input_), summary_text(values), values)
     return report_losses(losses)

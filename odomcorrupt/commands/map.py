@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import unpack_option
+from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._motion_options import MODEL_OPTIONS
-from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
@@ -30,37 +28,27 @@ __all__ = ["command"]
 @click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
-    "-o",
-    "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml.",
+    "-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml."
 )
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
 @click.option("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that places the scans.")
+@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
 @click.option("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
 @click.option("--laser-pose", type=POSE, help="Where the laser sits on the robot, where TF does not say.")
 @click.option(
-    "--max-yaw-rate",
-    type=Number("rad/s", 0.0, 1e3),
-    metavar="W",
+    "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s.",
-)
+)  # fmt: skip
 @click.option(
-    "--resolution",
-    type=Number("metres", 0.0, 1e3, above=True),
-    default=0.05,
+    "--resolution", type=Number("metres", 0.0, 1e3, above=True), default=0.05,
     help="Of the maps, metres. [default: 0.05]",
-)
-@click.option(
-    "--method",
-    type=click.Choice(["odometry", "laser"]),
-    default="odometry",
-    help="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png. "
-    "[default: odometry]",
-)
+)  # fmt: skip
+@one_of(
+    "--method", among=["odometry", "laser"],
+    text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
+)  # fmt: skip
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -84,14 +72,10 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         _by_laser(bag, output, given, voice)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
-    if output is not None:
-        if picture_kind(output) is None:
-            raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
-        need_pictures()
-        for path in (output, *(p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml"))):
-            refuse_existing(path, overwrite=given["overwrite"])
-    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    chosen = choose_model(**options)
+    check_picture(output, overwrite=given["overwrite"])
+    for path in (p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml")):
+        refuse_existing(path, overwrite=given["overwrite"])
+    chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
@@ -143,8 +127,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
         need_pictures()
         for path in files.values():
             refuse_existing(path, overwrite=given["overwrite"])
-    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    chosen = choose_model(**options)
+    chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
     run = laser_run(bag, str(bag), odom, given["scan"], part_done)

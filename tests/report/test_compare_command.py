@@ -63,8 +63,8 @@ def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
     ("plot", "words"),
     [
         ("cloud=a.png", "there are error, path"),
-        ("error=a.bmp", "end it in .png"),
-        ("a", "end it in .png"),
+        ("error=a.bmp", "a.bmp: ends in .bmp; write .png"),
+        ("a", "a: ends in nothing; write .png"),
     ],
 )
 def test_a_picture_that_is_not_there_is_named(case, capsys, plot, words):

@@ -9,28 +9,21 @@ import numpy as np
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.stats import chi2
 
-from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered, short_name
+from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, short_name
 from odomcorrupt.report.text.comparison import sequence_steps
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_sequence", "rms_interval"]
+__all__ = ["COLOURS", "MARKERS", "draw_errors", "rms_interval"]
 
 COLOURS = (RED, BLUE, GREEN, ORANGE, "#CC79A7", SKY)
 MARKERS = ("o", "s", "^", "D", "v", "P")
 """A shape for each model besides its colour: a grey print tells them apart, too."""
-
-
-def draw_sequence(comparison: Comparison, path: Path) -> None:
-    """Write the picture of errors against distance."""
-    path.write_bytes(rendered(draw_errors(comparison), path.suffix.lstrip(".") or "png"))
 
 
 def draw_errors(comparison: Comparison) -> Figure:
@@ -77,11 +70,10 @@ def _yaw(judgement: Judgement) -> Array:
     return degrees
 
 
-def rms_interval(measured: float, windows: int, part: float = 0.9) -> tuple[float, float]:
-    """Return the central interval of a root mean square that was measured over so many independent windows."""
-    tail = (1.0 - part) / 2.0
-    square = windows * measured**2
-    return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
+def rms_interval(measured: float, windows: int) -> tuple[float, float]:
+    """Return the central 90 % interval of a root mean square that was measured over so many independent windows."""
+    low, high = np.sqrt(windows * measured**2 / chi2.isf((0.05, 0.95), windows))
+    return float(low), float(high)
 
 
 def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str], shift: float) -> None:

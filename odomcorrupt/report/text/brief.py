@@ -26,7 +26,7 @@ from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.summary import Tone
@@ -125,7 +125,7 @@ def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     return "COMPLETE", "good"
 
 
-def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> tuple[list[Line], list[Line]]:
+def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
     """Return a line for each effect, dependence, noise and clock that was found, effects first; and of negligible ones.
 
     What is negligible is in one line, because nobody has to do anything about it.
