@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model, as_model
 from odomcorrupt.api.recordings import as_recordings, require_travel
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Comparison(Result):
         """Return whether the last model is better than the first by all measures, and a line for each model."""
         from odomcorrupt.report.text.brief import comparison_brief
 
-        return comparison_brief(self.result, next_line(self.following))
+        return comparison_brief(self.result, self.following)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and every failure."""

@@ -126,9 +126,8 @@ class Corruption(Result):
         d = self.outcome.drift
         rows = [("end", d.end_drawn_m, d.end_drawn_rad, d.end_expected_m, d.end_expected_rad)]
         if d.leg_drawn_m is not None:
-            rows.append(
-                ("10 m", d.leg_drawn_m, d.leg_drawn_rad or 0.0, d.leg_expected_m or 0.0, d.leg_expected_rad or 0.0)
-            )
+            own = (d.leg_drawn_rad or 0.0, d.leg_expected_m or 0.0, d.leg_expected_rad or 0.0)
+            rows.append(("10 m", d.leg_drawn_m, *own))
         names = ("after", "drawn_m", "drawn_rad", "expected_m", "expected_rad")
         return [dict(zip(names, row, strict=True)) for row in rows]
 
@@ -208,18 +207,11 @@ def corrupt(
             bag = _kept_pipe(kept) if bag is None else bag
             drive = _clean_drive(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
+        metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
-            bag,
-            bag_path(target),
-            chosen.motion_model,
-            seed=drawn,
-            run=run,
-            options=moved,
-            container=container,
-            watch=watcher,
-            path=path,
-            metadata={} if condition is None else condition.provenance(),
-        )
+            bag, bag_path(target), chosen.motion_model, seed=drawn, run=run, options=moved, container=container,
+            watch=watcher, path=path, metadata=metadata,
+        )  # fmt: skip
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 
 from odomcorrupt.api.model import as_model
 from odomcorrupt.api.recordings import as_recordings
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -131,7 +131,7 @@ class Diagnosis(Findings):
 
         found = self.result
         brief = findings_brief(
-            found.search, found.advice, found.sequence, notes=self.recordings.notes, following=next_line(self.following)
+            found.search, found.advice, found.sequence, notes=self.recordings.notes, following=self.following
         )
         if all(run.positioned for run in self.recordings):
             return brief

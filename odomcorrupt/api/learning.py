@@ -9,7 +9,6 @@ from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.model import Model
 from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
-from odomcorrupt.api.result import next_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +67,7 @@ class Learned(Findings):
             robot=found.robot,
             reproduction=found.reproduction,
             notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
-            following=next_line(self.following),
+            following=self.following,
         )
 
     def details(self) -> str:

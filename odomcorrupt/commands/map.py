@@ -135,7 +135,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
     notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
-    said = "\n".join([*notes, _thicknesses(maps.surveys)])
+    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in maps.surveys)
+    said = "\n".join([*notes, f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"])
     lines = [Line("MATCHED", f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map", "good")]
     lines += [Line("walls" if not i else "", f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}") for i, s in
               enumerate(maps.surveys)]  # fmt: skip
@@ -160,26 +161,13 @@ def _brief(
     clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])
     added = 100.0 * added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)[-1]
     first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
-    return Summary(
-        (
-            Line(
-                "THICKER" if noisy > clean else "NO THICKER",
-                f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added",
-                "warning" if noisy > clean else "good",
-            ),
-            Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"),
-            *(Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]),
-            Line("seed", drawn[1]),
-            Line("model", drawn[0]),
-            *(Line("scans" if "rays" in note else "note", note) for note in notes),
-            command_line(following),
-        )
-    )
-
-
-def _thicknesses(surveys: Sequence[Survey]) -> str:
-    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in surveys)
-    return f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"
+    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
+    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
+    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
+    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]]
+    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
+    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
+    return Summary((*lines, command_line(following)))
 
 
 def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:
@@ -226,21 +214,11 @@ def _table(surveys: Sequence[Survey]) -> str:
     for i, mark in enumerate(surveys[0].marks_m):
         values = (*(s.thickness_m[i] for s in surveys), added[i], surveys[1].off_surface_m[i])
         lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    return "\n".join(
-        [
-            *lines,
-            f"walls became {noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them",
-            _hits_line(surveys[1].off_surface_m),
-        ]
-    )
-
-
-def _hits_line(off_surface_m: Any) -> str:
-    first, last = 100.0 * off_surface_m[0], 100.0 * off_surface_m[-1]
-    return (
-        f"noisy hits are {first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the "
-        "last (root mean square, across the walls)"
-    )
+    first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
+    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
+    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
+    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
+    return "\n".join(lines)
 
 
 def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:

@@ -122,7 +122,7 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.sampling.text import csv_text, json_text
+    from odomcorrupt.sampling.text import csv_text, drawn_json
 
     refuse_existing(output, overwrite=overwrite)
     kind = None if output is None else picture_kind(output) or output.suffix.lower()
@@ -145,7 +145,8 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         if kind in PICTURES:
             drawn.plot(path)
         else:
-            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else json_text(drawn.drawn))
+            as_json = json.dumps(drawn_json(drawn.drawn), indent=1) + "\n"
+            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else as_json)
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
     if output is not None:

@@ -6,9 +6,9 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import NullLocator
 
-from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure, plain_logarithm
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -64,8 +64,7 @@ def drift(axes: Axes, report: ScoreReport) -> None:
     if above and all(run.metrics["ate_m"] > 0.0 for run in runs):
         axes.set(xscale="log", yscale="log", xlim=(80.0 * min(drifts), 125.0 * max(drifts)))
         for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            plain_logarithm(axis)
             axis.set_minor_locator(NullLocator())
     axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
     axes.set_title("Error against the drift that was put in")

@@ -21,7 +21,7 @@ from odomcorrupt.report.text.numbers import (
     numbers_text,
     step_confidence,
 )
-from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
@@ -63,7 +63,7 @@ def findings_brief(
     robot: RobotFit | None = None,
     notes: Sequence[str] = (),
     reproduction: Reproduction | None = None,
-    following: Line | None = None,
+    following: str = "",
 ) -> Summary:
     """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
 
@@ -75,7 +75,7 @@ def findings_brief(
     robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed
     reproduction : how far the final model drifts beside the recordings, where that is known
-    following : the command to type next
+    following : the command to type next, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines, negligible = _found_lines(search, fit or search.fit, undecided)
@@ -113,7 +113,7 @@ def findings_brief(
         lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
-    return Summary((*lines, *([following] if following else [])))
+    return Summary((*lines, command_line(following)))
 
 
 def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
@@ -198,7 +198,7 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
     return [Line("open", said, "warning")] if said else []
 
 
-def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
+def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
     last = comparison.judgements[-1]
     if len(comparison.judgements) == 1:
@@ -226,7 +226,7 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
             lines.append(Line("fails", worst, "warning"))
         else:
             lines.append(Line("deviation", f"the largest, for which {last.name} is not REJECTED: {worst}"))
-    return Summary((*lines, *([following] if following else [])))
+    return Summary((*lines, command_line(following)))
 
 
 def _hidden_noise(result: RobotFit) -> list[Line]:
@@ -241,7 +241,7 @@ def _hidden_noise(result: RobotFit) -> list[Line]:
     return [Line("noise", f"at most {most} after a metre: the truth's own noise hides it; the model has the estimate")]
 
 
-def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
+def fit_brief(result: RobotFit, following: str = "") -> Summary:
     """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
     fit = result.fit
     law = fit.problem.approach.law_name
@@ -258,4 +258,4 @@ def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
     for effect, errors in effects_with_errors(fit):
         kind = "set-up" if effect.kind == "setup" else "effect"
         lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, errors))}"))
-    return Summary((*lines, *_clock_lines(result.clocks, fit), *([following] if following else [])))
+    return Summary((*lines, *_clock_lines(result.clocks, fit), command_line(following)))
