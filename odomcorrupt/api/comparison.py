@@ -120,12 +120,12 @@ def compare(
 ) -> Comparison:
     """Compare models with measurements, and see where they fail.
 
-    Recordings that a model was fitted to are cut in halves: it is refitted to one and judged on the other.
+    Recordings that a model was fitted to are cut in halves: it is refitted to one and evaluated on the other.
 
     Parameters
     ----------
     recordings : Recordings or paths
-        What to judge on.
+        What to evaluate on.
     models : one model, several, or several by name
         Models, paths of model files, or names of presets; the first is what the others are measured against.
 

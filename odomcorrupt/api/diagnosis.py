@@ -89,7 +89,7 @@ class Findings(Result):
         return drive_sentence(plan)
 
     @property
-    def _judged(self) -> Judgement | None:
+    def _evaluated(self) -> Judgement | None:
         """Held-out evaluation of the model with all that was found; None where it lacks some of it."""
         raise NotImplementedError
 
@@ -103,7 +103,9 @@ class Findings(Result):
         from odomcorrupt.report.json.diagnosis import learned_json
 
         found = self.result
-        return learned_json(found.search, found.sequence.judgements, found.advice, judged=self._judged, fit=self._fit)
+        return learned_json(
+            found.search, found.sequence.judgements, found.advice, evaluated=self._evaluated, fit=self._fit
+        )
 
     def report(self) -> str:
         """Return what was found as one page of HTML, tables and pictures in one text, which needs no network."""
@@ -121,7 +123,7 @@ class Diagnosis(Findings):
     result: DiagnosedModel
 
     @property
-    def _judged(self) -> Judgement | None:
+    def _evaluated(self) -> Judgement | None:
         # the sequence has no noise: what it rejects may be what was named
         return None if self.result.search.noise else self.result.sequence.judgements[-1]
 
@@ -145,7 +147,7 @@ class Diagnosis(Findings):
         from odomcorrupt.report.text.diagnosis import candidates_table, found_text, shares_text
 
         found = self.result
-        said = found_text(found.search, found.advice, judged=self._judged)
+        said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
         if found.search.added:
             parts.append(shares_text(found.sequence.judgements))

@@ -47,7 +47,7 @@ class Learned(Findings):
         return Comparison(self.result.comparison)
 
     @property
-    def _judged(self) -> Judgement:
+    def _evaluated(self) -> Judgement:
         return self.result.comparison.judgements[-1]
 
     @property
@@ -78,7 +78,7 @@ class Learned(Findings):
         from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
 
         found = self.result
-        said = found_text(found.search, found.advice, judged=self._judged, fit=self._fit)
+        said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
         drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
         return "\n".join([said, *drifts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
@@ -110,7 +110,7 @@ def learn(
     recordings : Recordings or paths
         Runs of one robot.
     validate : Recordings or paths, optional
-        Recordings to judge the result on, read like the first ones; without any it is cross-validated.
+        Recordings to evaluate the result on, read like the first ones; without any it is cross-validated.
     watch : callable
         Called with the name of each stage and the share of the work that is done.
 

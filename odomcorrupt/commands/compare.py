@@ -52,7 +52,7 @@ def command(
 ) -> int:
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
-    Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
+    Recordings that a model was fitted on are cut in halves: the model is refitted on one and evaluated on the other.
     """
     from odomcorrupt.api.comparison import compare
     from odomcorrupt.api.model import Model

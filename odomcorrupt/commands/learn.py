@@ -30,7 +30,7 @@ __all__ = ["command"]
 @click.option("-o", "--output", type=FILE, help="Model file to write.")
 @click.option(
     "--validate", "--judge", "validate", type=click.Path(path_type=Path), multiple=True,
-    help="Recording to judge the result on (repeatable).",
+    help="Recording to evaluate the result on (repeatable).",
 )  # fmt: skip
 @click.option("--plot", type=FILE, help="Picture of the errors, before and after.")
 @advice_options
@@ -63,18 +63,18 @@ def command(
     with reading.stages(voice) as stages:
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
-    judged_on = [*map(str, validate or paths), *reading.words()]
+    evaluated_on = [*map(str, validate or paths), *reading.words()]
     usable = not result.comparison.fails and result.result.reproduction.holds
-    following = _following(output, [*map(str, paths), *reading.words()], judged_on, usable=usable)
+    following = _following(output, [*map(str, paths), *reading.words()], evaluated_on, usable=usable)
     result = replace(result, following=following)
     saved = written(output, lambda path: result.model.save(path, overwrite=True))
     voice.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
 
 
-def _following(model: Path | None, words: Sequence[str], judged_on: Sequence[str], *, usable: bool) -> str:
+def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:
     """Return what to type when all is learned: see where the model fails, corrupt with it, or write one first."""
     if model is None:
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     if not usable:
-        return f"odomcorrupt compare {shlex.join([*judged_on, str(model)])} -v"
+        return f"odomcorrupt compare {shlex.join([*evaluated_on, str(model)])} -v"
     return f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(str(model))}"

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, browser
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.model_file import format_model
@@ -35,6 +36,15 @@ class Case(NamedTuple):
 
 def unwrapped(stamps, xyt):
     return Trajectory(stamps, np.column_stack((xyt[:, :2], np.unwrap(xyt[:, 2]))))
+
+
+@pytest.fixture
+def tab(tmp_path):
+    """Return a page in a real browser; the test is skipped where there is none."""
+    if not CHROMIUM.exists():
+        pytest.skip(f"no {CHROMIUM} here: the page was not rendered")
+    with browser(tmp_path) as page:
+        yield page
 
 
 @pytest.fixture(scope="session")

@@ -213,16 +213,18 @@ def kept(judgement):
 
 def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequence):
     first = sequence.judgements[0]
-    text = found_text(poor, NONE, judged=first)
+    text = found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
     assert "an effect that is not in the library remains" in text
-    assert found_text(poor, NONE, judged=kept(first)) == NOTHING
-    beside = found_text(replace(rich, unknown=(), laws=()), NONE, judged=first)
+    assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
+    beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
     page = found_html(Story(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
-    told = [learned_json(poor, sequence.judgements[:1], NONE, judged=one)["rejected"] for one in (first, kept(first))]
+    told = [
+        learned_json(poor, sequence.judgements[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
+    ]
     assert told == [rejection(first), None]
 
 

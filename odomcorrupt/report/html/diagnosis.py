@@ -46,7 +46,7 @@ __all__ = ["Story", "found_html"]
 class Story(NamedTuple):
     """A search from its beginning to its advice.
 
-    sequence : the models on the way judged on held-out halves, or what a search is judged by instead
+    sequence : the models on the way, evaluated on held-out halves, or what a search is evaluated by instead
     next_command : what to type next, or ""
     """
 
@@ -161,7 +161,7 @@ def _detectable(advice: Advice) -> list[str]:
 
 def _legend(version: str) -> str:
     return (
-        "Held-out: every model on the way was fitted again on one half of each recording and judged on the other, both "
+        "Held-out: every model on the way was refitted on one half of each recording and evaluated on the other, both "
         "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Sizes that would have been seen are "
         f"4.2 standard errors. Made by odomcorrupt {version}."
     )

@@ -55,7 +55,7 @@ def _judgement(j: Judgement) -> dict[str, Any]:
             "fails": j.verdict.fails,
             "misfit": j.verdict.misfit,
             "level": j.verdict.level,
-            "looks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
+            "checks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },

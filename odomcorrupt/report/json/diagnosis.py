@@ -47,13 +47,13 @@ def learned_json(
     sequence: Sequence[Judgement],
     advice: Advice,
     *,
-    judged: Judgement | None = None,
+    evaluated: Judgement | None = None,
     fit: Fit | None = None,
 ) -> dict[str, Any]:
     """Return what a search found, in the order it was found: clocks first, then effects, then noise.
 
-    sequence : the models on the way judged on held-out halves, as `study.validate.model_sequence` gives them
-    judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
+    sequence : the models on the way, evaluated on held-out halves, as `study.validate.model_sequence` gives them
+    evaluated : the final model as it was evaluated, if it was: the ladder's last one lacks noise that was named
     fit : the fit of the final model, where it is not the search's own
     """
     own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
@@ -69,7 +69,7 @@ def learned_json(
         {
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unexplained else "missing" if missing else "complete",
-            "rejected": (judged and rejection(judged)) or None,
+            "rejected": (evaluated and rejection(evaluated)) or None,
             "recordings": recordings_json(learned.fit.problem.recordings),
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,

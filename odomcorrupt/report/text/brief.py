@@ -70,7 +70,7 @@ def findings_brief(
     Parameters
     ----------
     search, advice : what was found, and what the data leave open
-    comparison : the models that were judged; the first one without what was found
+    comparison : the models that were evaluated; the first one without what was found
     fit : the final fit, where it is not the search's own
     robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed

@@ -48,10 +48,10 @@ __all__ = [
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
 
-def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = None, fit: Fit | None = None) -> str:
+def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None = None, fit: Fit | None = None) -> str:
     """Return the findings in order of evidence, what is open, and the smallest detectable sizes.
 
-    judged : the verdict on the final model, where it is known
+    evaluated : the verdict on the final model, where it is known
     fit : the fit of the final model, where it is not the search's own
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
@@ -76,10 +76,10 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     lines += [contradiction(one) for one in learned.contradictions]
     if small := [name for name in learned.added if learned.is_negligible(name)]:
         lines.append(f"negligible, though significant: {', '.join(_moved_words(name, learned) for name in small)}")
-    if judged is not None and judged.verdict.fails:
-        lines.append(unnamed(rejection(judged), found=bool(lines)))
-    elif judged is not None and judged.verdict.rejected:
-        lines.append(f"the model holds in practice: {within(judged)}")
+    if evaluated is not None and evaluated.verdict.fails:
+        lines.append(unnamed(rejection(evaluated), found=bool(lines)))
+    elif evaluated is not None and evaluated.verdict.rejected:
+        lines.append(f"the model holds in practice: {within(evaluated)}")
     lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
