@@ -21,13 +21,7 @@ __all__ = ["command"]
 @bag_options
 @standard_options
 def command(
-    input_: str,
-    *,
-    odom_topic: str | None,
-    odom_frame: str | None,
-    base_frame: str | None,
-    recover: bool,
-    voice: Voice,
+    input_: str, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None, recover: bool, voice: Voice
 ) -> int:
     """Show a bag's topics, frames and edges, its motion, what is odd, and which topics still hold the true motion."""
     from odomcorrupt.bags.open import open_reader

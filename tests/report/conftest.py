@@ -19,8 +19,7 @@ from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.validate.compare import compare
 
 BASE = MotionModel(
-    Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)),
-    setup=Setup(truth=TruthNoise(0.002, 0.0035, 3e-6)),
+    Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)), setup=Setup(truth=TruthNoise(0.002, 0.0035, 3e-6))
 )
 CURVATURE = -0.0133
 

@@ -42,12 +42,18 @@ class Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
+def parsed_page(page):
+    """Return a page's tags and sources; it is whole, small, and asks for nothing but itself."""
     parsed = Balanced()
     parsed.feed(page)
     assert not parsed.open
     assert len(page.encode()) <= 3_000_000
     assert all(source.startswith("data:") for source in parsed.sources)
+    return parsed
+
+
+def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
+    parsed = parsed_page(page)
     assert "@import" not in page
     assert "url(" not in page
     assert "@media print" in page

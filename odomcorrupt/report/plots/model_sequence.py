@@ -64,8 +64,8 @@ def _yaw(judgement: Judgement) -> Array:
 
 def rms_interval(measured: float, windows: int) -> tuple[float, float]:
     """Return the central 90 % interval of a root mean square that was measured over so many independent windows."""
-    low, high = np.sqrt(windows * measured**2 / chi2.isf((0.05, 0.95), windows))
-    return float(low), float(high)
+    tail, square = (1.0 - 0.9) / 2.0, windows * measured**2
+    return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
 
 
 def _curve(axes: Axes, judgement: Judgement, both: Array, style: dict[str, str], shift: float) -> None:

@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.report.plots.figure import (
-    BLACK,
-    BLUE,
-    ORANGE,
-    RED,
-    SKY,
-    drawing,
-    model_panels,
-    new_figure,
-    short_name,
-)
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, model_panels, new_figure, short_name
 from odomcorrupt.study.validate.predictive_check import replay
 
 if TYPE_CHECKING:
