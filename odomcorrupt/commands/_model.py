@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -24,27 +25,14 @@ _MOST = 6
 _NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
-def _completing(names: Callable[[], Mapping[str, object]]) -> Callable[..., list[str]]:
-    """Return what offers the names that begin with what is typed; the table of names is imported when it is needed."""
-    return lambda _ctx, _param, typed: [name for name in names() if name.startswith(typed)]
+def _completing(module: str, table: str) -> Callable[..., list[str]]:
+    """Return what offers the names in a module's table that begin with what is typed; imported when it is needed."""
 
+    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[str]:
+        names = getattr(import_module(f"odomcorrupt.{module}"), table)
+        return [name for name in (names() if callable(names) else names) if name.startswith(typed)]
 
-def _laws() -> Mapping[str, object]:
-    from odomcorrupt.model.noise_laws import LAWS
-
-    return LAWS
-
-
-def _presets() -> Mapping[str, object]:
-    from odomcorrupt.model.presets import PRESETS
-
-    return PRESETS
-
-
-def _effects() -> Mapping[str, object]:
-    from odomcorrupt.effects import registry
-
-    return registry()
+    return complete
 
 
 model_options = added(
@@ -53,7 +41,7 @@ model_options = added(
         help="Noise: as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
     ),
     click.option(
-        "--law", metavar="NAME", shell_complete=_completing(_laws),
+        "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
         help="What A1... mean: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
     ),
     click.option(
@@ -64,13 +52,13 @@ model_options = added(
         help="Apply a book law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
     ),
     click.option(
-        "--preset", metavar="NAME", shell_complete=_completing(_presets),
+        "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
         help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
         "[default: typical]",
     ),
     click.option(
-        "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...", shell_complete=_completing(_effects),
-        help="Systematic error (repeatable).",
+        "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...",
+        shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
     ),
     click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
     click.option(
