@@ -127,16 +127,16 @@ def whole_path(
     Raises
     ------
     MapError
-        Where the map and the drive do not fit: much of the odometry is not free itself, no path is free, or the only free
-        ones are far from what noise does.
+        Where the map and the drive do not fit: much of the odometry is not free itself, no path is free, or the only
+        free ones are far from what noise does.
 
     """
     must_be_free(space, clean_xyt[0])
     astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
     if astray > _ASTRAY:
         raise MapError(
-            f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check --map-pose, "
-            "--robot-radius and --unknown, or leave out --map"
+            f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
+            "--map-pose, --robot-radius and --unknown, or leave out --map"
         )
     try:
         samples = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)

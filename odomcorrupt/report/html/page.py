@@ -72,13 +72,15 @@ code { font: .9em ui-monospace, "DejaVu Sans Mono", monospace; }
 [hidden] { display: none !important; }
 #explorer { position: relative; }
 .controls { display: flex; flex-wrap: wrap; gap: .4rem .8rem; }
+.group { min-width: 0; }
 .controls fieldset { border: 1px solid var(--line); border-radius: .3rem; padding: .1rem .7rem .35rem; margin: 0;
   display: flex; flex-wrap: wrap; gap: .1rem 1rem; min-width: 0; }
 .controls legend { font-size: .8rem; color: var(--quiet); padding: 0 .3rem; }
 .controls label { display: inline-flex; align-items: center; gap: .35rem; font-size: .9rem; min-height: 1.9rem;
   max-width: 100%; }
 .controls select, .panel select, .buttons button { font: inherit; font-size: .9rem; color: var(--ink); max-width: 100%;
-  background: var(--paper); border: 1px solid var(--strong-line); border-radius: .25rem; min-height: 1.9rem; }
+  background: var(--paper); border: 1px solid var(--strong-line); border-radius: .25rem; min-height: 1.9rem;
+  min-width: 0; }
 .buttons button { min-width: 2.2rem; }
 .swatch { width: .9rem; height: .9rem; border-radius: .2rem; flex: none; }
 .panel-head { display: flex; flex-wrap: wrap; justify-content: space-between; align-items: end; gap: .3rem; }
