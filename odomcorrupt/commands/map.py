@@ -13,7 +13,7 @@ from odomcorrupt.commands._model import AlphaCommand, choose_model, model_option
 from odomcorrupt.commands._motion_options import MODEL_OPTIONS
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._progress import part_done
+from odomcorrupt.commands._progress import Stages, part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.json.numbers import finite
@@ -94,7 +94,8 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
     options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
     chosen = choose_model(**options)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
+    with Stages("drawing maps", quiet=voice.quiet):
+        notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
     text = "\n".join([noise, *notes, _table(surveys)])

@@ -10,6 +10,7 @@ import click
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._param_types import Number
 from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import read_input, refuse_existing, write_text
 
@@ -75,11 +76,12 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     for rule in given["rules"]:
         parse_rule(rule)
     baseline = None if given["baseline"] is None else _baseline(given["baseline"])
-    report = score(
-        list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"], outputs=given["outputs"],
-        align=given["align"], limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
-        count_missing=given["count_missing"],
-    )  # fmt: skip
+    with Stages("scoring", quiet=voice.quiet):
+        report = score(
+            list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"],
+            outputs=given["outputs"], align=given["align"], count_missing=given["count_missing"],
+            limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
+        )  # fmt: skip
     verdicts: list[Verdict] = []
     if given["rules"]:
         from odomcorrupt.report.json.score import score_json

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._param_types import Number
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
 from odomcorrupt.files import refuse_existing, write_text
@@ -151,5 +152,6 @@ def command(
         sys.stdout.buffer.write(done.bag)
         voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {answer}")
         return
-    done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
+    with Stages("simulation", quiet=voice.quiet):
+        done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
     voice.show(done, err=True)
