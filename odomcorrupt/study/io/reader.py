@@ -28,7 +28,13 @@ from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolu
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
-from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
+from odomcorrupt.study.io.warnings import (
+    check_identity,
+    filter_signs,
+    heading_signs,
+    without_constant_heading,
+    without_course,
+)
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 
 if TYPE_CHECKING:
@@ -293,7 +299,7 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_constant_heading(odometry, truth)
+    truth = without_course(odometry, without_constant_heading(odometry, truth))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
