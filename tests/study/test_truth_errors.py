@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.clocks import nuisance_of
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
@@ -23,6 +23,7 @@ from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
 from odomcorrupt.study.io.recording import Trajectory, TruthField
 from odomcorrupt.study.terms.drive_type import MOUNTING, library_families
+from odomcorrupt.study.validate.compare import compare
 
 QUIET = Coefficients(0.002, 0.0024, 0.0005, 0.0, 0.0005)
 TRUTH = TruthNoise(0.02, 0.008, 0.0)
@@ -105,9 +106,12 @@ def test_the_slope_of_the_likelihood_is_its_difference():
     )
     at, every = likelihood.initial_guess(), np.arange(len(pieces.active) + 2)
     moves = 1e-4 * np.eye(len(at))[every]
-    measured = [
-        (likelihood.evaluate(at + m).log_likelihood - likelihood.evaluate(at - m).log_likelihood) / 2e-4 for m in moves
-    ]
+
+    def nats(free):
+        return likelihood.posterior(likelihood.evaluate(free))
+
+    assert nats(at) < likelihood.evaluate(at).log_likelihood
+    measured = [(nats(at + m) - nats(at - m)) / 2e-4 for m in moves]
     np.testing.assert_allclose(likelihood.slope(likelihood.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
 
 
@@ -130,6 +134,16 @@ def test_noise_of_a_robot_that_is_larger_than_the_truths_is_still_its_own():
     found = fit([run], approach=approach).noise.coefficients
     assert found.trans_trans == pytest.approx(strong.trans_trans, rel=0.35)
     assert found.rot_trans == pytest.approx(strong.rot_trans, rel=0.35)
+
+
+def test_a_model_beside_a_localisation_is_rejected_for_errors_that_are_larger_not_for_smaller_ones():
+    run = localised(alike_over(1.5))
+    right = MotionModel(Noise("diffusion", QUIET), setup=Setup(truth=TRUTH))
+    bound = replace(right, noise=Noise("diffusion", Coefficients(0.01, 0.02, 0.03, 0.0, 0.03)))
+    assert not any(j.verdict.rejected for j in compare([run], {"right": right, "bound": bound}).judgements)
+    wide = Trajectory(run.odometry.stamps_ns, run.odometry.xyt * (1.03, 1.03, 1.0))
+    (wrong,) = compare([replace(run, odometry=wide)], {"wrong": right}).judgements
+    assert wrong.verdict.fails
 
 
 def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
