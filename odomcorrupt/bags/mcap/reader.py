@@ -159,7 +159,7 @@ class McapReader:
         source.summing = self.summary.has_data_crc and not self._recover
         parts: Iterator[Chunk | Loose | Block] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
+            parts = read_ahead(self._parts(source), lambda part: len(part.data))
         with closing(parts):  # type: ignore[type-var] # both are generators
             for part in parts:
                 if isinstance(part, Block):
@@ -335,10 +335,6 @@ class McapReader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
-
-
-def _is_packed(part: Chunk | Loose | Block) -> bool:
-    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _continues(pending: Chunk | Loose | Block, opcode: int) -> bool:

@@ -160,7 +160,7 @@ class Ros1Reader:
         """Yield the blocks of a source, and register connections on the way."""
         parts: Iterator[Chunk | _Connected] = self._parts(source)
         if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), _size_of, _is_packed)
+            parts = read_ahead(self._parts(source), _size_of)
         with closing(parts):  # type: ignore[type-var] # both are generators
             for part in parts:
                 if isinstance(part, Chunk):
@@ -309,10 +309,6 @@ class Ros1Reader:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._source.close()
-
-
-def _is_packed(part: Chunk | _Connected) -> bool:
-    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _size_of(part: Chunk | _Connected) -> int:
