@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import struct
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Self
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunks, read_pieces
+from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.mcap.chunk import Loose, read_chunk_head, read_pieces
+from odomcorrupt.bags.mcap.chunk_messages import record_bytes
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -24,11 +27,11 @@ from odomcorrupt.bags.mcap.records import (
     string,
 )
 from odomcorrupt.bags.mcap.resync import (
-    beginning_of_chunk,
     loss_of_cut_chunk,
     next_record,
     stands_behind,
     stands_here,
+    whole_records,
     without,
 )
 from odomcorrupt.bags.mcap.schema_registry import Known
@@ -202,9 +205,11 @@ class McapReader:
             source.read(length, what)
         elif opcode == CHUNK and self._recover and source.position + length > (source.size or 0):
             self.losses.append(loss_of_cut_chunk(source, length, what))
-            yield from beginning_of_chunk(source, length, what)
+            for chunk in beginning_of_chunk(source, read_chunk_head(source, length, what), record_bytes):
+                yield replace(chunk, data=whole_records(chunk.data))
         elif opcode == CHUNK:
-            yield from read_chunks(source, length, what, verify=self._recover)
+            source.require(length, what)
+            yield from read_chunks(source, read_chunk_head(source, length, what), record_bytes, verify=self._recover)
         elif opcode not in _ENDS:
             summed = 0
             if opcode in (ATTACHMENT, METADATA):

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codec_streams import PackedInSource, beginning
-from odomcorrupt.bags.mcap.chunk import CODECS, chunks_of, read_chunk_head
+from odomcorrupt.bags.mcap.chunk import CODECS
 from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS, read_contents
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
@@ -37,11 +35,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.mcap.chunk import Chunk
     from odomcorrupt.bags.source import Source
 
 __all__ = [
-    "beginning_of_chunk",
     "loss_of_cut_chunk",
     "next_record",
     "stands_behind",
@@ -145,14 +141,6 @@ def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
         raise BagError(lost)
     source.seek(here)
     return lost
-
-
-def beginning_of_chunk(source: Source, length: int, what: str) -> Iterator[Chunk]:
-    """Yield the intact records of a chunk that is truncated by the file's end."""
-    head = read_chunk_head(source, length, what)
-    packed = PackedInSource(source, _left(source), what)
-    for chunk in chunks_of(beginning(head.codec, packed, source.budget), head, source):
-        yield replace(chunk, data=whole_records(chunk.data))
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:

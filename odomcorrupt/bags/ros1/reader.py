@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from contextlib import closing, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block, Channel
 from odomcorrupt.bags.budget import Budget
+from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
 from odomcorrupt.bags.definition import Definition
 from odomcorrupt.bags.pipeline import read_ahead
 from odomcorrupt.bags.recovery_report import Undecodable, loss_of
-from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunks, read_head
-from odomcorrupt.bags.ros1.chunk_messages import read_contents
+from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_head
+from odomcorrupt.bags.ros1.chunk_messages import read_contents, record_bytes
 from odomcorrupt.bags.ros1.records import (
     BAG_HEADER,
     CHUNK,
@@ -27,7 +29,6 @@ from odomcorrupt.bags.ros1.records import (
     pack_record,
 )
 from odomcorrupt.bags.ros1.resync import (
-    beginning_of_chunk,
     loss_of_cut_chunk,
     next_record,
     stands_behind,
@@ -217,10 +218,11 @@ class Ros1Reader:
 
     def _chunks(self, source: Source, head: Head) -> Iterator[Chunk]:
         if not self._recover or source.position + head.size <= (source.size or 0):
-            yield from read_chunks(source, head, verify=self._recover)
+            yield from read_chunks(source, chunk_head(source, head), record_bytes, verify=self._recover)
         else:
             self.losses.append(loss_of_cut_chunk(source, head))
-            yield from beginning_of_chunk(source, head)
+            for chunk in beginning_of_chunk(source, chunk_head(source, head), record_bytes):
+                yield replace(chunk, data=whole_records(chunk.data))
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
         """Process a record between chunks; return the chunk being collected."""

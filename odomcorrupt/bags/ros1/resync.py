@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codec_streams import PackedInSource, beginning
-from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing, chunks_of, codec_and_size, read_head
+from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing, read_head
 from odomcorrupt.bags.ros1.chunk_messages import read_contents
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
@@ -19,11 +17,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.ros1.chunk import Chunk, Head
+    from odomcorrupt.bags.ros1.chunk import Head
     from odomcorrupt.bags.source import Source
 
 __all__ = [
-    "beginning_of_chunk",
     "loss_of_cut_chunk",
     "next_record",
     "stands_behind",
@@ -104,14 +101,6 @@ def loss_of_cut_chunk(source: Source, head: Head) -> str:
         raise BagError(lost)
     source.seek(here)
     return lost
-
-
-def beginning_of_chunk(source: Source, head: Head) -> Iterator[Chunk]:
-    """Yield the intact records of a chunk that is truncated by the file's end."""
-    codec, _ = codec_and_size(head, f"{source.name}: {head.what}")
-    packed = PackedInSource(source, (source.size or 0) - source.position, head.what)
-    for chunk in chunks_of(beginning(codec, packed, source.budget), head, source):
-        yield replace(chunk, data=whole_records(chunk.data))
 
 
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
