@@ -11,11 +11,13 @@ import numpy as np
 from odomcorrupt.bags.block import TABLE, Block, Framing
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.chunk import ChunkHead
-from odomcorrupt.bags.mcap.records import MESSAGE
+from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from numpy.typing import NDArray
 
     from odomcorrupt.bags.source import Source
 
@@ -38,6 +40,11 @@ class McapFraming(Framing):
     kind: Literal["chunk", "loose", "record"]
     codec: str = "none"
     opcode: int = 0
+
+    def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
+        """Return the offsets (n,) of the message records, bytes."""
+        offsets: NDArray[np.int64] = table["offset"]
+        return offsets - MESSAGE_HEADER_BYTES
 
     def goes_on_with(self, other: object) -> bool:
         """Return whether both are chunks of one compression."""

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block
 from odomcorrupt.bags.mcap.chunk import CODECS
-from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS, read_contents
+from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -19,7 +18,6 @@ from odomcorrupt.bags.mcap.records import (
     DATA_END,
     FOOTER,
     MESSAGE,
-    MESSAGE_HEADER_BYTES,
     MESSAGE_INDEX,
     METADATA,
     METADATA_INDEX,
@@ -43,7 +41,6 @@ __all__ = [
     "stands_behind",
     "stands_here",
     "whole_records",
-    "without",
 ]
 
 _WINDOW_BYTES = 1 << 20
@@ -156,17 +153,6 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
             break
         at += RECORD_HEADER_BYTES + length
     return data[:at]
-
-
-def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
-    """Return a block of records without some of its messages (n,)."""
-    if not left_out.any():
-        return block
-    keep = np.ones(block.data.size, dtype=bool)
-    for offset, length in block.table[["offset", "length"]][left_out].tolist():
-        keep[offset - MESSAGE_HEADER_BYTES : offset + length] = False
-    data = block.data[keep]
-    return Block(data, read_contents(data, [], "").table, block.raw)
 
 
 def _left(source: Source) -> int:

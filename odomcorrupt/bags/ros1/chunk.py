@@ -34,6 +34,14 @@ class Ros1Framing(Framing):
     codec: str
     starts: NDArray[np.int64]
 
+    def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:  # noqa: ARG002 - headers differ in length
+        """Return the offsets (n,) of the message records, bytes."""
+        return self.starts
+
+    def kept(self, begins: NDArray[np.int64]) -> Ros1Framing:
+        """Return the framing of some of the messages."""
+        return Ros1Framing(self.codec, begins)
+
     def goes_on_with(self, other: object) -> bool:
         """Return whether both are chunks of one compression."""
         return isinstance(other, Ros1Framing) and self.codec == other.codec

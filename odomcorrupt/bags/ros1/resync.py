@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing, read_head
-from odomcorrupt.bags.ros1.chunk_messages import read_contents
+from odomcorrupt.bags.ros1.chunk import CODECS, read_head
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from odomcorrupt.bags.ros1.chunk import Head
@@ -26,7 +23,6 @@ __all__ = [
     "stands_behind",
     "stands_here",
     "whole_records",
-    "without",
 ]
 
 _WINDOW_BYTES = 1 << 20
@@ -113,19 +109,6 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
             break
         at = after
     return data[:at]
-
-
-def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
-    """Return a block of records without some of its messages (n,)."""
-    if not left_out.any():
-        return block
-    keep = np.ones(block.data.size, dtype=bool)
-    ends = block.table["offset"] + block.table["length"]
-    for begin, end in zip(block.raw.starts[left_out].tolist(), ends[left_out].tolist(), strict=True):
-        keep[begin:end] = False
-    data = block.data[keep]
-    contents = read_contents(data, [], "")
-    return Block(data, contents.table, Ros1Framing(block.raw.codec, contents.starts))
 
 
 def _is_message(header: bytes) -> bool:
