@@ -154,6 +154,7 @@ def browse(page: Path, folder: Path) -> tuple[list[str], list[str]]:
     return said, sorted(url for url in asked if not url.startswith(own))
 
 
+@pytest.mark.slow
 def test_a_real_browser_shows_the_page_without_complaint_and_without_a_network(page, tmp_path):
     # a page that does what ours must not: what is looked for can be seen
     (tmp_path / "bad.html").write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('heard')</script>")
