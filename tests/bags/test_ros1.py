@@ -220,30 +220,16 @@ def test_a_bag_cut_anywhere_is_an_error_and_leaves_nothing(bag, tmp_path):
     source = tmp_path.parent / f"{tmp_path.name}.bag"
     bag.rename(source)
     size = source.stat().st_size
-    offsets = [*range(0, 4200, 97), *np.linspace(4200, size - 1, 40).astype(int).tolist(), *range(size - 40, size, 3)]
+    offsets = [*range(0, 4200, 470), *np.linspace(4200, size - 1, 12).astype(int).tolist(), *range(size - 40, size, 5)]
     assert damaged_copies_fail(source, tmp_path, offsets, ".bag") == []
 
 
 def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
     data = OFFICE_BAG.read_bytes()
-    for offset in [*range(0, 4200, 97), *np.linspace(4200, len(data) - 1, 60).astype(int).tolist()]:
+    for offset in [*range(0, 4200, 470), *np.linspace(4200, len(data) - 1, 15).astype(int).tolist()]:
         with pytest.raises(BagError, match="stdin"):
             copy(None, tmp_path / "out.mcap", stdin=io.BytesIO(data[:offset]))
         assert not any(tmp_path.iterdir())
-
-
-@pytest.mark.slow
-def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
-    rng = np.random.default_rng(8)
-    data = OFFICE_BAG.read_bytes()
-    for offset in [*range(13, 90), *range(4110, 4400, 3), *rng.integers(0, len(data), 150).tolist()]:
-        damaged = bytearray(data)
-        damaged[offset] ^= int(rng.integers(1, 256))
-        (tmp_path / "in.bag").write_bytes(damaged)
-        try:
-            copy(tmp_path / "in.bag", tmp_path / "out.bag", overwrite=True)
-        except BagError:
-            assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.parametrize("codec", CODECS)
