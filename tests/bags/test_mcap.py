@@ -38,7 +38,8 @@ def channel_of(reader, topic):
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def variant(request, tmp_path_factory):
-    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", **VARIANTS[request.param])
+    options = {"chunk_size": 25_000, **VARIANTS[request.param]}
+    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", 12.0, **options)
 
 
 def test_nothing_patched_keeps_every_message_channel_and_extra(variant, tmp_path):
