@@ -35,14 +35,6 @@ def bags(tmp_path_factory):
     return make_small_bags(tmp_path_factory.mktemp("bags"))
 
 
-@pytest.fixture
-def interruptible():
-    """Hear SIGINT, which a shell's background jobs, and all that they begin, ignore."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 def call(*words, preexec_fn=None):
     """Run the program, in a process of its own where its limits are changed; return exit code and what was said."""
     if preexec_fn is None:
