@@ -33,11 +33,9 @@ from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.dependence import BasisScore, Dependence
 from odomcorrupt.study.select.random_effects import RandomCoefficient
 from odomcorrupt.study.select.score import Score
-from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
-from odomcorrupt.study.validate.model_sequence import sequence_comparison
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -95,13 +93,13 @@ UNKNOWNS = (
 
 
 @pytest.fixture(scope="session")
-def searched(case):
-    return learn([case.recording])
+def searched(diagnosed):
+    return diagnosed.search
 
 
 @pytest.fixture(scope="session")
-def sequence(searched, case):
-    return sequence_comparison(searched, [case.recording])
+def sequence(diagnosed):
+    return diagnosed.sequence
 
 
 @pytest.fixture(scope="session")
