@@ -179,6 +179,10 @@ class Effect:
         """Return the same effect in its usual parametrisation, where there are several."""
         return self
 
+    def whole(self) -> Self:
+        """Return the effect with the part of its f that it leaves to others, lest it imitate them; itself if none."""
+        return self
+
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
         """Return the state before the first interval; None for an effect without memory."""
         return None

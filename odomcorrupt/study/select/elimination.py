@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import RandomCoefficient
 
-__all__ = ["backward_eliminate", "drop_term", "eliminate_random", "eliminate_untested", "iterate", "one_heading"]
+__all__ = [
+    "absorb",
+    "backward_eliminate",
+    "drop_term",
+    "eliminate_random",
+    "eliminate_untested",
+    "iterate",
+    "one_heading",
+]
 
 _ITERATIONS, _ALIKE = 6, 0.03
 """Most iterations of a random coefficient beside the rest of the noise, and the relative change that ends them."""
@@ -52,6 +60,19 @@ def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> 
             return fit
         fit = fit.refit([e for e in fit.effects if e.name != least])
     return fit
+
+
+def absorb(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit whose effects act as a whole, without what that makes redundant; the same if nothing is.
+
+    Of a wheel with a flat side, a smaller radius is a part, and no cause beside it.
+    """
+    whole = [effect.whole() for effect in fit.effects]
+    if whole == list(fit.effects):
+        return fit
+    fewer = backward_eliminate(fit.refit(whole), keep, decisions)
+    lost = len(fit.effects) - len(fewer.effects)
+    return fewer if fit.log_likelihood - fewer.log_likelihood < decisions.drop_nats * lost else fit
 
 
 def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:

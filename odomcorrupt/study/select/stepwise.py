@@ -34,6 +34,7 @@ from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
+    absorb,
     backward_eliminate,
     eliminate_random,
     eliminate_untested,
@@ -198,7 +199,7 @@ class _Selection:
 
     def _continue_from(self, fit: Fit) -> None:
         """Take a model with one more term, without what the term makes redundant."""
-        fit = backward_eliminate(fit, self.given, self.decisions)
+        fit = absorb(backward_eliminate(fit, self.given, self.decisions), self.given, self.decisions)
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
