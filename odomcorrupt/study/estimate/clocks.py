@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["RIVALS", "Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
+__all__ = ["Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15

@@ -37,6 +37,8 @@ _SHORT_ARM_M = 0.005
 """A tracked point may be off by more, and single wheels do not make as much of it."""
 _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """A track on which to see whether an effect acts on single wheels, and what it then does."""
+_LEFT = 0.2
+"""Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
 
@@ -112,7 +114,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
         rivals = (*rivals, own)  # lost increments are the same on average
-    if _may_be_rest(step.added or "", learned):
+    if _may_be_rest(step.added or "", learned) or _may_be_left(step, learned):
         rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
@@ -134,6 +136,15 @@ def _may_be_rest(name: str, learned: Learned) -> bool:
     return within_rest(
         learned.fit, np.concatenate([error_of(effect, m)[:, [0, 2]] for m in learned.fit.problem.motions])
     )
+
+
+def _may_be_left(step: Step, learned: Learned) -> bool:
+    """Return whether an effect of changes of speed may be what a far plainer one of that kind leaves.
+
+    No lag is exactly a filter or a delay, and no play exactly rigid: what remains of it depends on the acceleration.
+    """
+    others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
+    return step.added in RIVALS and step.candidates[0].gain < _LEFT * max(others, default=0.0)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:

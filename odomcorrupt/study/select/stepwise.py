@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import RIVALS, find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -72,6 +72,8 @@ __all__ = ["Learned", "Step", "learn"]
 
 _LIKE_SKIDS_S = 0.02
 """An offset of a clock up to which what wheels do at changes of speed may be mistaken for it."""
+_LIKE_CLOCKS = ("accel_slip", "backlash")
+"""What wheels do at changes of speed."""
 
 
 def learn(
@@ -333,12 +335,13 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     """Return the selection with a clock or that without, whichever explains more, and the clocks, the other a rival.
 
     Clocks come before everything else, and a small offset does about what a wheel does that skids, or whose play is
-    crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where a clock was
-    left out because what resembles it explained more, that may be a part of it alone, and the rest be the clock's.
+    crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is no
+    clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded to.
     """
     late = any(one.regressor.endswith("acceleration") for one in (*found.included, *found.open))
     offset_s = max(abs(clock.offset_s) for clock in clocks.clocks)
-    alike = clocks.ambiguous_nats > 0.0 and any(e.name in RIVALS for e in found.fit.effects)
+    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
+    alike = bool(rivals) and not np.any(clocks.free)
     if not alike and not (late and 0.0 < offset_s < _LIKE_SKIDS_S):
         return found, clocks
     other = replace(
@@ -356,13 +359,13 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     )
     second = _Selection(begin, noise, found.given, found.decisions).run()
     more = _more_nats(second, found)
-    with_it = second if alike else found
-    own = _clock_nats(with_it.fit)
     if more > 0.0:
         found, clocks = second, other
-    if with_it is found:
-        return found, replace(clocks, rival_nats=(*clocks.rival_nats, own - abs(more)))
-    return found, replace(clocks, ambiguous_nats=own)
+    if np.any(found.fit.free_clocks):
+        return found, replace(clocks, rival_nats=(*clocks.rival_nats, _clock_nats(found.fit) - abs(more)))
+    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
+    nats = max(rivals, default=0.0) - abs(more)
+    return found, replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
 
 
 def _clock_nats(fitted: Fit) -> float:
