@@ -31,7 +31,7 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     nodes, truth = problem.nodes, TruthNoise(0.002, 0.003, 1e-4)
     q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
     white = widened(whitener(nodes, q, truth), problem, RANDOM)
-    roots = np.concatenate([root_of(effect, problem) for effect in RANDOM], axis=2).reshape(3 * len(nodes), -1)
+    roots = np.concatenate([root_of(effect, problem).columns for effect in RANDOM], axis=1)
     whole = dense_covariance(nodes, q, truth) + roots @ roots.T
     if biased:
         travel = [np.stack((m.v, m.vy, 0.0 * m.v), axis=1) * m.dt_s[:, None] for m in problem.motions]

@@ -14,23 +14,24 @@ makes the one of the other has determinant 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
+from scipy.sparse import csr_array, hstack
 
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
 
 __all__ = [
     "Shrunk",
+    "WhitenedKnots",
     "Whitener",
     "band_of",
     "dense_covariance",
@@ -50,6 +51,47 @@ FLOOR = np.array([1e-10, 1e-10, 1e-12])
 BAND = 5
 _KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
 _TINY = 1e-18 * np.eye(3)
+
+
+_KNOTS, _ROWS = 32, 384
+"""Knots that are whitened together, and rows after them that are tried first."""
+_FADED = 1e-11
+"""Part of its largest value at which what a knot does to later innovations is nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class WhitenedKnots:
+    """L^-1 S of a sparse S (3 K, k), which fades behind each knot: blocks of columns over the rows where they are.
+
+    A knot acts between its neighbours alone, and L^-1 forgets. Dense columns would be read in full for every product.
+
+    blocks : first row, first knot, and values (rows, knots) of each block, in the order of their rows
+    count : k
+    """
+
+    blocks: tuple[tuple[int, int, Array], ...]
+    count: int
+
+    @property
+    def gram(self) -> Array:
+        """S' V^-1 S (k, k)."""
+        gram = np.zeros((self.count, self.count))
+        for i, (row, knot, own) in enumerate(self.blocks):
+            here = slice(knot, knot + own.shape[1])
+            for later, other, values in self.blocks[i:]:
+                shared = min(row + len(own) - later, len(values))
+                if shared > 0:
+                    there = slice(other, other + values.shape[1])
+                    gram[here, there] = own[later - row : later - row + shared].T @ values[:shared]
+                    gram[there, here] = gram[here, there].T
+        return gram
+
+    def products(self, white: Array) -> Array:
+        """Return S' L^-T z (k, c) of whitened data (3 K, c)."""
+        products = np.zeros((self.count, white.shape[1]))
+        for row, knot, values in self.blocks:
+            products[knot : knot + values.shape[1]] = values.T @ white[row : row + len(values)]
+        return products
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +140,46 @@ class Whitener:
         white = self._by_band(flat)
         return white if self.shrunk is None else white - self._lost(white, self.shrunk)
 
+    def knots(self, spread: csr_array) -> WhitenedKnots:
+        """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, as the band alone whitens them."""
+        by_knot, rows = spread.tocsc(), spread.shape[0]
+        blocks = []
+        for knot in range(0, spread.shape[1], _KNOTS):
+            own = by_knot[:, knot : knot + _KNOTS]
+            if not own.nnz:
+                continue
+            first, last = 3 * (int(own.indices.min()) // 3), int(own.indices.max()) + 1
+            length = _ROWS
+            while True:
+                end = min(3 * (-(-last // 3)) + length, rows)
+                part = replace(
+                    self,
+                    factor=self.factor[:, first:end],
+                    rho=None if self.rho is None else self.rho[first // 3 : end // 3],
+                )
+                values = part._by_band(own[first:end].toarray(order="F"))  # noqa: SLF001 - of the same class
+                if end == rows or np.abs(values[-2 * BAND :]).max() <= _FADED * np.abs(values).max():
+                    break
+                length *= 3
+            blocks.append((first, knot, values))
+        return WhitenedKnots(tuple(sorted(blocks, key=itemgetter(0))), spread.shape[1])
+
+    def information(self, spread: csr_array) -> Array:
+        """Return W' W (k, k) of the whitened columns W of a sparse S (3 K, k)."""
+        if self.shrunk is None:
+            return self.knots(spread).gram
+        gram, count = self.knots(csr_array(hstack([spread, self.shrunk.spread]))).gram, spread.shape[1]
+        along = gram[:count, count:] @ (self.shrunk.mixing * np.sqrt(1.0 - self.shrunk.factors**2))
+        information: Array = gram[:count, :count] - along @ along.T
+        return information
+
     def pulled(self, white: Array) -> Array:
         """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
-        rest = white[:, None]
-        if self.shrunk is not None:
-            rest = rest - self._lost(rest, self.shrunk)
-        return self._back(rest).reshape(-1, 3)
+        return self.transposed(white[:, None]).reshape(-1, 3)
+
+    def transposed(self, white: Array) -> Array:
+        """Return (3 K, c) whose products with any column x are those of L^-1 x with whitened data (3 K, c)."""
+        return self._back(white if self.shrunk is None else white - self._lost(white, self.shrunk))
 
     def _lost(self, white: Array, shrunk: Shrunk) -> Array:
         """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""

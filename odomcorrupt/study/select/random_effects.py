@@ -32,10 +32,14 @@ from odomcorrupt.study.terms.drive_type import drive_type_of
 from odomcorrupt.study.terms.heading_source import sees_travel
 
 if TYPE_CHECKING:
-    from odomcorrupt.effects.effect import Effect
+    from collections.abc import Callable
+
+    from scipy.sparse import csr_array
+
+    from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.random_process import Process
+    from odomcorrupt.study.estimate.random_process import Process, Root
     from odomcorrupt.study.select.decisions import Decisions
 
 __all__ = [
@@ -72,6 +76,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
+    evidence = _Evidence(fit)
     drive, blind = drive_type_of(fit.problem.recordings), not sees_travel(fit.problem.recordings)
     for process in processes():
         if not drive.admits(process.kind):
@@ -79,8 +84,8 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         if blind and process.unit is bias_of:
             continue  # it is the gyro's own
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
-        design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
-        nats, scale = _evidence(fit, design, process)
+        root = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
+        nats, scale = evidence.of(root, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
@@ -109,10 +114,10 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
     design = fit.design_matrix
     others = [e for e in fit.random if e is not effect]
     noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
-    bare = replace(fit, noise=noise, random=tuple(others))
+    evidence = _Evidence(replace(fit, noise=noise, random=tuple(others)))
     best = max(
         (
-            (_evidence(bare, rooted(fit.problem, process, FINELY), process), process)
+            (evidence.of(rooted(fit.problem, process, FINELY), process), process)
             for process in processes_like(effect, beside=True)
         ),
         key=lambda found: found[0][0],
@@ -147,21 +152,39 @@ def beside_bursts(
     return stay, fit.refit(random=[effect for effect in fit.random if effect.name in there])
 
 
-def _evidence(fit: Fit, design: Array, process: Process) -> tuple[float, float]:
-    """Return the nats that the best scale of a process gains, and that scale."""
-    # about what a bias varies, and where a walk starts, is not its business
-    mean = (unit_column(fit.problem, process)[:, :, None],) if process.unit is bias_of else ()
-    rest = project_out(fit, *mean)
-    white, r = rest.of(fit.noise.whitener.whiten(design)), rest.residual
-    strength, vectors = eigh(white.T @ white)
-    strength = np.maximum(strength, 0.0)
-    score = (vectors.T @ (white.T @ r)) ** 2
-    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
-    scales = np.geomspace(_LEAST_SCALE, most, 121)
-    for _ in range(2):
-        q = scales[:, None] ** 2
-        gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
-        best = int(np.argmax(gains))
-        nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
-    return nats, scale
+class _Evidence:
+    """What processes explain of the residual of a fit; those with the same knots share what becomes of these."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+        self._known: dict[tuple[Callable[[Motion], Array], bytes], tuple[Array, Array]] = {}
+
+    def of(self, root: Root, process: Process) -> tuple[float, float]:
+        """Return the nats that the best scale of a process gains, and that scale."""
+        information, score = self._of_knots(root.spread, process)
+        strength, vectors = eigh(root.mixing.T @ information @ root.mixing)
+        strength = np.maximum(strength, 0.0)
+        score = (vectors.T @ (root.mixing.T @ score)) ** 2
+        (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
+        scales = np.geomspace(_LEAST_SCALE, most, 121)
+        for _ in range(2):
+            q = scales[:, None] ** 2
+            gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
+            best = int(np.argmax(gains))
+            nats, scale = float(gains[best]), float(scales[best])
+            scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
+        return nats, scale
+
+    def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
+        """Return what the residual says of knots beside the model: information (k, k) and score (k,)."""
+        key = process.unit, spread.data.tobytes()
+        if key not in self._known:
+            # about what a bias varies, and where a walk starts, is not its business
+            unit = unit_column(self._fit.problem, process)[:, :, None]
+            rest = project_out(self._fit, *((unit,) if process.unit is bias_of else ()))
+            white = self._fit.noise.whitener
+            both = white.transposed(np.column_stack((rest.basis, rest.residual)))
+            spanned = spread.T @ both[:, :-1]
+            information = white.information(spread) - spanned @ spanned.T
+            self._known[key] = information, spread.T @ both[:, -1]
+        return self._known[key]
