@@ -51,7 +51,8 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
     problem = pose_problem([recording], approach=approach)
     kinds = registry()
     columns = np.concatenate([problem.columns(kinds[name]()) for name in _BESIDE] + [problem.clock_columns()], axis=2)
-    fits = {length: _fitted(problem, columns, length) for length in _LENGTHS_M}
+    components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+    fits = {length: _fitted(problem, components, columns, length) for length in _LENGTHS_M}
     length, best = max(fits.items(), key=lambda one: one[1].log_likelihood)
     q = problem.nodes.covariance(approach.law, best.coefficients, problem.steps)
     field, nats = field_of(problem, q, columns)
@@ -60,9 +61,8 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
     return replace(recording, truth_correlation_m=length, truth_field=field if more > _FIELD_NATS else None)
 
 
-def _fitted(problem: Problem, columns: Array, length_m: float) -> NoiseFit:
+def _fitted(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> NoiseFit:
     """Return the fit of the noise of largest likelihood if the truth's errors fade over a way."""
     nodes = replace(problem.nodes, memory=memory_over(problem.nodes.way_m, length_m))
-    components = VarianceComponents(problem.approach.law, nodes, problem.steps)
     likelihood = NoiseLikelihood(nodes, components, columns, np.ones(len(nodes)))
     return likelihood.evaluate(likelihood.maximise(likelihood.initial_guess()))
