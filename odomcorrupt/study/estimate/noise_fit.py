@@ -125,7 +125,7 @@ def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal
     """Return (K, 3): a draw from the posterior of what the processes did to the residuals."""
     whiten, mixing = noise.whitener.whiten, root.mixing
     r, design, knots = whiten(problem.nodes.residual), whiten(columns), noise.whitener.knots(root.spread)
-    factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.gram @ mixing, lower=True)
+    factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)
 
     def carried(data: Array) -> Array:
         solved: Array = solve_triangular(factor, mixing.T @ knots.products(data), lower=True)

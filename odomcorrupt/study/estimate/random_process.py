@@ -131,13 +131,14 @@ def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whit
         return white
     root = joined(roots)
     # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
-    square, turned = eigh(root.mixing.T @ white.knots(root.spread).gram @ root.mixing)
+    knots = white.knots(root.spread)
+    square, turned = eigh(root.mixing.T @ knots.inner(knots) @ root.mixing)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)
     square, turned = square[plain], turned[:, plain] / np.sqrt(square[plain])
     growth = 1.0 + square
     return replace(
         white,
-        shrunk=Shrunk(root.spread, root.mixing @ turned, 1.0 / np.sqrt(growth)),
+        shrunk=Shrunk.along(knots, root.mixing @ turned, 1.0 / np.sqrt(growth)),
         log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
     )
 

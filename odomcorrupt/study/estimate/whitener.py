@@ -15,16 +15,16 @@ makes the one of the other has determinant 1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.linalg import lapack
-from scipy.sparse import csr_array, hstack
 
 from odomcorrupt.errors import FitError
 
 if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
@@ -53,7 +53,7 @@ _KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
 _TINY = 1e-18 * np.eye(3)
 
 
-_KNOTS, _ROWS = 32, 384
+_KNOTS, _ROWS = 32, 96
 """Knots that are whitened together, and rows after them that are tried first."""
 _FADED = 1e-11
 """Part of its largest value at which what a knot does to later innovations is nothing."""
@@ -65,26 +65,23 @@ class WhitenedKnots:
 
     A knot acts between its neighbours alone, and L^-1 forgets. Dense columns would be read in full for every product.
 
-    blocks : first row, first knot, and values (rows, knots) of each block, in the order of their rows
+    blocks : first row, first knot, and values (rows, knots) of each block
     count : k
     """
 
     blocks: tuple[tuple[int, int, Array], ...]
     count: int
 
-    @property
-    def gram(self) -> Array:
-        """S' V^-1 S (k, k)."""
-        gram = np.zeros((self.count, self.count))
-        for i, (row, knot, own) in enumerate(self.blocks):
-            here = slice(knot, knot + own.shape[1])
-            for later, other, values in self.blocks[i:]:
-                shared = min(row + len(own) - later, len(values))
-                if shared > 0:
-                    there = slice(other, other + values.shape[1])
-                    gram[here, there] = own[later - row : later - row + shared].T @ values[:shared]
-                    gram[there, here] = gram[here, there].T
-        return gram
+    def inner(self, other: WhitenedKnots) -> Array:
+        """Return S' V^-1 T (k, l) with other knots T, whitened alike."""
+        inner = np.zeros((self.count, other.count))
+        for row, knot, own in self.blocks:
+            for later, there, values in other.blocks:
+                begin, end = max(row, later), min(row + len(own), later + len(values))
+                if begin < end:
+                    block = own[begin - row : end - row].T @ values[begin - later : end - later]
+                    inner[knot : knot + own.shape[1], there : there + values.shape[1]] = block
+        return inner
 
     def products(self, white: Array) -> Array:
         """Return S' L^-T z (k, c) of whitened data (3 K, c)."""
@@ -98,17 +95,31 @@ class WhitenedKnots:
 class Shrunk:
     """Orthonormal directions L^-1 S M of whitened residuals along which a process makes them shrink.
 
-    As S is sparse and M small they are never multiplied out: that would take as much memory as hundreds of columns, and
-    most of the time of everything that is whitened.
+    They are never multiplied out: that would take as much memory as hundreds of columns, and most of the time of
+    everything that is whitened.
 
-    spread : S (3 K, k) what each knot of a process does to each residual, sparse
+    knots : L^-1 S (3 K, k), what each knot of a process does to each whitened residual
     mixing : M (k, m) of the knots, for each direction
     factors : (m,) by which whitened data shrink along them
+    taken : (k, k) what data lose of each knot for what they have of another
     """
 
-    spread: csr_array
+    knots: WhitenedKnots
     mixing: Array
     factors: Array
+    taken: Array
+
+    @classmethod
+    def along(cls, knots: WhitenedKnots, mixing: Array, factors: Array) -> Self:
+        """Return the directions of knots and their mixing, with what is lost along them."""
+        return cls(knots, mixing, factors, (mixing * (1.0 - factors)) @ mixing.T)
+
+    def lost(self, white: Array) -> Array:
+        """Return what data (3 K, c) that are whitened by the band alone lose along the directions."""
+        lost, of_knots = np.zeros(white.shape, order="F"), self.taken @ self.knots.products(white)
+        for row, knot, values in self.knots.blocks:
+            lost[row : row + len(values)] += values @ of_knots[knot : knot + values.shape[1]]
+        return lost
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +149,7 @@ class Whitener:
     def whitened(self, flat: Array) -> Array:
         """Return what `whiten` does for x of shape (3 K, c)."""
         white = self._by_band(flat)
-        return white if self.shrunk is None else white - self._lost(white, self.shrunk)
+        return white if self.shrunk is None else white - self.shrunk.lost(white)
 
     def knots(self, spread: csr_array) -> WhitenedKnots:
         """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, as the band alone whitens them."""
@@ -161,16 +172,19 @@ class Whitener:
                 if end == rows or np.abs(values[-2 * BAND :]).max() <= _FADED * np.abs(values).max():
                     break
                 length *= 3
-            blocks.append((first, knot, values))
-        return WhitenedKnots(tuple(sorted(blocks, key=itemgetter(0))), spread.shape[1])
+            size = np.abs(values).max(axis=1)
+            there = np.flatnonzero(size > _FADED * size.max(initial=0.0))
+            if len(there):
+                blocks.append((first, knot, np.asfortranarray(values[: there[-1] + 1])))
+        return WhitenedKnots(tuple(blocks), spread.shape[1])
 
     def information(self, spread: csr_array) -> Array:
         """Return W' W (k, k) of the whitened columns W of a sparse S (3 K, k)."""
-        if self.shrunk is None:
-            return self.knots(spread).gram
-        gram, count = self.knots(csr_array(hstack([spread, self.shrunk.spread]))).gram, spread.shape[1]
-        along = gram[:count, count:] @ (self.shrunk.mixing * np.sqrt(1.0 - self.shrunk.factors**2))
-        information: Array = gram[:count, :count] - along @ along.T
+        knots = self.knots(spread)
+        information = knots.inner(knots)
+        if self.shrunk is not None:
+            along = knots.inner(self.shrunk.knots) @ (self.shrunk.mixing * np.sqrt(1.0 - self.shrunk.factors**2))
+            information -= along @ along.T
         return information
 
     def pulled(self, white: Array) -> Array:
@@ -179,12 +193,7 @@ class Whitener:
 
     def transposed(self, white: Array) -> Array:
         """Return (3 K, c) whose products with any column x are those of L^-1 x with whitened data (3 K, c)."""
-        return self._back(white if self.shrunk is None else white - self._lost(white, self.shrunk))
-
-    def _lost(self, white: Array, shrunk: Shrunk) -> Array:
-        """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""
-        along = shrunk.mixing.T @ (shrunk.spread.T @ self._back(white))
-        return self._by_band(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
+        return self._back(white if self.shrunk is None else white - self.shrunk.lost(white))
 
     def _by_band(self, flat: Array) -> Array:
         """Return x of shape (3 K, c), whitened by the band alone."""
