@@ -45,6 +45,23 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     np.testing.assert_allclose(pulled, solved[:, 0], rtol=0.0, atol=1e-6 * np.abs(solved).max())
 
 
+@pytest.mark.parametrize("way_m", [0.0, 2.0])
+def test_knots_that_fade_inform_as_their_columns_written_out_do(way_m):
+    recording = as_recording(simulate(93, "wheel_scale", duration_s=240.0))
+    recording = replace(recording, truth_correlation_m=way_m)
+    problem = pose_problem([recording], approach=choose_approach([recording]))
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(problem.nodes), 1, 1))
+    white = widened(whitener(problem.nodes, q, TruthNoise(0.002, 0.003, 0.0)), problem, RANDOM[1:])
+    spread = root_of(RANDOM[0], problem).spread
+    written_out = white.whitened(spread.toarray())
+    scale = np.sum(written_out**2)
+    np.testing.assert_allclose(white.information(spread), written_out.T @ written_out, rtol=0.0, atol=1e-9 * scale)
+    knots = white.knots(spread)
+    assert sum(values.size for _, _, values in knots.blocks) < 0.8 * spread.shape[0] * spread.shape[1]
+    band = replace(white, shrunk=None).whitened(spread.toarray())
+    np.testing.assert_allclose(knots.products(written_out), band.T @ written_out, rtol=0.0, atol=1e-9 * scale)
+
+
 def test_nothing_is_whitened_without_a_call_of_lapack_which_would_write_where_there_is_nothing(monkeypatch):
     recording = as_recording(simulate(93, "wheel_scale", duration_s=45.0))
     problem = pose_problem([recording], approach=choose_approach([recording]))
