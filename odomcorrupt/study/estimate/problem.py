@@ -126,7 +126,7 @@ class Problem:
 
 def by_column(columns: Array) -> Array:
     """Return columns (c, K, 3) as (K, 3, c), each of them still dense in memory, as whitening wants them."""
-    return np.asarray(columns).transpose(1, 2, 0)
+    return columns.transpose(1, 2, 0)
 
 
 def pose_problem(

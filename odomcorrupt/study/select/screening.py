@@ -94,7 +94,7 @@ class CoarseDesign:
     def acting(self, action: Action, means: Sequence[Array]) -> Array:
         """Return (K, 3, P) from the means (K, P) of functions, one for each unit of an action."""
         units = self.units(action)
-        return by_column(sum(u * mean.T[:, :, None] for (_, u), mean in zip(units, means, strict=True)))
+        return by_column(np.asarray(sum(u * mean.T[:, :, None] for (_, u), mean in zip(units, means, strict=True))))
 
     def units(self, action: Action) -> list[tuple[str, Array]]:
         """Return what an action reads (body, a wheel), and what (K, 3) a unit of error there does to the residuals."""
