@@ -162,14 +162,13 @@ def fit(
     free = np.array(free_clocks if free_clocks is not None else [(False, False)] * len(recordings))
     effects = tuple(effects)
     before: Problem | None = None
-    near = False
     for _ in range(_ROUNDS):
         problem = pose_problem(recordings, effects, clocks, approach=approach, before=before or known)
         if before is not None and weights is not None:
             weights = carried(weights, before, problem)
         columns = design_matrix(problem, free)
         components = VarianceComponents(approach.law, problem.nodes, problem.steps)
-        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts, held=near)
+        begin = NoiseStart(start, weights, elsewhere=before is None, bursts=bursts)
         free_too = (
             np.concatenate((columns, bias_roots(problem)[:, :, :SHARED]), axis=2) if has_bias(problem) else columns
         )
@@ -183,8 +182,7 @@ def fit(
         step = _made(old, effects, noise.theta)
         if not np.any(np.abs(step) > (_NEAR if nearly else _SMALL) * errors):
             break
-        near = not np.any(np.abs(step) > _NEAR * errors)
-        if near:
+        if not np.any(np.abs(step) > _NEAR * errors):
             # so near the end nobody becomes an outlier or ceases to be one
             weights = noise.weights
     own = sum(len(amplitudes(e)) for e in effects)

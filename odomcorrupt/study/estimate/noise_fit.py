@@ -51,14 +51,12 @@ class NoiseStart:
     weights : (K,) robust weights to keep, so that likelihoods can be compared; default estimated
     elsewhere : whether `free` is of a fit with other columns, so that the maximum near it is no better than a guess
     bursts : whether bursts are known of, so that any number of outliers are outliers
-    held : whether noise beside random coefficients stays as it is: draws alone would move it by more than a short step
     """
 
     free: Array | None = None
     weights: Array | None = None
     elsewhere: bool = False
     bursts: bool = False
-    held: bool = False
 
 
 def fit_noise(
@@ -106,7 +104,7 @@ def fit_noise_beside(
         noise = NoiseLikelihood(nodes, components, columns, even, headings=headings).evaluate(start.free)
     else:
         noise = fit_noise(nodes, components, columns, start, headings=headings)
-    if not random or start.held:
+    if not random:
         return noise
     root = joined([root_of(effect, problem) for effect in random])
     for normal in np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1])):
