@@ -11,10 +11,10 @@ from scipy.sparse import csr_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
+from odomcorrupt.study.estimate.knots import Shrunk
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
-from odomcorrupt.study.estimate.whitener import Shrunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
