@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, noise_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
