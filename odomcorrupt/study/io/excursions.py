@@ -1,17 +1,20 @@
-"""Excursions of a localisation: poses that leave where odometry and the rest of the truth agree, and come back.
+"""Excursions of a truth: poses that leave where odometry and the rest of the truth agree, and come back.
 
-A localisation that loses its way for some seconds is off by decimetres and returns to where it was. A robot that was
-pushed or lifted stays where it is. Compared with running medians of the difference, the first departs and the second
-does not: a median follows a step that lasts, and passes by one that does not.
+A localisation that loses its way for some seconds is off by decimetres and returns to where it was; so does a tracker
+that swaps two markers. A robot that was pushed or lifted stays where it is. Compared with running medians of the
+difference, the first depart and the second does not: a median follows a step that lasts, and passes by one that does
+not.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.geometry.se2 import rotate
+from odomcorrupt.geometry.se2 import rotate, wrap
+from odomcorrupt.study.io.jumps import reach_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,31 +35,37 @@ _LEAST = np.array([0.05, 0.03])
 _MOST = 0.2
 """Part of the poses above which they are no excursions, but how this truth is."""
 _APART_S = 3.0
+_FLIP_RAD = 1.3
+"""What the truth turns at once beside the odometry that says nothing about which way round the difference goes on."""
 
 
 def without_excursions(odometry: Samples, truth: Samples) -> Samples:
-    """Return a localisation's poses without its excursions; any other truth, and one without headings, as it is.
+    """Return a truth's poses without its excursions; one without headings as it is.
+
+    A tracker's have to begin or end with a step that no robot makes: it errs at once, a localisation by degrees.
 
     Parameters
     ----------
     odometry, truth : by growing stamps, on nearly the same clock
 
     """
-    if not (truth.localised and truth.headed and odometry.headed):
+    if not (truth.headed and odometry.headed):
         return truth
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
     own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
     if len(inside) < _FEWEST:
         return truth
-    apart = np.zeros((len(truth), 2))
-    apart[inside] = _departures(odometry, own_s, truth, t_s, inside)
+    apart, stands_out = np.zeros((len(truth), 2)), np.zeros(len(truth) + 1, dtype=np.bool_)
+    apart[inside], steps = _departures(odometry, own_s, truth, t_s, inside)
+    reach = reach_of(odometry, truth)
+    stands_out[inside[1:]] = (steps > reach.noise + reach.top * np.diff(t_s[inside])[:, None]).any(axis=1)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
     out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
     # on its way out and back, and where noise brings it nearer, it is still the same one
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
-        out[first:end] = out[first:end].any()
+        out[first:end] = out[first:end].any() and bool(truth.localised or stands_out[first] or stands_out[end])
     if not out.any() or out.mean() > _MOST:
         return truth
     rows = np.flatnonzero(out)
@@ -66,18 +75,24 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
         for g in groups[:6]
     )
     what = "an excursion that comes back" if len(groups) == 1 else f"{len(groups)} excursions that come back"
-    return truth.only(~out, f"{what}, {len(rows)} poses, left out ({where}): errors of the localisation")
+    whose = "localisation" if truth.localised else "truth"
+    return truth.only(~out, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
 
 
-def _departures(odometry: Samples, own_s: Array, truth: Samples, t_s: Array, inside: NDArray[np.int64]) -> Array:
-    """Return how far poses (m, 2) are from the running medians of truth less odometry: metres, and radians."""
+def _departures(
+    odometry: Samples, own_s: Array, truth: Samples, t_s: Array, inside: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return how far poses (m, 2) are from the running medians of truth less odometry, and the steps (m - 1, 2) of it.
+
+    Metres, and radians.
+    """
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
-    turned = np.unwrap(np.unwrap(truth.yaw_rad)[inside] - heading)
+    turned, calm = _unwrapped(truth.yaw_rad[inside] - heading)
     way = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(odometry.xyz[:, :2], axis=0), axis=1))))
     design = np.stack((np.ones(len(at)), at, heading, np.interp(at, own_s, way)), axis=1)
     # what a bias, a gain of turns and unequal wheels make of it goes on all the time
-    steady = design @ np.linalg.lstsq(design, turned, rcond=None)[0]
+    steady = design @ np.linalg.lstsq(design, calm, rcond=None)[0]
     usual = steady + _medians(at, (turned - steady)[:, None])[:, 0]
     # the odometry's path, laid along the truth by its headings
     path = np.stack([np.interp(at, own_s, odometry.xyz[:, axis]) for axis in (0, 1)], axis=1)
@@ -87,14 +102,34 @@ def _departures(odometry: Samples, own_s: Array, truth: Samples, t_s: Array, ins
     away = truth.xyz[inside, :2] - laid
     similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
     away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
-    return np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
+    departures = np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
+    moved = np.linalg.norm(np.diff(away, axis=0), axis=1)
+    return departures, np.stack((moved, np.abs(np.diff(turned))), axis=1)
+
+
+def _unwrapped(difference: Array) -> tuple[Array, Array]:
+    """Return a difference of headings (n,) that goes on through flips by half a turn, as it is and without them."""
+    steps = wrap(np.diff(difference))
+    steps[np.abs(steps) > _FLIP_RAD] = 0.0
+    calm = difference[0] + np.concatenate(([0.0], np.cumsum(steps)))
+    return calm + wrap(difference - calm), calm
 
 
 def _medians(t_s: Array, values: Array) -> Array:
     """Return the running medians (n, c) of values (n, c); where too few are near, the values themselves."""
     first, last = np.searchsorted(t_s, t_s - _REACH_S), np.searchsorted(t_s, t_s + _REACH_S, side="right")
+    bounds = list(zip(first.tolist(), last.tolist(), strict=True))
     medians = values.copy()
-    for i, (a, b) in enumerate(zip(first, last, strict=True)):
-        if b - a >= _FEWEST:
-            medians[i] = np.median(values[a:b], axis=0)
+    for c, column in enumerate(values.T.tolist()):
+        ordered: list[float] = []
+        begin = end = 0
+        for i, (a, b) in enumerate(bounds):
+            for one in column[end:b]:
+                insort(ordered, one)
+            for one in column[begin:a]:
+                del ordered[bisect_left(ordered, one)]
+            begin, end = a, b
+            if b - a >= _FEWEST:
+                half = (b - a) // 2
+                medians[i, c] = (ordered[half] + ordered[~half]) / 2.0
     return medians
