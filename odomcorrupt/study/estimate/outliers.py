@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
 
-__all__ = ["Event", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
+__all__ = ["Event", "during", "events", "odd_steps", "set_apart", "single_events", "slip_bursts"]
 
 _FEWEST = 6
 _LEVEL = 0.02
@@ -98,7 +98,29 @@ def single_events(fit: Fit) -> list[Event]:
     found = [event for event in _described(fit, whole) if event.lasting]
     found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
     found.sort(key=lambda event: (event.recording, event.start_s))
-    return found if len(found) <= _MOST_SINGLE else []
+    apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
+    joined: list[Event] = []
+    for event in found:
+        last = joined[-1] if joined else None
+        if last is not None and last.recording == event.recording and event.start_s - last.end_s < apart_s:
+            joined[-1] = _joined(last, event)
+        else:
+            joined.append(event)
+    return joined if len(joined) <= _MOST_SINGLE else []
+
+
+def _joined(first: Event, second: Event) -> Event:
+    """Return an event and the one that follows it at once, such as what a gap of the truth hides, as one."""
+    along_m, across_m = rotate(np.array([second.along_m, second.across_m]), first.turn_rad - first.yaw_rad).tolist()
+    return replace(
+        first,
+        end_s=max(first.end_s, second.end_s),
+        along_m=first.along_m + along_m,
+        across_m=first.across_m + across_m,
+        yaw_rad=first.yaw_rad + second.yaw_rad,
+        turn_rad=first.turn_rad + second.turn_rad,
+        plain=max(first.plain, second.plain),
+    )
 
 
 def _across_gaps(fit: Fit) -> list[Event]:
@@ -142,9 +164,11 @@ def _across_gaps(fit: Fit) -> list[Event]:
 def odd_steps(fit: Fit) -> list[Event]:
     """Return the stretches that stand out: the flagged ones, or where they were too many to set apart, the same ones.
 
-    The fit is plain then and its noise is as wide as they are, so most of the others say what is usual.
+    The fit is plain then and its noise is as wide as they are, so most of the others say what is usual. What happened
+    once says nothing of noise, see `single_events`.
     """
-    return _events_of(fit, _standing_out(fit))
+    flagged = _standing_out(fit)
+    return _events_of(fit, flagged[~during(fit, single_events(fit))[flagged]])
 
 
 def set_apart(fit: Fit) -> Array:
@@ -300,15 +324,21 @@ def _lost(event: Event, track_m: float | None) -> float:
 
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
     """Tell whether stretches that stand out are nearly all of the squared error of a fit."""
+    nodes, inside = fit.problem.nodes, during(fit, stretches)
+    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    square = np.sum((nodes.residual / usual) ** 2, axis=1)
+    return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
+
+
+def during(fit: Fit, stretches: Sequence[Event]) -> NDArray[np.bool_]:
+    """Return which intervals (K,) of a fit lie within some stretches."""
     nodes, run = fit.problem.nodes, fit.problem.run
     inside = np.zeros(len(nodes), dtype=bool)
     for r, recording in enumerate(fit.problem.recordings):
         for event in stretches:
             if event.recording == recording.name:
                 inside |= (run == r) & (nodes.start_s >= event.start_s) & (nodes.end_s <= event.end_s)
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
-    square = np.sum((nodes.residual / usual) ** 2, axis=1)
-    return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
+    return inside
 
 
 def _words(slips: Sequence[Event], track_m: float | None) -> dict[str, str]:

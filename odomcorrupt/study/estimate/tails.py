@@ -14,7 +14,7 @@ from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.study.estimate.config import NODE_S
-from odomcorrupt.study.estimate.outliers import odd_steps
+from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
 from odomcorrupt.study.estimate.whitener import interval_covariance
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     # where most of what stands out comes back, it is the truth that errs
     if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
         return None
-    driven = _driven(fit)
+    driven = _driven(fit) & ~during(fit, single_events(fit))
     channels = _of_odometry(fit, driven)
     if not channels:
         return None
