@@ -22,7 +22,7 @@ class SidewaysScale(Effect):
         drive="sideways to and fro, at two headings, and straights as long",
     )
 
-    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.5, high=0.5, typical=0.03)
+    e: float = parameter("", "true over nominal sideways travel, minus one", low=-0.8, high=4.0, typical=0.03)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, proportional to the sideways speed."""

@@ -41,7 +41,7 @@ class SteeringScale(Effect):
 
     e: float = parameter(
         "", "true over nominal steering angle, minus one; as well nominal over true axle distance, minus one",
-        low=-0.5, high=1.0, typical=0.03,
+        low=-0.8, high=4.0, typical=0.03,
     )  # fmt: skip
     axles: float = axles_parameter()
 

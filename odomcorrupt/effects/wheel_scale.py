@@ -26,7 +26,7 @@ class WheelScale(Effect):
         drive="straights and turns, at two speeds",
     )
 
-    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.5, high=1.0, typical=0.01)
+    e: float = parameter("", "true over nominal wheel radius, minus one", low=-0.8, high=4.0, typical=0.01)
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

@@ -26,7 +26,7 @@ class Wheelbase(Effect):
         drive="turn on the spot both ways; only the source of the heading separates the two",
     )
 
-    e: float = parameter("", "true over nominal track, minus one", low=-0.9, high=2.0, typical=0.015)
+    e: float = parameter("", "true over nominal track, minus one", low=-0.8, high=4.0, typical=0.015)
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: every turn has the same scale error."""

@@ -80,7 +80,7 @@ def disagreements(fit: Fit, level: float) -> tuple[ParameterDifference, ...]:
     for number, effect in enumerate(asked):
         (p,) = amplitudes(effect)
         rows = slice(number * len(runs), (number + 1) * len(runs))
-        able = (error[rows] > 0.0) & (error[rows] < _KNOWN * p.high)
+        able = (error[rows] > 0.0) & (error[rows] < _KNOWN * min(p.high, -p.low))
         values, errors = getattr(effect, p.name) + estimate[rows][able], error[rows][able]
         if able.sum() < 2:
             continue
