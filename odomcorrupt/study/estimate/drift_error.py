@@ -27,6 +27,14 @@ class Drift(NamedTuple):
         together = np.concatenate(self.squared)
         return float(np.sqrt(np.mean(together))) if len(together) else float("nan")
 
+    def nats_over(self, other: Drift) -> float:
+        """Return what its windows gain in log likelihood over another's, both normal in the plane and of any size.
+
+        Phases share what they see: they count as one.
+        """
+        windows = np.mean([len(each) for each in self.squared])
+        return float(2.0 * windows * np.log(other.rmse / self.rmse)) if other.rmse > 0.0 < self.rmse else 0.0
+
     def worse_than(self, other: Drift, *, factor: float, plain: float, errors: float) -> bool:
         """Return whether it is larger than another of the same recordings by more than chance.
 

@@ -39,6 +39,7 @@ _OTHER_NATS_PER_NODE = 0.3
 does where it is most of the residual."""
 _SHOWN, _ROBUST_ROUNDS = 5.0, 6
 """How many times the noise that its own samples show a truth's noise may be; a filter of its tracker hides some."""
+_LEAST_SQUARE = 1e-12
 _HALF = float(np.sqrt(2.0))
 """Standard errors of a fit to half of a drive are larger by this."""
 
@@ -78,6 +79,17 @@ class Evaluation:
     def covariance(self) -> Array:
         """What the model expects (K, 3, 3) of each residual by itself."""
         return interval_covariance(self.problem.nodes, self.q, self.truth)
+
+    @property
+    def sized_nats(self) -> Array:
+        """Log likelihood (K,) of each interval, the noise of each measured axis as large as it is in this stretch.
+
+        How large noise is differs between drives; what is to be judged may be the motion alone.
+        """
+        square = self.innovations.reshape(-1, 3)[:, self.recording.axes] ** 2
+        size = np.maximum(square.mean(axis=0), _LEAST_SQUARE)
+        nats: Array = self.node_nats + 0.5 * np.sum(square * (1.0 - 1.0 / size) - np.log(size), axis=1)
+        return nats
 
     def chains(self) -> list[Array]:
         """Return the innovations as unbroken chains (m, c), c the axes that the truth measured."""

@@ -54,6 +54,7 @@ class HeldOut:
 
     nats, error : log likelihood that the part gains on them, and its standard error from blocks of the drive
     ten_second_error_m : without it, and with it
+    drift_nats : log likelihood that the errors of its 10 s windows gain
     harm : why it is not in the model, in words; "" where it is
     needed : whether the 10 s error is plainly larger without it
     """
@@ -62,6 +63,7 @@ class HeldOut:
     nats: float
     error: float
     ten_second_error_m: tuple[float, float]
+    drift_nats: float
     harm: str
     needed: bool
 
@@ -91,7 +93,9 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
         worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
-            learned = replace(learned, held_out={one.name: (one.nats, one.error) for _, one in each})
+            # single intervals or the drift of seconds: either may show what the other hardly does
+            gained = {one.name: (max(one.nats, one.drift_nats), one.error) for _, one in each}
+            learned = replace(learned, held_out=gained)
             worst = _least_likely(each, replace(learned, fit=fitted))
         if worst is None:
             said += [one for _, one in each]
@@ -206,7 +210,8 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
 
 def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequence[Evaluation]) -> HeldOut:
     with_it, base = (Drift(tuple(phased_misses([piece.left for piece in pieces]))) for pieces in (whole, without))
-    gains = block_differences(whole, without)
+    # noise is judged by its size, too; what moves the odometry is not, whichever size noise has on another day
+    gains = block_differences(whole, without, sized=not any(part.name in CORRELATED_NOISE for part in parts))
     nats = float(gains.sum())
     error = float(np.std(gains, ddof=1) * np.sqrt(len(gains))) if len(gains) > 1 else float("inf")
     farther = with_it.worse_than(base, **_WORSE)
@@ -219,4 +224,12 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
         )
     elif unlikelier and not closer:
         harm = f"on held-out data the model is {-nats:.0f} nats less likely with it"
-    return HeldOut(" with ".join(part.name for part in parts), nats, error, (base.rmse, with_it.rmse), harm, closer)
+    return HeldOut(
+        name=" with ".join(part.name for part in parts),
+        nats=nats,
+        error=error,
+        ten_second_error_m=(base.rmse, with_it.rmse),
+        drift_nats=with_it.nats_over(base),
+        harm=harm,
+        needed=closer,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.evaluation import Evaluation
 
 __all__ = ["LogScore", "block_differences", "log_score_of"]
+
+_Summed = Literal["node_nats", "sized_nats", "node_metres"]
 
 BLOCK_S = 15.0
 """Errors of a robot remember for seconds; blocks this long hardly know of each other."""
@@ -33,25 +35,29 @@ class LogScore:
 def log_score_of(pieces: Sequence[Evaluation], first: Sequence[Evaluation]) -> LogScore:
     """Return nats per metre of pieces, and the paired difference to those of the first model."""
     own, base = _blocks(pieces, pieces), _blocks(first, pieces)
-    metres = _blocks(pieces, pieces, metres=True)
+    metres = _blocks(pieces, pieces, "node_metres")
     ratio, error = _ratio(own, metres)
     gain, gain_error = _ratio(own - base, metres)
     return LogScore(ratio, error, gain, gain_error, len(metres))
 
 
-def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation]) -> Array:
-    """Return by how much (b,) nats pieces are likelier than others of the same recordings, in blocks of time."""
-    difference: Array = _blocks(pieces, pieces) - _blocks(others, pieces)
+def block_differences(pieces: Sequence[Evaluation], others: Sequence[Evaluation], *, sized: bool) -> Array:
+    """Return by how much (b,) nats pieces are likelier than others of the same recordings, in blocks of time.
+
+    sized : the noise as large as it is in each recording, see `Evaluation.sized_nats`
+    """
+    what: _Summed = "sized_nats" if sized else "node_nats"
+    difference: Array = _blocks(pieces, pieces, what) - _blocks(others, pieces, what)
     return difference
 
 
-def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], *, metres: bool = False) -> Array:
+def _blocks(pieces: Sequence[Evaluation], cut_by: Sequence[Evaluation], what: _Summed = "node_nats") -> Array:
     """Return sums over blocks of time (b,): of log likelihood or of metres."""
     sums = []
     for piece, like in zip(pieces, cut_by, strict=True):
         end_s = like.problem.nodes.end_s
         block = ((end_s - end_s[0]) / BLOCK_S).astype(np.int64)
-        sums.append(np.bincount(block, piece.node_metres if metres else piece.node_nats))
+        sums.append(np.bincount(block, getattr(piece, what)))
     joined: Array = np.concatenate(sums)
     return joined
 
