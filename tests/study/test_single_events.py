@@ -12,7 +12,8 @@ from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.outliers import single_events
+from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
+from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.recording import Trajectory
 
 
@@ -70,3 +71,23 @@ def test_a_push_while_the_truth_saw_nothing_is_reported_by_the_gap():
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gap_of_the_truth_by_itself_is_no_event(seed):
     assert events_of(hidden_from_the_truth(pushed(seed))) == []
+
+
+def test_a_push_is_one_event_and_no_evidence_for_noise():
+    run = pushed(3, yaw_deg=40.0, lasts_s=1.0)
+    fitted = fit([run], approach=choose_approach([run]))
+    (event,) = single_events(fitted)
+    own = during(fitted, [event])
+    assert own.any()
+    assert odd_steps(fitted) == [
+        one for one in odd_steps(fitted) if one.end_s <= event.start_s or one.start_s >= event.end_s
+    ]
+    assert heavy_tails(fitted) is None
+
+
+def test_what_a_gap_hides_and_what_is_seen_beside_it_are_one_event():
+    run = hidden_from_the_truth(pushed(3, yaw_deg=40.0, lasts_s=3.0), 101.0, 104.0)
+    (event,) = events_of(run)
+    assert event.start_s < 101.0
+    assert event.end_s >= 104.0
+    assert np.degrees(event.yaw_rad) == pytest.approx(-40.0, abs=4.0)

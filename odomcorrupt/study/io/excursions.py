@@ -9,7 +9,7 @@ not.
 from __future__ import annotations
 
 from bisect import bisect_left, insort
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,12 @@ from odomcorrupt.geometry.se2 import rotate, wrap
 from odomcorrupt.study.io.jumps import reach_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.io.jumps import Reach
     from odomcorrupt.study.io.raw_trajectory import Samples
 
 __all__ = ["without_excursions"]
@@ -35,6 +38,8 @@ _LEAST = np.array([0.05, 0.03])
 _MOST = 0.2
 """Part of the poses above which they are no excursions, but how this truth is."""
 _APART_S = 3.0
+_RETURNS = 0.5
+"""What may be left of a tracker's excursion once it is back, in parts of its size."""
 _FLIP_RAD = 1.3
 """What the truth turns at once beside the odometry that says nothing about which way round the difference goes on."""
 
@@ -56,16 +61,16 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
     if len(inside) < _FEWEST:
         return truth
-    apart, stands_out = np.zeros((len(truth), 2)), np.zeros(len(truth) + 1, dtype=np.bool_)
-    apart[inside], steps = _departures(odometry, own_s, truth, t_s, inside)
-    reach = reach_of(odometry, truth)
-    stands_out[inside[1:]] = (steps > reach.noise + reach.top * np.diff(t_s[inside])[:, None]).any(axis=1)
+    apart = np.zeros((len(truth), 2))
+    apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
     out, near = ((apart > np.maximum(sigmas * usual, _LEAST)).any(axis=1) for sigmas in (_SIGMAS, _STILL_SIGMAS))
+    sudden = None if truth.localised else _Sudden(reach_of(odometry, truth), t_s[inside], difference)
     # on its way out and back, and where noise brings it nearer, it is still the same one
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
-        out[first:end] = out[first:end].any() and bool(truth.localised or stands_out[first] or stands_out[end])
+        whole = out[first:end].any()
+        out[first:end] = whole and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
     if not out.any() or out.mean() > _MOST:
         return truth
     rows = np.flatnonzero(out)
@@ -79,13 +84,32 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     return truth.only(~out, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
 
 
+class _Sudden(NamedTuple):
+    """How far a robot can go, times (m,) and the difference (m, 3) of truth and odometry: m, m, rad."""
+
+    reach: Reach
+    t_s: Array
+    difference: Array
+
+    def between(self, first: int, end: int) -> bool:
+        """Tell whether poses are left or entered by a step that no robot makes, and those around them agree."""
+        if first < 1 or end >= len(self.t_s):
+            return False
+        slack = self.reach.noise + self.reach.top * (self.t_s[[first, end]] - self.t_s[[first - 1, end - 1]])[:, None]
+        steps = self._apart([first, end], [first - 1, end - 1])
+        stays = self._apart([end], [first - 1])
+        largest = self._apart(range(first, end), [first - 1]).max(axis=0)
+        return bool((steps > slack).any() and (stays < np.maximum(_RETURNS * largest, _LEAST)).all())
+
+    def _apart(self, one: Sequence[int], other: Sequence[int]) -> Array:
+        moved = self.difference[one] - self.difference[other]
+        return np.stack((np.linalg.norm(moved[:, :2], axis=1), np.abs(moved[:, 2])), axis=1)
+
+
 def _departures(
     odometry: Samples, own_s: Array, truth: Samples, t_s: Array, inside: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Return how far poses (m, 2) are from the running medians of truth less odometry, and the steps (m - 1, 2) of it.
-
-    Metres, and radians.
-    """
+    """Return how far poses (m, 2) are from the running medians of truth less odometry, and this (m, 3); m and rad."""
     at = t_s[inside]
     heading = np.interp(at, own_s, np.unwrap(odometry.yaw_rad))
     turned, calm = _unwrapped(truth.yaw_rad[inside] - heading)
@@ -103,8 +127,7 @@ def _departures(
     similar = np.stack((laid.ravel(), (laid[:, ::-1] * (-1.0, 1.0)).ravel(), *np.tile(np.eye(2), len(laid))), axis=1)
     away = away - (similar[:, :2] @ np.linalg.lstsq(similar, away.ravel(), rcond=None)[0][:2]).reshape(-1, 2)
     departures = np.stack((np.linalg.norm(away - _medians(at, away), axis=1), np.abs(turned - usual)), axis=1)
-    moved = np.linalg.norm(np.diff(away, axis=0), axis=1)
-    return departures, np.stack((moved, np.abs(np.diff(turned))), axis=1)
+    return departures, np.column_stack((away, turned))
 
 
 def _unwrapped(difference: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""A localisation that loses its way comes back; a robot that was moved does not."""
+"""A truth that loses its way, or swaps its markers, comes back; a robot that was moved does not."""
 
 from __future__ import annotations
 
@@ -50,7 +50,29 @@ def test_what_stays_is_no_excursion():
     assert without_excursions(odometry, truth) is truth
 
 
-def test_only_a_localisation_is_looked_at():
+def tracked(turned_rad, begin_s=95.0, end_s=96.5, *, hidden_s=0.0):
+    """Return odometry, a tracker at 50 Hz that is turned for a time and hidden before, and which poses are."""
+    odometry, _, _ = drive(1e9, 0.0)
+    at = odometry.seconds_since(int(odometry.stamps_ns[0]))
+    seen = (at < begin_s - hidden_s) | (at >= begin_s)
+    out = ((at >= begin_s) & (at < end_s))[seen]
+    yaw = odometry.yaw_rad + np.random.default_rng(1).normal(0.0, 6e-4, len(at))
+    return odometry, samples(at[seen], odometry.xyz[seen, :2], yaw[seen] + turned_rad * out, localised=False), out
+
+
+@pytest.mark.parametrize("degrees", [17.0, 90.0, -90.0, 180.0])
+@pytest.mark.parametrize("hidden_s", [0.0, 2.0])
+def test_markers_that_are_swapped_for_a_moment_are_left_out(degrees, hidden_s):
+    odometry, truth, out = tracked(np.radians(degrees), hidden_s=hidden_s)
+    np.testing.assert_array_equal(without_excursions(odometry, truth).stamps_ns, truth.stamps_ns[~out])
+
+
+def test_markers_that_stay_swapped_are_no_excursion():
+    odometry, truth, _ = tracked(np.radians(90.0), end_s=1e9)
+    assert without_excursions(odometry, truth) is truth
+
+
+def test_what_a_robot_may_have_done_is_no_excursion_of_a_tracker():
     odometry, truth, _ = drive(95.0, 6.0)
-    tracked = replace(truth, localised=False)
-    assert without_excursions(odometry, tracked) is tracked
+    slow = replace(truth, localised=False)
+    assert without_excursions(odometry, slow) is slow
