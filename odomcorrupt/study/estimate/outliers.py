@@ -111,7 +111,8 @@ def single_events(fit: Fit) -> list[Event]:
 
 def _joined(first: Event, second: Event) -> Event:
     """Return an event and the one that follows it at once, such as what a gap of the truth hides, as one."""
-    along_m, across_m = rotate(np.array([second.along_m, second.across_m]), first.turn_rad - first.yaw_rad).tolist()
+    turned = np.asarray(first.turn_rad - first.yaw_rad)
+    along_m, across_m = rotate(np.array([second.along_m, second.across_m]), turned).tolist()
     return replace(
         first,
         end_s=max(first.end_s, second.end_s),
