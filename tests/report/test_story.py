@@ -355,7 +355,9 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
 ):
     asked = []
     monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
-    monkeypatch.setattr("odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence)
+    monkeypatch.setattr(
+        "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
+    )
     monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: sequence)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.geometry.se2 import rotate, wrap
-from odomcorrupt.study.io.jumps import reach_of
+from odomcorrupt.study.io.jumps import reach_of, without_outliers
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,7 +47,8 @@ _FLIP_RAD = 1.3
 def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     """Return a truth's poses without its excursions; one without headings as it is.
 
-    A tracker's have to begin or end with a step that no robot makes: it errs at once, a localisation by degrees.
+    A tracker's have to begin or end with a step that no robot makes: it errs at once, a localisation by degrees. Its
+    outliers stay, and hide none.
 
     Parameters
     ----------
@@ -56,11 +57,12 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     """
     if not (truth.headed and odometry.headed):
         return truth
+    whole, truth = truth, truth if truth.localised else without_outliers(truth)
     t_s = truth.seconds_since(int(odometry.stamps_ns[0]))
     own_s = odometry.seconds_since(int(odometry.stamps_ns[0]))
     inside = np.flatnonzero((t_s >= own_s[0]) & (t_s <= own_s[-1]))
     if len(inside) < _FEWEST:
-        return truth
+        return whole
     apart = np.zeros((len(truth), 2))
     apart[inside], difference = _departures(odometry, own_s, truth, t_s, inside)
     usual = 1.4826 * np.median(np.abs(apart[inside]), axis=0) / (1.18, 1.0)
@@ -69,10 +71,10 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     # on its way out and back, and where noise brings it nearer, it is still the same one
     edges = np.flatnonzero(np.diff(np.concatenate(([0], near.astype(np.int8), [0]))))
     for first, end in edges.reshape(-1, 2):
-        whole = out[first:end].any()
-        out[first:end] = whole and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
+        far = out[first:end].any()
+        out[first:end] = far and (sudden is None or sudden.between(first - inside[0], end - inside[0]))
     if not out.any() or out.mean() > _MOST:
-        return truth
+        return whole
     rows = np.flatnonzero(out)
     groups = np.split(rows, np.flatnonzero(np.diff(t_s[rows]) > _APART_S) + 1)
     where = ", ".join(
@@ -81,7 +83,8 @@ def without_excursions(odometry: Samples, truth: Samples) -> Samples:
     )
     what = "an excursion that comes back" if len(groups) == 1 else f"{len(groups)} excursions that come back"
     whose = "localisation" if truth.localised else "truth"
-    return truth.only(~out, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
+    kept = ~np.isin(whole.stamps_ns, truth.stamps_ns[out])
+    return whole.only(kept, f"{what}, {len(rows)} poses, left out ({where}): errors of the {whose}")
 
 
 class _Sudden(NamedTuple):
