@@ -17,12 +17,14 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.text.numbers import clocks_found
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
+from odomcorrupt.study.estimate.drift_error import Drift
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.confidence import confidence, evidence_of
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate.compare import clocks_beside
+from odomcorrupt.study.validate.evaluation import Evaluation
 from odomcorrupt.study.validate.held_out import keep_what_holds
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
@@ -75,6 +77,26 @@ def test_other_recordings_of_the_robot_decide_where_there_are_any():
     same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
     assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
     assert not keep_what_holds(learned, [replace(other, name="other")])[0].fit.effects
+
+
+@pytest.mark.parametrize("axes", [[0, 1, 2], [0, 1]])
+def test_noise_that_is_larger_than_the_model_has_it_costs_its_logarithm_where_its_size_is_free(axes):
+    white = np.random.default_rng(1).normal(size=(50, 3))
+
+    def nats(times):
+        larger = white * np.where(np.isin(range(3), axes), times, 1.0)
+        own = -0.5 * np.sum(larger**2, axis=1)
+        stretch = SimpleNamespace(innovations=larger.ravel(), node_nats=own, recording=SimpleNamespace(axes=axes))
+        return Evaluation.sized_nats.fget(stretch)
+
+    np.testing.assert_allclose(nats(4.0), nats(1.0) - len(axes) * np.log(4.0))
+
+
+def test_the_drift_of_held_out_windows_is_evidence_where_single_intervals_are_none():
+    errors = np.random.default_rng(1).chisquare(2.0, (5, 40))
+    near, far = Drift(tuple(1e-4 * errors)), Drift(tuple(4e-4 * errors))
+    assert near.nats_over(far) == pytest.approx(40.0 * np.log(4.0))
+    assert far.nats_over(near) == -near.nats_over(far)
 
 
 def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_supports_it():
