@@ -16,6 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.windows import WINDOW_S
@@ -292,7 +293,10 @@ def _with_words_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[F
         best = fit
         for other in score.term.with_words((word,)) if word != "heading" else ():
             said = replace(effect, **{word: getattr(other.start, word)})  # type: ignore[type-var]  # a dataclass
-            tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
+            try:
+                tried_fit = fit.refit([said if e is effect else e for e in fit.effects])
+            except EffectError:  # it acts on single wheels, and the track is not known
+                continue
             if tried_fit.log_likelihood > best.log_likelihood + decisions.reshape_nats:
                 best, chosen = tried_fit, other
         if best is not fit:
