@@ -21,7 +21,7 @@ import numpy as np
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import OdomCorruptError
-from odomcorrupt.report.text.tables import value_text
+from odomcorrupt.report.text.numbers import value_text
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.clocks import find_clocks
 from odomcorrupt.study.estimate.config import choose_approach

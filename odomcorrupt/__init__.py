@@ -52,36 +52,11 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 __all__ = [
-    "Batch",
-    "Comparison",
-    "Correction",
-    "Corruption",
-    "Density",
-    "Diagnosis",
-    "Fit",
-    "Learned",
-    "Model",
-    "Noise",
-    "OdomCorruptError",
-    "Recordings",
-    "Samples",
-    "Simulation",
-    "SquareTest",
-    "__version__",
-    "batch",
-    "compare",
-    "correct",
-    "corrupt",
-    "density",
-    "diagnose",
-    "fit",
-    "fit_returns",
-    "learn",
-    "read_recordings",
-    "sample",
-    "score",
-    "simulate",
-]
+    "Batch", "Comparison", "Correction", "Corruption", "Density", "Diagnosis", "Fit", "Learned", "Model", "Noise",
+    "OdomCorruptError", "Recordings", "Samples", "Simulation", "SquareTest", "__version__", "batch", "compare",
+    "correct", "corrupt", "density", "diagnose", "fit", "fit_returns", "learn", "read_recordings", "sample",
+    "score", "simulate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -9,19 +9,17 @@ import difflib
 import gc
 import importlib
 import os
-import pkgutil
 import signal
 import sys
 import warnings
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
 
-from odomcorrupt import __version__, commands
-from odomcorrupt.commands._standard import WORDS
+from odomcorrupt import __version__
+from odomcorrupt.commands._standard import WORDS, command_names
 from odomcorrupt.errors import OdomCorruptError
 from odomcorrupt.standard_streams import install, leave, visible
 
@@ -35,31 +33,21 @@ DEFAULT = "corrupt"
 _OWN_FLAGS = frozenset({"-h", "--help", "--version"})
 
 
-@cache
-def _names() -> dict[str, str]:
-    """Return command names and the modules they live in; modules that begin with _ are no commands."""
-    found = (info.name for info in pkgutil.iter_modules(commands.__path__))
-    return {name.replace("_", "-"): name for name in sorted(found) if not name.startswith("_")}
-
-
 class _Group(click.Group):
     """A group that takes the default command's arguments where the first one names no command."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
         """Return the names of the commands."""
-        return list(_names())
+        return list(command_names())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - as above
         """Import the module of a command."""
-        if cmd_name not in _names():
-            return None
-        module = importlib.import_module(f"{commands.__name__}.{_names()[cmd_name]}")
-        command: click.Command = module.command
-        return command
+        module = command_names().get(cmd_name)
+        return None if module is None else importlib.import_module(module).command
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Let the first token decide: a command, a flag of the group, or else the default command."""
-        if args and args[0] not in _names() and args[0] not in _OWN_FLAGS:
+        if args and args[0] not in command_names() and args[0] not in _OWN_FLAGS:
             if not ctx.resilient_parsing:
                 _suggest(args[0], alone=len(args) == 1)
             args = [DEFAULT, *args]
@@ -101,7 +89,7 @@ def _suggest(word: str, *, alone: bool) -> None:
     """Raise where a first token is neither a file nor an option, but nearly a command, or all there is."""
     if word.startswith("-") or Path(word).exists():
         return
-    near = difflib.get_close_matches(word, _names(), 1, 0.75)
+    near = difflib.get_close_matches(word, command_names(), 1, 0.75)
     if near:
         raise click.UsageError(f"{word}: no such file, and no such command; did you mean {near[0]}?")
     if alone:
@@ -160,7 +148,7 @@ def _told(error: BaseException, args: Sequence[str]) -> int:
 
 def _path(args: Sequence[str]) -> str:
     """Return what to type before --help."""
-    named = args and args[0] in _names() and args[0] != DEFAULT
+    named = args and args[0] in command_names() and args[0] != DEFAULT
     return f"odomcorrupt {args[0]}" if named else "odomcorrupt"
 
 

@@ -215,25 +215,27 @@ def _check_seeds(effect: Effect) -> None:
 
 
 def _check_round_trip(effect: Effect) -> None:
-    drive = contract_drive(sideways=effect.needs_sideways)
-    odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
-    _require(np.abs(odometry - drive.xyt).max() > 100.0 * _BACK_M or not effect.acts, effect, "corrupts nothing")
-    t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9
-    motion = motion_of(t_s, odometry, track_m=TRACK_M)
-    back = accumulate(odometry[0], corrected_increments([effect], motion))
-    off = float(np.abs(back - drive.xyt).max())
+    clean, odometry, back = _there_and_back(effect)
+    _require(np.abs(odometry - clean).max() > 100.0 * _BACK_M or not effect.acts, effect, "corrupts nothing")
+    off = float(np.abs(back - clean).max())
     near = off <= _BACK_M + effect.lost_m
     _require(near, effect, f"correcting what it corrupted is off by {off:.1e} m; is reads_truth set?")
+
+
+def _there_and_back(effect: Effect) -> tuple[Array, Array, Array]:
+    """Return a clean path (n, 3), its odometry under the effect, and that odometry corrected."""
+    drive = contract_drive(sideways=effect.needs_sideways)
+    odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
+    t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9
+    motion = motion_of(t_s, odometry, track_m=TRACK_M)
+    return drive.xyt, odometry, accumulate(odometry[0], corrected_increments([effect], motion))
 
 
 def _check_restored(effect: Effect) -> None:
     if not effect.restorable:
         return
-    drive = contract_drive(sideways=effect.needs_sideways)
-    odometry = drive.xyt + _path([effect]).feed(drive.stamps_ns, drive.xyt).error_xyt
-    t_s = (drive.stamps_ns - drive.stamps_ns[0]) * 1e-9
-    back = accumulate(odometry[0], corrected_increments([effect], motion_of(t_s, odometry, track_m=TRACK_M)))
-    before, after = (np.linalg.norm((path - drive.xyt)[:, :2], axis=1).max() for path in (odometry, back))
+    clean, odometry, back = _there_and_back(effect)
+    before, after = (np.linalg.norm((path - clean)[:, :2], axis=1).max() for path in (odometry, back))
     _require(after < _RESTORED * before, effect, f"restorable, but of {before:.3g} m remain {after:.3g} m")
 
 

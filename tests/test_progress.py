@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import pty
+import re
+import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.commands import _progress
+
+OFFICE = str(Path(__file__).parents[1] / "fixtures" / "office.mcap")
 
 
 def block(log_s):
@@ -31,3 +39,24 @@ def test_what_is_no_terminal_gets_nothing(monkeypatch, capsys):
     with _progress.Progress() as progress:
         progress(block(100.0))
     assert capsys.readouterr().err == ""
+
+
+def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
+    """Run under a pseudo-terminal: the last thing on it is the folded summary."""
+    master, slave = pty.openpty()
+    streams = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
+    done = subprocess.run(
+        [sys.executable, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1"], **streams, check=False
+    )
+    os.close(slave)
+    said = b""
+    with contextlib.suppress(OSError):
+        while piece := os.read(master, 65536):
+            said += piece
+    os.close(master)
+    assert done.returncode == 0
+    assert b"\r\x1b[K" in said
+    lines = said.rsplit(b"\x1b[K", 1)[1].decode().splitlines()
+    assert lines[0].startswith("\x1b[32mMOVED")
+    plain = [re.sub(r"\x1b\[\d+m", "", line) for line in lines if str(tmp_path) not in line]
+    assert max(map(len, plain)) <= 80

@@ -41,7 +41,7 @@ REFUSED = {
     f"batch {OFFICE} runs --runs 2 --shard 3/2 {NOISE}": "'3/2'; write which of how many, counted from 1",
     f"batch {OFFICE} runs --runs 2 --tf correction {NOISE}": "--tf correction and --new-odom-frame FRAME go together",
     f"batch {OFFICE} runs --runs 2 --keep-truth /t --output overlay {NOISE}": "--keep-truth: adds messages",
-    "spread . -o out.txt": "no kind of picture",
+    "spread . -o out.txt": "ends in .txt; write .png, .svg or .pdf",
     "simulate out.mcap --effect hidden --effect wheel_scale": "--effect hidden: stands alone",
     "simulate out.mcap --effect none --effect wheel_scale": "--effect none: stands alone",
     "simulate out.mcap --effect wheel_scale:0.01": "'0.01' is not key=value; write as in wheel_scale:e=0.01",

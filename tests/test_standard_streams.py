@@ -13,10 +13,12 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
+from odomcorrupt.cli import run
 from odomcorrupt.standard_streams import TextStream, visible
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
 OFFICE = str(FIXTURES / "office.mcap")
+OFFICE1 = str(FIXTURES / "office.bag")
 OURS = [sys.executable, "-m", "odomcorrupt"]
 WITHOUT = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 WORDS = {"info": ["info", OFFICE], "help": ["--help"], "json": ["info", OFFICE, "--json"], "bag": [OFFICE, "-"]}
@@ -153,3 +155,41 @@ def test_a_line_of_progress_still_erases_the_one_before():
     stream.write("\r\x1b[K5 s\r\x1b[K\n\tx")
     stream.flush()
     assert buffer.getvalue() == b"\r\x1b[K5 s\\r\\x1b[K\n\tx"
+
+
+def console(*args, **more):
+    return subprocess.run([*OURS, *args], capture_output=True, check=False, **more)
+
+
+@pytest.mark.parametrize("source", [OFFICE, OFFICE1])
+def test_a_pipe_carries_bytes_only_and_the_same_as_a_file(tmp_path, source):
+    with Path(source).open("rb") as file:
+        done = console("-", "-", "--odom-topic", "/odom", "--seed", "5", stdin=file)
+    assert done.returncode == 0
+    assert done.stderr.startswith(b"MOVED ")
+    # a pipe leaves the messages' generation of ROS alone, a name in .mcap makes it 2
+    same = ["--ros", "1"] if source == OFFICE1 else []
+    assert run([source, str(tmp_path / "out.mcap"), "--seed", "5", *same]) == 0
+    assert done.stdout == (tmp_path / "out.mcap").read_bytes()
+
+
+def test_a_pipe_without_a_topic_or_cut_short_fails_in_one_line():
+    with Path(OFFICE).open("rb") as file:
+        done = console("-", "-", stdin=file)
+    assert (done.returncode, done.stdout) == (1, b"")
+    assert b"on a pipe topics are not known beforehand; name the odometry with --odom-topic" in done.stderr
+    half = console("-", "-", "--odom", "odom", input=Path(OFFICE).read_bytes()[:200_000])
+    assert half.returncode == 1
+    assert half.stderr.count(b"\n") == 1
+
+
+def test_a_consumer_that_closes_early_gets_no_complaint():
+    with Path(OFFICE).open("rb") as file:
+        pipes = {"stdin": file, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen([*OURS, "-", "-", "--odom", "odom"], **pipes)
+        with process:
+            process.stdout.read(100)
+            process.stdout.close()
+            said = process.stderr.read()
+    assert said == b""
+    assert process.returncode != 0

@@ -51,20 +51,18 @@ class Batch(Result):
     @property
     def records(self) -> list[dict[str, Any]]:
         """What the manifest says of each run: file, command, seed, drift."""
-        from odomcorrupt.batching.manifest import read_records
-
-        return [record for job in self.jobs for _, record in sorted(read_records(job.directory).items())]
+        return [record for _, record in self._records()]
 
     @property
     def paths(self) -> list[Path]:
         """Files of the runs, in order."""
+        return [directory / record["file"] for directory, record in self._records()]
+
+    def _records(self) -> list[tuple[Path, dict[str, Any]]]:
         from odomcorrupt.batching.manifest import read_records
 
-        return [
-            job.directory / record["file"]
-            for job in self.jobs
-            for _, record in sorted(read_records(job.directory).items())
-        ]
+        directories = [job.directory for job in self.jobs]
+        return [(path, record) for path in directories for _, record in sorted(read_records(path).items())]
 
     @property
     def losses(self) -> tuple[str, ...]:

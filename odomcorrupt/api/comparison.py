@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model, as_model
 from odomcorrupt.api.recordings import as_recordings, require_travel
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError, OdomCorruptError
 
 if TYPE_CHECKING:
@@ -51,12 +51,12 @@ class Comparison(Result):
         """Return whether the last model is better than the first by all measures, and a line for each model."""
         from odomcorrupt.report.text.brief import comparison_brief
 
-        return comparison_brief(self.result, next_line(self.following))
+        return comparison_brief(self.result, self.following)
 
     def details(self) -> str:
         """Return clocks, the table of horizons, the models in order, and every failure."""
         from odomcorrupt.report.text.comparison import comparison_text
-        from odomcorrupt.report.text.tables import clock_lines
+        from odomcorrupt.report.text.numbers import clock_lines
 
         lines = clock_lines(self.result.recordings, self.result.clocks)
         return "\n".join([*lines, comparison_text(self.result)])
@@ -83,14 +83,7 @@ class Comparison(Result):
         ]
 
     def horizon_rows(self) -> list[dict[str, Any]]:
-        """Return the errors over windows of each length, as measured and as each model expects them.
-
-        Returns
-        -------
-        list of dict
-            A row for each model and length of path: RMS errors in metres and radians, NEES, number of windows.
-
-        """
+        """Return a row for each model and length of path: RMS errors, measured and expected, m and rad, and NEES."""
         return [
             {
                 "model": j.name,
@@ -107,37 +100,14 @@ class Comparison(Result):
         ]
 
     def report(self) -> str:
-        """Return the comparison as one page of HTML.
-
-        Returns
-        -------
-        str
-            Tables and pictures in one text, which needs no network.
-
-        """
+        """Return the comparison as one page of HTML, tables and pictures in one text, which needs no network."""
         from odomcorrupt import __version__
         from odomcorrupt.report.html.comparison import report_html
 
         return report_html(self.result, version=__version__)
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture.
-
-        Parameters
-        ----------
-        picture : str
-            error (against distance; also ""), path, nees, residuals, map or pit.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        OdomCorruptError
-            Where there is no such picture.
-
-        """
+        """Return a picture by its name: error (against distance; also ""), path, nees, residuals, map or pit."""
         from odomcorrupt.report.plots.comparison import PICTURES
 
         if (picture or "error") not in PICTURES:
@@ -150,12 +120,12 @@ def compare(
 ) -> Comparison:
     """Compare models with measurements, and see where they fail.
 
-    Recordings that a model was fitted to are cut in halves: it is refitted to one and judged on the other.
+    Recordings that a model was fitted to are cut in halves: it is refitted to one and evaluated on the other.
 
     Parameters
     ----------
     recordings : Recordings or paths
-        What to judge on.
+        What to evaluate on.
     models : one model, several, or several by name
         Models, paths of model files, or names of presets; the first is what the others are measured against.
 

@@ -66,20 +66,18 @@ class Correction(Result):
         from odomcorrupt.report.json.numbers import finite
 
         outcome = self.outcome
-        return dict(
-            finite(
-                {
-                    "schema": 2,
-                    "input": self.source,
-                    "output": self.target,
-                    "taken_out": [effect.name for effect in outcome.effects.undone],
-                    "left": [effect.name for effect in outcome.effects.left],
-                    "odometry": outcome.run.odometry,
-                    "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
-                    "drift": asdict(outcome.run.drift),
-                    "losses": list(outcome.run.losses),
-                }
-            )
+        return finite(
+            {
+                "schema": 2,
+                "input": self.source,
+                "output": self.target,
+                "taken_out": [effect.name for effect in outcome.effects.undone],
+                "left": [effect.name for effect in outcome.effects.left],
+                "odometry": outcome.run.odometry,
+                "moved": {**outcome.run.changes.odometry, **outcome.run.changes.edges},
+                "drift": asdict(outcome.run.drift),
+                "losses": list(outcome.run.losses),
+            }
         )
 
     def rows(self) -> list[dict[str, Any]]:

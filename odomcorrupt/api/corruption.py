@@ -100,27 +100,25 @@ class Corruption(Result):
         from odomcorrupt.report.json.numbers import finite
 
         outcome = self.outcome
-        return dict(
-            finite(
-                {
-                    "schema": 2,
-                    "input": self.source,
-                    "output": self.target,
-                    "seed": outcome.seed,
-                    "run": outcome.run,
-                    "law": outcome.model.noise.law_name,
-                    "parameters": self.model.parameters,
-                    "odometry": outcome.odometry,
-                    "odom_frame": outcome.frames.odom,
-                    "base_frame": outcome.frames.base,
-                    "moved": self.moved,
-                    "added": dict(outcome.added),
-                    "drift": asdict(outcome.drift),
-                    "remarks": oddities(outcome),
-                    "losses": list(outcome.losses),
-                    "earlier": list(self.earlier),
-                }
-            )
+        return finite(
+            {
+                "schema": 2,
+                "input": self.source,
+                "output": self.target,
+                "seed": outcome.seed,
+                "run": outcome.run,
+                "law": outcome.model.noise.law_name,
+                "parameters": self.model.parameters,
+                "odometry": outcome.odometry,
+                "odom_frame": outcome.frames.odom,
+                "base_frame": outcome.frames.base,
+                "moved": self.moved,
+                "added": dict(outcome.added),
+                "drift": asdict(outcome.drift),
+                "remarks": oddities(outcome),
+                "losses": list(outcome.losses),
+                "earlier": list(self.earlier),
+            }
         )
 
     def rows(self) -> list[dict[str, Any]]:
@@ -128,9 +126,8 @@ class Corruption(Result):
         d = self.outcome.drift
         rows = [("end", d.end_drawn_m, d.end_drawn_rad, d.end_expected_m, d.end_expected_rad)]
         if d.leg_drawn_m is not None:
-            rows.append(
-                ("10 m", d.leg_drawn_m, d.leg_drawn_rad or 0.0, d.leg_expected_m or 0.0, d.leg_expected_rad or 0.0)
-            )
+            own = (d.leg_drawn_rad or 0.0, d.leg_expected_m or 0.0, d.leg_expected_rad or 0.0)
+            rows.append(("10 m", d.leg_drawn_m, *own))
         names = ("after", "drawn_m", "drawn_rad", "expected_m", "expected_rad")
         return [dict(zip(names, row, strict=True)) for row in rows]
 
@@ -210,18 +207,11 @@ def corrupt(
             bag = _kept_pipe(kept) if bag is None else bag
             drive = _clean_drive(bag, chosen.motion_model, moved, recover=container.recover)
             path = condition.path(chosen.motion_model, drawn, run, drive)
+        metadata = {} if condition is None else condition.provenance()
         outcome = corrupt_bag(
-            bag,
-            bag_path(target),
-            chosen.motion_model,
-            seed=drawn,
-            run=run,
-            options=moved,
-            container=container,
-            watch=watcher,
-            path=path,
-            metadata={} if condition is None else condition.provenance(),
-        )
+            bag, bag_path(target), chosen.motion_model, seed=drawn, run=run, options=moved, container=container,
+            watch=watcher, path=path, metadata=metadata,
+        )  # fmt: skip
     account = "" if path is None else path.account()
     return Corruption(fspath(source), fspath(target), chosen, outcome, account, watcher.provenance(bag_path(source)))
 

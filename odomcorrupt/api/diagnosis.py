@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 from odomcorrupt.api.model import as_model
 from odomcorrupt.api.recordings import as_recordings
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,14 +40,12 @@ class Findings(Result):
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
         """Whether something was found; unknown where something is left that no known effect explains."""
-        verdict: Literal["complete", "missing", "unknown"] = self.to_dict()["verdict"]
-        return verdict
+        return cast('Literal["complete", "missing", "unknown"]', self.to_dict()["verdict"])
 
     @property
     def found(self) -> list[dict[str, Any]]:
         """What was found, as docs/json.md describes it: clocks, effects in order, noise."""
-        found: list[dict[str, Any]] = self.to_dict()["found"]
-        return found
+        return cast("list[dict[str, Any]]", self.to_dict()["found"])
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -57,15 +55,7 @@ class Findings(Result):
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each parameter of what was found."""
         return [
-            {
-                "effect": one["effect"],
-                "kind": one["kind"],
-                "parameter": name,
-                "value": number["value"],
-                "standard_error": number["standard_error"],
-                "unit": number["unit"],
-                "confidence": one["confidence"],
-            }
+            {"effect": one["effect"], "kind": one["kind"], "parameter": name, **number, "confidence": one["confidence"]}
             for one in self.found
             for name, number in one["parameters"].items()
         ]
@@ -99,7 +89,7 @@ class Findings(Result):
         return drive_sentence(plan)
 
     @property
-    def _judged(self) -> Judgement | None:
+    def _evaluated(self) -> Judgement | None:
         """Held-out evaluation of the model with all that was found; None where it lacks some of it."""
         raise NotImplementedError
 
@@ -113,17 +103,12 @@ class Findings(Result):
         from odomcorrupt.report.json.diagnosis import learned_json
 
         found = self.result
-        return learned_json(found.search, found.sequence.judgements, found.advice, judged=self._judged, fit=self._fit)
+        return learned_json(
+            found.search, found.sequence.judgements, found.advice, evaluated=self._evaluated, fit=self._fit
+        )
 
     def report(self) -> str:
-        """Return what was found as one page of HTML.
-
-        Returns
-        -------
-        str
-            Tables and pictures in one text, which needs no network.
-
-        """
+        """Return what was found as one page of HTML, tables and pictures in one text, which needs no network."""
         from odomcorrupt import __version__
         from odomcorrupt.report.html.diagnosis import Story, found_html
 
@@ -138,7 +123,7 @@ class Diagnosis(Findings):
     result: DiagnosedModel
 
     @property
-    def _judged(self) -> Judgement | None:
+    def _evaluated(self) -> Judgement | None:
         # the sequence has no noise: what it rejects may be what was named
         return None if self.result.search.noise else self.result.sequence.judgements[-1]
 
@@ -148,7 +133,7 @@ class Diagnosis(Findings):
 
         found = self.result
         brief = findings_brief(
-            found.search, found.advice, found.sequence, notes=self.recordings.notes, following=next_line(self.following)
+            found.search, found.advice, found.sequence, notes=self.recordings.notes, following=self.following
         )
         if all(run.positioned for run in self.recordings):
             return brief
@@ -159,11 +144,10 @@ class Diagnosis(Findings):
 
     def details(self) -> str:
         """Return the candidates, what was found, what each addition gains, and what is open."""
-        from odomcorrupt.report.text.diagnosis import found_text, shares_text
-        from odomcorrupt.report.text.tables import candidates_table
+        from odomcorrupt.report.text.diagnosis import candidates_table, found_text, shares_text
 
         found = self.result
-        said = found_text(found.search, found.advice, judged=self._judged)
+        said = found_text(found.search, found.advice, evaluated=self._evaluated)
         parts = [candidates_table(found.search.rounds[0]), said]
         if found.search.added:
             parts.append(shares_text(found.sequence.judgements))

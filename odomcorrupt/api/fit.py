@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.api.model import Model, as_model
 from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 from odomcorrupt.extras import require
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Fit(Result):
         """Return the error on the fitted data, the noise and the effects."""
         from odomcorrupt.report.text.brief import fit_brief
 
-        return fit_brief(self.result, next_line(self.following))
+        return fit_brief(self.result, self.following)
 
     def details(self) -> str:
         """Return all coefficients with their intervals, effects, clocks, and stretches that weigh less."""
@@ -60,7 +60,7 @@ class Fit(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return law, coefficients with intervals, effects, clocks and the error on the fitted data."""
-        from odomcorrupt.report.json.fit import fit_json
+        from odomcorrupt.report.json.diagnosis import fit_json
 
         return fit_json(self.result, self.laws)
 

@@ -9,7 +9,6 @@ from odomcorrupt.api.comparison import Comparison
 from odomcorrupt.api.diagnosis import Findings
 from odomcorrupt.api.model import Model
 from odomcorrupt.api.recordings import Recordings, as_recordings, require_travel
-from odomcorrupt.api.result import next_line
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +47,7 @@ class Learned(Findings):
         return Comparison(self.result.comparison)
 
     @property
-    def _judged(self) -> Judgement:
+    def _evaluated(self) -> Judgement:
         return self.result.comparison.judgements[-1]
 
     @property
@@ -68,7 +67,7 @@ class Learned(Findings):
             robot=found.robot,
             reproduction=found.reproduction,
             notes=(*found.dropped, *found.proof.changes, *self.recordings.notes),
-            following=next_line(self.following),
+            following=self.following,
         )
 
     def details(self) -> str:
@@ -79,7 +78,7 @@ class Learned(Findings):
         from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
 
         found = self.result
-        said = found_text(found.search, found.advice, judged=self._judged, fit=self._fit)
+        said = found_text(found.search, found.advice, evaluated=self._evaluated, fit=self._fit)
         fitted = [fit_text(found.robot, clocks=False), *found.proof.changes]
         drifts = [one for one in (reproduction_sentence(found.reproduction),) if one]
         return "\n".join([said, *drifts, *found.dropped, *fitted, "", comparison_text(found.comparison)])
@@ -94,18 +93,7 @@ class Learned(Findings):
         }
 
     def draw(self, picture: str) -> Figure:
-        """Return a picture of the errors without and with what was found.
-
-        Parameters
-        ----------
-        picture : str
-            "" for that; or another picture of a comparison by name, as of `Comparison.draw`.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        """
+        """Return a picture of the errors without and with what was found; by name, another one of `Comparison.draw`."""
         return self.comparison.draw(picture)
 
 
@@ -122,7 +110,7 @@ def learn(
     recordings : Recordings or paths
         Runs of one robot.
     validate : Recordings or paths, optional
-        Recordings to judge the result on, read like the first ones; without any it is cross-validated.
+        Recordings to evaluate the result on, read like the first ones; without any it is cross-validated.
     watch : callable
         Called with the name of each stage and the share of the work that is done.
 

@@ -56,12 +56,7 @@ class Noise:
     twist_noise: tuple[float, float] | None = None
 
     def as_motion_noise(self) -> motion_model.Noise:
-        """Return the law and its coefficients.
-
-        Returns
-        -------
-        odomcorrupt.model.motion_model.Noise
-            The noise in radians and metres, with the step that the law is applied to.
+        """Return the law and its coefficients in radians and metres, with the step that the law is applied to.
 
         Raises
         ------

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from odomcorrupt.api.model import as_model
-from odomcorrupt.api.result import Result, next_line
+from odomcorrupt.api.result import Result
 from odomcorrupt.errors import ModelError
 
 if TYPE_CHECKING:
@@ -65,9 +64,9 @@ class Samples(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return motion, noise, moments and samples."""
-        from odomcorrupt.sampling.text import json_text
+        from odomcorrupt.sampling.text import drawn_json
 
-        return {"schema": 2, **json.loads(json_text(self.drawn))}
+        return {"schema": 2, **drawn_json(self.drawn)}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each sample."""
@@ -199,12 +198,11 @@ class Density(Result):
 
     def summary(self) -> Summary:
         """Return the density at each pose, and its integral over all."""
-        from odomcorrupt.report.text.summary import Line, Summary
+        from odomcorrupt.report.text.summary import Line, Summary, command_line
 
         *values, integral = self._sentences()
-        following = next_line(self.following)
         lines = [Line("DENSITY", integral, "good"), *(Line("", sentence) for sentence in values)]
-        return Summary((*lines, Line("noise", self.law), *([following] if following else [])))
+        return Summary((*lines, Line("noise", self.law), command_line(self.following)))
 
     def details(self) -> str:
         """Return the same, with the noise in full."""
@@ -212,14 +210,8 @@ class Density(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return poses, values and the integral."""
-        return {
-            "schema": 2,
-            "reading": self.reading,
-            "unit": self.unit,
-            "law": self.law,
-            "integral": self.grid.integral,
-            "at": self.rows(),
-        }
+        said = {"schema": 2, "reading": self.reading, "unit": self.unit, "law": self.law}
+        return {**said, "integral": self.grid.integral, "at": self.rows()}
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each pose."""

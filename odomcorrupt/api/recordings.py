@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES, STEERED
 from odomcorrupt.errors import RecordingError
@@ -73,10 +73,7 @@ class Recordings(Sequence["Recording"]):
         """
         if track_m is None or self.track_m is not None:
             return self
-        return Recordings(
-            tuple(replace(run, track_m=track_m) for run in self.runs),
-            tuple(replace(source, track_m=track_m) for source in self.sources),
-        )
+        return self._with(track_m=track_m)
 
     def of_drive_type(self, drive_type: str) -> Recordings:
         """Return the same recordings of a robot whose drive type is known, where they did not say it themselves.
@@ -95,11 +92,11 @@ class Recordings(Sequence["Recording"]):
         said = all(source.drive_type == AUTO for source in self.sources)
         if drive_type in ("", AUTO) or not said:
             return self
-        track_m = None if drive_type in STEERED else self.track_m
-        return Recordings(
-            tuple(replace(run, drive_type=drive_type, track_m=track_m) for run in self.runs),
-            tuple(replace(source, drive_type=drive_type, track_m=track_m) for source in self.sources),
-        )
+        return self._with(drive_type=drive_type, track_m=None if drive_type in STEERED else self.track_m)
+
+    def _with(self, **known: Any) -> Recordings:
+        runs = tuple(replace(run, **known) for run in self.runs)
+        return Recordings(runs, tuple(replace(source, **known) for source in self.sources))
 
     @property
     def geodetic_origin(self) -> Origin | None:
@@ -235,31 +232,15 @@ def read_recordings(
     motions = as_paths(relative)
     if len(motions) not in (0, 1, len(files)):
         raise RecordingError(f"{len(motions)} files of relative motions for {len(files)} recordings; give each its own")
-    each_motions = motions if len(motions) > 1 else [*motions, None][:1] * len(files)
-    each = truths if len(truths) > 1 else [*truths, None][:1] * len(files)
+    each, each_motions = (own if len(own) > 1 else [*own, None][:1] * len(files) for own in (truths, motions))
     called = [*names, *[""] * (len(files) - len(names))]
-    return _read(
-        [
-            Source(
-                path=path,
-                odom=odom,
-                truth=truth,
-                truth_path=truth_path,
-                truth_shift_s=truth_shift_s,
-                track_m=track_m,
-                name=name,
-                scan=scan,
-                truth_scale_error=laser_scale_accuracy,
-                drive_type=drive_type,
-                imu=imu,
-                gyro_scale_error=gyro_scale_accuracy,
-                joints=joints,
-                relative=motion_path,
-            )
-            for path, truth_path, motion_path, name in zip(files, each, each_motions, called, strict=True)
-        ],
-        progress,
-    )
+    alike = Source(
+        files[0], odom=odom, truth=truth, truth_shift_s=truth_shift_s, track_m=track_m, scan=scan,
+        truth_scale_error=laser_scale_accuracy, drive_type=drive_type, imu=imu, gyro_scale_error=gyro_scale_accuracy,
+        joints=joints,
+    )  # fmt: skip
+    rows = zip(files, each, each_motions, called, strict=True)
+    return _read([replace(alike, path=p, truth_path=t, relative=m, name=name) for p, t, m, name in rows], progress)
 
 
 def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.report.text.summary import Summary
 
-__all__ = ["Result", "next_line"]
+__all__ = ["Result"]
 
 
 class Result(ABC):
@@ -66,14 +66,7 @@ class Result(ABC):
         raise OdomCorruptError(f"there is no picture of a {type(self).__name__}")
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a table as a pandas data frame; needs the extra `pandas`.
-
-        Returns
-        -------
-        pandas.DataFrame
-            The rows of `rows()`, with units in the names of the columns.
-
-        """
+        """Return the rows of `rows()` as a pandas data frame; needs the extra `pandas`."""
         require("pandas", "tables need it", "pandas")
         import pandas as pd
 
@@ -123,10 +116,3 @@ class Result(ABC):
 
     def _repr_html_(self) -> str:
         return self.summary().html()
-
-
-def next_line(command: str) -> Line | None:
-    """Return the line of a summary that has the command to type next; None without a command."""
-    from odomcorrupt.report.text.summary import Line
-
-    return Line("next", command, "command") if command else None

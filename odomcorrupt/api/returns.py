@@ -52,23 +52,18 @@ class SquareTest(Result):
 
     def summary(self) -> Summary:
         """Return the effects with their errors, and how far from their start the drives end before and after."""
+        from odomcorrupt.report.text.numbers import effects_with_errors, numbers_text
         from odomcorrupt.report.text.summary import Line, Summary
-        from odomcorrupt.report.text.tables import numbers_text
 
-        found, at = self.result, 0
-        lines: list[Line] = []
-        for effect, count in zip(found.effects, self._counts(), strict=True):
-            own = found.standard_errors[at : at + count].tolist()
-            lines.append(
-                Line("" if lines else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, own))}", "good")
-            )
-            at += count
+        found = self.result
+        lines = [
+            Line("" if i else "FITTED", f"{effect.name}  {', '.join(numbers_text(effect, errors))}", "good")
+            for i, (effect, errors) in enumerate(effects_with_errors(found))
+        ]
         before, after = (self._rms(ends) for ends in (found.before, found.after))
         lines.append(Line("ends", f"{before} -> {after} (RMS of {len(found.before)} drives)"))
-        lines.append(
-            Line("open", "travel: a drive that comes back hides wheel_scale; drive a measured straight", "warning")
-        )
-        return Summary(tuple(lines))
+        unseen = "travel: a drive that comes back hides wheel_scale; drive a measured straight"
+        return Summary((*lines, Line("open", unseen, "warning")))
 
     def details(self) -> str:
         """Return the summary and every drive's end before and after."""
@@ -90,19 +85,12 @@ class SquareTest(Result):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each parameter: value and standard error."""
-        model = self.model.motion_model
-        from odomcorrupt.effects.effect import amplitudes
-
-        values = {f"{e.name}.{p.name}": getattr(e, p.name) for e in model.effects for p in amplitudes(e)}
+        errors = self.model.standard_errors
         return [
-            {"parameter": name, "value": value, "standard_error": model.standard_errors.get(name)}
-            for name, value in values.items()
+            {"parameter": name, "value": value, "standard_error": errors[name]}
+            for name, value in self.model.parameters.items()
+            if name in errors
         ]
-
-    def _counts(self) -> list[int]:
-        from odomcorrupt.effects.effect import amplitudes
-
-        return [len(amplitudes(effect)) for effect in self.result.effects]
 
     @staticmethod
     def _end(end: Any) -> str:

@@ -57,24 +57,23 @@ class Simulation(Result):
         """Return what was recorded, and where its answer is."""
         from odomcorrupt.report.text.summary import Line, Summary, command_line
 
-        name = "stdout" if self.target is None else str(self.target)
-        lines = [
-            Line("RECORDED", f"{self.settings['duration_s']:g} s of /odom and /ground_truth in {name}", "good"),
-            Line("robot", f"heading from {self.settings['heading']}, nominal track {self.track_m} m"),
-        ]
+        what, robot = self._said
+        lines = [Line("RECORDED", f"{what} in {self.target or 'stdout'}", "good"), Line("robot", robot)]
         if self.answer_path is not None:
             lines.append(Line("answer", f"what is wrong with it is in {self.answer_path}"))
         if self.target is not None:
-            lines.append(command_line(["odomcorrupt", "learn", name, "--track", self.track_m, "-o", "robot.toml"]))
+            following = ["odomcorrupt", "learn", self.target, "--track", self.track_m, "-o", "robot.toml"]
+            lines.append(command_line(following))
         return Summary(tuple(lines))
 
     def details(self) -> str:
         """Return what was recorded in a sentence."""
-        name = "stdout" if self.target is None else str(self.target)
-        return (
-            f"{name}: {self.settings['duration_s']:g} s of /odom and /ground_truth, heading from "
-            f"{self.settings['heading']}, nominal track {self.track_m} m; what is wrong is in {self.answer_path}"
-        )
+        return f"{self.target or 'stdout'}: {', '.join(self._said)}; what is wrong is in {self.answer_path}"
+
+    @property
+    def _said(self) -> tuple[str, str]:
+        robot = f"heading from {self.settings['heading']}, nominal track {self.track_m} m"
+        return f"{self.settings['duration_s']:g} s of /odom and /ground_truth", robot
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings and the files; the answer stays in its file."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._poses import need_pictures
+from odomcorrupt.commands._options import FILE, added, need_pictures
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+    from pathlib import Path
 
     from odomcorrupt.api.diagnosis import Findings
     from odomcorrupt.commands._standard import Files
@@ -20,22 +19,10 @@ if TYPE_CHECKING:
 __all__ = ["advice_files", "advice_options", "check_advice"]
 
 
-def advice_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add --drive and --report."""
-    for option in (
-        click.option(
-            "--report",
-            type=click.Path(dir_okay=False, path_type=Path),
-            help="Write all of it as one page of HTML, pictures too.",
-        ),
-        click.option(
-            "--drive",
-            type=click.Path(dir_okay=False, path_type=Path),
-            help="Write the drive that would settle what is open, as /cmd_vel in an MCAP.",
-        ),
-    ):
-        command = option(command)
-    return command
+advice_options = added(
+    click.option("--drive", type=FILE, help="Write the drive that would settle what is open, as /cmd_vel in an MCAP."),
+    click.option("--report", type=FILE, help="Write all of it as one page of HTML, pictures too."),
+)
 
 
 def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) -> None:
@@ -50,15 +37,13 @@ def check_advice(drive: Path | None, report: Path | None, *, overwrite: bool) ->
 
 def advice_files(result: Findings, drive: Path | None, report: Path | None) -> Files:
     """Return the drive as /cmd_vel and the page as files to write; where nothing is open, there is no drive."""
-
-    def save_drive(path: Path) -> str:
-        words = result.save_next_drive(path, overwrite=True)
-        nothing = f"{path} is not written: nothing is open that a drive would settle"
-        return f"wrote {path}: {words}" if words else nothing
-
     files: dict[Path, Callable[[], object]] = {}
     if drive is not None:
-        files[drive] = partial(save_drive, drive)
+        files[drive] = lambda: (
+            f"wrote {drive}: {said}"
+            if (said := result.save_next_drive(drive, overwrite=True))
+            else f"{drive} is not written: nothing is open that a drive would settle"
+        )
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
     return files

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import POSE
+from odomcorrupt.commands._options import POSE, Number, added, one_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from odomcorrupt.corruption.transform import Options
@@ -20,37 +19,21 @@ if TYPE_CHECKING:
 __all__ = ["choose_condition", "choose_condition_of_run", "map_options"]
 
 
-def map_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `choose_condition`."""
-    for option in (
-        click.option(
-            "--max-tries", "tries", type=click.IntRange(1, 1_000_000), default=100, help="Per motion. [default: 100]"
-        ),
-        click.option(
-            "--unknown",
-            type=click.Choice(["blocked", "free"]),
-            default="blocked",
-            help="Whether the robot may be where the map knows nothing. [default: blocked]",
-        ),
-        click.option(
-            "--map-check",
-            "check",
-            type=click.Choice(["endpoint", "path"]),
-            default="endpoint",
-            help="Where a motion ends must be free, or all its way. [default: endpoint]",
-        ),
-        click.option(
-            "--robot-radius", "radius", type=Number("metres", 0.0, 100.0), default=0.2, help="Metres. [default: 0.2]"
-        ),
-        click.option(
-            "--map-pose", type=POSE, help="Odom frame in the map. [default: TF of the bag; without one 0,0,0]"
-        ),
-        click.option(
-            "--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."
-        ),
-    ):
-        command = option(command)
-    return command
+map_options = added(
+    click.option("--map", "map_", metavar="MAP", help="Draw free poses only: a map's .yaml, or a topic of the bag."),
+    click.option("--map-pose", type=POSE, help="Odom frame in the map. [default: TF of the bag; without one 0,0,0]"),
+    click.option(
+        "--robot-radius", "radius", type=Number("metres", 0.0, 100.0), default=0.2, help="Metres. [default: 0.2]"
+    ),
+    one_of(
+        "--map-check", "check", among=["endpoint", "path"], text="Where a motion ends must be free, or all its way."
+    ),
+    one_of("--unknown", among=["blocked", "free"], text="Whether the robot may be where the map knows nothing."),
+    click.option(
+        "--max-tries", "tries", type=click.IntRange(1, 1_000_000), default=100, help="Per motion. [default: 100]"
+    ),
+)
+"""Adds the options of `choose_condition`."""
 
 
 def choose_condition(
@@ -65,17 +48,8 @@ def choose_condition(
         return None
     if bag is None and not is_map_file(name):
         raise click.UsageError(f"--map {name}: without a bag a map is a .yaml file")
-    return read_condition(
-        name,
-        bag=bag,
-        odom_frame=odom_frame,
-        map_pose=given["map_pose"],
-        radius_m=given["radius"],
-        unknown=given["unknown"],
-        check=given["check"],
-        tries=given["tries"],
-        recover=recover,
-    )
+    asked = {key: given[key] for key in ("map_pose", "unknown", "check", "tries")}
+    return read_condition(name, bag=bag, odom_frame=odom_frame, radius_m=given["radius"], recover=recover, **asked)
 
 
 def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> MapCondition | None:

@@ -1,99 +1,72 @@
-"""Options that say which motion model to use: coefficients, presets, effects, files, seeds."""
+"""Options that say which motion model to use (coefficients, presets, effects, files), and which motion to draw."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
-from pathlib import Path
+from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from odomcorrupt.commands._options import FILE, POSE, added
+
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from odomcorrupt.api.model import Model
-    from odomcorrupt.model import motion_model
 
-__all__ = ["MODEL_OPTIONS", "AlphaCommand", "choose_model", "model_options"]
+__all__ = ["AlphaCommand", "ChosenMove", "choose_model", "choose_move", "model_options", "move_options"]
 
-MODEL_OPTIONS = ("alpha", "law", "twist_noise", "step", "preset", "effects", "model", "track")
-"""What `choose_model` takes."""
-
-MOST = 6
+_MOST = 6
 """The most coefficients that any law has."""
 
-NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
+_NUMBER = re.compile(r"-?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?(deg|rad)?(/(m|rad))?\Z")
 
 
-def _complete_laws(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    from odomcorrupt.model.noise_laws import LAWS
+def _completing(module: str, table: str) -> Callable[..., list[str]]:
+    """Return what offers the names in a module's table that begin with what is typed; imported when it is needed."""
 
-    return [name for name in LAWS if name.startswith(incomplete)]
+    def complete(_ctx: click.Context, _param: click.Parameter, typed: str) -> list[str]:
+        names = getattr(import_module(f"odomcorrupt.{module}"), table)
+        return [name for name in (names() if callable(names) else names) if name.startswith(typed)]
 
-
-def _complete_presets(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    from odomcorrupt.model.presets import PRESETS
-
-    return [name for name in PRESETS if name.startswith(incomplete)]
+    return complete
 
 
-def _complete_effects(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> list[str]:
-    from odomcorrupt.effects import registry
-
-    return [name for name in registry() if name.startswith(incomplete)]
-
-
-def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the options of `choose_model`."""
-    for option in (
-        click.option(
-            "--track",
-            type=float,
-            metavar="M",
-            help="Distance between the wheels, for effects of single wheels. [default: the model's]",
-        ),
-        click.option(
-            "--model", type=click.Path(dir_okay=False, path_type=Path), help="Motion model, as `fit` writes it."
-        ),
-        click.option(
-            "--effect",
-            "effects",
-            multiple=True,
-            metavar="NAME:KEY=VALUE,...",
-            shell_complete=_complete_effects,
-            help="Systematic error (repeatable).",
-        ),
-        click.option(
-            "--preset",
-            metavar="NAME",
-            shell_complete=_complete_presets,
-            help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
-            "[default: typical]",
-        ),
-        click.option(
-            "--step",
-            metavar="STEP",
-            help="Apply a book law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
-        ),
-        click.option(
-            "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
-        ),
-        click.option(
-            "--law",
-            metavar="NAME",
-            shell_complete=_complete_laws,
-            help="What A1... mean: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
-        ),
-        click.option(
-            "--alpha",
-            metavar="A1 A2 A3 A4",
-            help="Noise: as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
-        ),
-    ):
-        command = option(command)
-    return command
+model_options = added(
+    click.option(
+        "--alpha", metavar="A1 A2 A3 A4",
+        help="Noise: as 0.05, 5deg (after 1 rad), 10deg/m (after 1 m). [omni: 4 or 5, velocity: 4 to 6]",
+    ),
+    click.option(
+        "--law", metavar="NAME", shell_complete=_completing("model.noise_laws", "LAWS"),
+        help="What A1... mean: diffusion, linear, quadratic, velocity, omni, article-code. [default: diffusion]",
+    ),
+    click.option(
+        "--twist-noise", nargs=2, type=float, metavar="V W", help="White noise on every twist, m/s and rad/s."
+    ),
+    click.option(
+        "--step", metavar="STEP",
+        help="Apply a book law once per distance or angle, as in 0.25m,0.2rad. [default: message]",
+    ),
+    click.option(
+        "--preset", metavar="NAME", shell_complete=_completing("model.presets", "PRESETS"),
+        help="Ready-made numbers: typical, article, optitrack-diff-drive, optitrack-tricycle, mrclam-create. "
+        "[default: typical]",
+    ),
+    click.option(
+        "--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...",
+        shell_complete=_completing("effects", "registry"), help="Systematic error (repeatable).",
+    ),
+    click.option("--model", type=FILE, help="Motion model, as `fit` writes it."),
+    click.option(
+        "--track", type=float, metavar="M",
+        help="Distance between the wheels, for effects of single wheels. [default: the model's]",
+    ),
+)  # fmt: skip
+"""Adds the options of `choose_model`."""
 
 
 class AlphaCommand(click.Command):
@@ -108,7 +81,9 @@ class AlphaCommand(click.Command):
             if joined[-1] == "--":
                 break
             if joined[-1] == "--alpha":
-                count = next((i for i, word in enumerate(rest[:MOST]) if not NUMBER.match(word)), min(len(rest), MOST))
+                count = next(
+                    (i for i, word in enumerate(rest[:_MOST]) if not _NUMBER.match(word)), min(len(rest), _MOST)
+                )
                 # fewer than four are taken as four, so that what is not a number can be named
                 count = max(count, min(4, len(rest))) if not rest or "," not in rest[0] else 1
                 joined.append(" ".join(rest[:count]))
@@ -116,17 +91,7 @@ class AlphaCommand(click.Command):
         return super().parse_args(ctx, joined + rest)
 
 
-def choose_model(
-    *,
-    alpha: str | None = None,
-    law: str | None = None,
-    twist_noise: tuple[float, float] | None = None,
-    step: str | None = None,
-    preset: str | None = None,
-    effects: tuple[str, ...] = (),
-    model: Path | None = None,
-    track: float | None = None,
-) -> Model:
+def choose_model(given: Mapping[str, Any]) -> Model:
     """Return the model that the options describe; with no numbers at all, the default preset.
 
     Raises
@@ -140,69 +105,50 @@ def choose_model(
     from odomcorrupt.api.model import Model
     from odomcorrupt.errors import ModelError
 
-    alpha, preset, model = _typed_before_defaults(alpha, preset, model)
-    given = [name for name, value in (("--alpha", alpha), ("--preset", preset), ("--model", model)) if value]
-    if len(given) > 1 and given != ["--alpha", "--model"]:
-        raise click.UsageError(f"{' and '.join(given)} both bring noise; give one of them")
+    brings = _typed_before_defaults({name: given.get(name) for name in ("alpha", "preset", "model")})
+    alpha, law, track, model = brings.get("alpha"), given.get("law"), given.get("track"), brings.get("model")
+    noisy = [f"--{name}" for name, value in brings.items() if value]
+    if len(noisy) > 1 and noisy != ["--alpha", "--model"]:
+        raise click.UsageError(f"{' and '.join(noisy)} both bring noise; give one of them")
     if law is not None and alpha is None:
         raise click.UsageError(f"--law {law}: what coefficients mean depends on the law, so give them with --alpha")
     if track is not None and not 0.0 < track < 100.0:
         raise click.UsageError(f"--track {track:g}: it must be metres between the wheels, more than zero")
     base = None if model is None else Model.load(model)
     try:
-        chosen = _noise(alpha, law, preset, base, others=bool(effects or twist_noise))
-        chosen = _refined(chosen, step, twist_noise)
+        chosen = base or Model()
+        if alpha is not None:
+            chosen = _with_alpha(chosen, alpha, law)
+        elif base is None and (
+            brings.get("preset") is not None or not (given.get("effects") or given.get("twist_noise"))
+        ):
+            # other errors alone come without noise
+            chosen = Model.preset(brings.get("preset") or "typical")
+        chosen = _refined(chosen, given.get("step"), given.get("twist_noise"))
         if track is not None:
             chosen = Model.of(replace(chosen.motion_model, track_m=track), chosen.origin)
-        return chosen.with_effects(effects)
+        return chosen.with_effects(given.get("effects") or ())
     except ModelError as error:
         said = str(error)
         raise click.UsageError(f"--{said}" if said.startswith("effect ") else said) from error
 
 
-def _typed_before_defaults(
-    alpha: str | None, preset: str | None, model: Path | None
-) -> tuple[str | None, str | None, Path | None]:
+def _typed_before_defaults(brings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return what brings noise: what was typed, where a file of defaults has something else."""
     context = click.get_current_context(silent=True)
-    if context is None:
-        return alpha, preset, model
-    typed = {n for n in ("alpha", "preset", "model") if context.get_parameter_source(n) is ParameterSource.COMMANDLINE}
-    if not typed:
-        return alpha, preset, model
-    return (
-        alpha if "alpha" in typed else None,
-        preset if "preset" in typed else None,
-        model if "model" in typed else None,
-    )
+    typed = [n for n in brings if context and context.get_parameter_source(n) is ParameterSource.COMMANDLINE]
+    return {name: brings[name] for name in typed or brings}
 
 
-def _noise(alpha: str | None, law: str | None, preset: str | None, base: Model | None, *, others: bool) -> Model:
-    """Return a model with the noise; none where only other errors are asked for."""
+def _with_alpha(model: Model, alpha: str, law: str | None) -> Model:
+    """Return a model with other coefficients; commas between them are an error that says how to write them."""
     from odomcorrupt.api.model import Model, Noise
 
-    if alpha is not None:
-        _require_spaces(alpha)
-        own = law or (base.motion_model.noise.law_name if base is not None else "diffusion")
-        noise = Noise(alpha=alpha.split(), law=own).as_motion_noise()
-        return _with_noise(base or Model(), noise)
-    if base is not None:
-        return base
-    return Model() if preset is None and others else Model.preset(preset or "typical")
-
-
-def _with_noise(model: Model, noise: motion_model.Noise) -> Model:
-    from odomcorrupt.api.model import Model
-
-    return Model.of(replace(model.motion_model, noise=noise))
-
-
-def _require_spaces(alpha: str) -> None:
-    """Raise where the numbers of --alpha have commas between them."""
-    if "," in alpha:
-        words = [word for word in re.split(r"[\s,]+", alpha) if word]
-        if all(NUMBER.match(word) for word in words):
-            raise click.UsageError(f"--alpha {alpha}: put spaces between the numbers: --alpha {' '.join(words)}")
+    words = [word for word in re.split(r"[\s,]+", alpha) if word]
+    if "," in alpha and all(_NUMBER.match(word) for word in words):
+        raise click.UsageError(f"--alpha {alpha}: put spaces between the numbers: --alpha {' '.join(words)}")
+    noise = Noise(alpha=alpha.split(), law=law or model.motion_model.noise.law_name)
+    return Model.of(replace(model.motion_model, noise=noise.as_motion_noise()))
 
 
 def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | None) -> Model:
@@ -216,3 +162,72 @@ def _refined(model: Model, step: str | None, twist_noise: tuple[float, float] | 
     if step is not None:
         noise = replace(noise, step=Step.parse(step))
     return Model.of(replace(model.motion_model, noise=noise), model.origin)
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenMove:
+    """A motion (poses before and after it, metres and radians) with its noise, and how many samples to draw."""
+
+    model: Model
+    start_xyt: tuple[float, ...]
+    end_xyt: tuple[float, ...]
+    count: int
+
+
+move_options = added(
+    model_options,
+    click.option(
+        "--example", metavar="NAME",
+        help="Motion and noise: article, or the lecture's balanced, translation-heavy, rotation-heavy. "
+        "[default: article]",
+    ),
+    click.option("--start", type=POSE, help="Odometry before the motion, as in 0,0,30deg."),
+    click.option("--end", type=POSE, help="Odometry after the motion, as in 0.2,0.35,10deg."),
+    click.option("-n", "--samples", "count", type=click.IntRange(2, 10_000_000), help="[default: the example's]"),
+)  # fmt: skip
+"""Adds the options of `choose_move`."""
+
+
+def _choose_noise(given: Mapping[str, Any], example: str | None) -> Model:
+    """Return the noise the options describe; with no numbers at all, that of an example.
+
+    `--law article-code` alone is the example's noise, drawn as the article's listing draws it.
+    """
+    from odomcorrupt.api.model import Model
+    from odomcorrupt.model.motion_model import MotionModel
+    from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
+
+    listing = given["law"] == "article-code"
+    numbers = [name for name in ("alpha", "preset", "effects", "model", "twist_noise") if given[name]]
+    if numbers and example is not None:
+        raise click.UsageError(f"--example {example} brings its own noise; leave out the other numbers")
+    if numbers or (given["law"] and not listing):
+        return choose_model(given)
+    chosen_example = example_named(example or DEFAULT_EXAMPLE)
+    noise = replace(chosen_example.noise, law_name="article-code") if listing else chosen_example.noise
+    return _refined(Model.of(MotionModel(noise), chosen_example.source), given["step"], None)
+
+
+def choose_move(given: Mapping[str, Any]) -> ChosenMove:
+    """Return the motion and the noise that the options describe."""
+    import numpy as np
+
+    from odomcorrupt.errors import ModelError
+    from odomcorrupt.geometry.se2 import between, compose
+    from odomcorrupt.sampling.samples import DEFAULT_EXAMPLE, example_named
+
+    try:
+        example = example_named(given["example"] or DEFAULT_EXAMPLE)
+        model = _choose_noise(given, given["example"])
+    except ModelError as error:
+        raise click.UsageError(str(error)) from error
+    if model.effects:
+        raise click.UsageError("effects act along a drive, one motion has no time: name a bag, or leave --effect out")
+    first, last = np.array(example.start_xyt), np.array(example.end_xyt)
+    if given["end"] is not None:
+        # a motion of the user's own begins at the origin unless it says otherwise
+        first, last = np.zeros(3), np.array(given["end"])
+    start = first if given["start"] is None else np.array(given["start"])
+    # with a start alone, the example's motion is made from there
+    end = last if given["end"] is not None else compose(start, between(first, last))
+    return ChosenMove(model, tuple(start.tolist()), tuple(end.tolist()), given["count"] or example.count)

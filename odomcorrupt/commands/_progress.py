@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Self
 import click
 
 if TYPE_CHECKING:
-    from types import TracebackType
-
     from odomcorrupt.bags.block import Block
     from odomcorrupt.batching.job import Task
     from odomcorrupt.batching.runner import Failure
 
-__all__ = ["Progress", "Rate", "Stages", "left_words", "part_done", "time_left"]
+__all__ = ["Progress", "Rate", "Stages", "left_words", "part_done"]
 
 PAUSE_S = 0.2
 """Time between two updates of the line."""
@@ -29,27 +27,33 @@ def time_left(share: float, spent_s: float) -> str:
     if not 0.0 < share <= 1.0 or spent_s <= 0.0:
         return ""
     left_s = spent_s * (1.0 - share) / share
-    words = f"{left_s:.0f} s" if left_s < 120.0 else f"{left_s / 60.0:.0f} min"
-    return f"{100.0 * share:.0f} % done, about {words} left"
+    return f"{100.0 * share:.0f} % done, about {_duration(left_s)} left"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
 
 
 class _Line:
-    """A line on stderr that is written over again; nothing where that is no terminal, or nothing is to be said."""
+    """A line on stderr that is written over again; nothing where that is no terminal, or nothing is to be said.
+
+    shown : whether anybody reads it
+    """
 
     def __init__(self, *, quiet: bool = False) -> None:
-        self._shown = sys.stderr.isatty() and not quiet
+        self.shown = sys.stderr.isatty() and not quiet
         self._begun_s = time.monotonic()
 
     def _say(self, words: str) -> None:
-        if self._shown:
+        if self.shown:
             click.echo(f"\r\x1b[K{words}", nl=False, err=True)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._say("")
 
 
@@ -64,7 +68,7 @@ class Progress(_Line):
 
     def __call__(self, block: Block) -> None:
         """Take note of a block."""
-        if not self._shown or not len(block.table):
+        if not self.shown or not len(block.table):
             return
         self._bytes += block.data.size
         if self._first_ns is None:
@@ -96,17 +100,15 @@ class Stages(_Line):
                 self._say(f"{self._stage}, {spent_s:.0f} s" + (f", {left}" if left else ""))
 
     def __enter__(self) -> Self:
-        if self._shown:
+        if self.shown:
             self._ticker.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self._ended.set()
         if self._ticker.is_alive():
             self._ticker.join()
-        super().__exit__(kind, error, trace)
+        super().__exit__()
 
 
 def part_done(what: str, share: float) -> None:
@@ -115,19 +117,17 @@ def part_done(what: str, share: float) -> None:
         click.echo(f"\r\x1b[K{what}: {share:.0%}\r", nl=False, err=True)
 
 
-class Rate:
+class Rate(_Line):
     """Counts runs, those of passes that are under way in parts, and says on stderr how long the rest takes.
 
-    shown : whether anybody reads it
     failures : of the runs that are done
     """
 
     def __init__(self, total: int, *, quiet: bool = False) -> None:
-        self.shown = sys.stderr.isatty() and not quiet
+        super().__init__(quiet=quiet)
         self.failures: list[Failure] = []
         self._total = total
         self._done = 0
-        self._begun_s = time.monotonic()
         self._parts: dict[tuple[str, tuple[int, ...]], tuple[int, float]] = {}
 
     def done(self, task: Task, failures: list[Failure]) -> None:
@@ -135,28 +135,17 @@ class Rate:
         self.failures.extend(failures)
         self._parts.pop((task.job.shown_directory, task.runs), None)
         self._done += len(task.runs)
-        self._say("")
+        self._count("")
 
     def under_way(self, task: Task, part: float | None, past_s: float) -> None:
         """Take note of a pass: the part of the bag that is read, None where it is not known, and its seconds."""
         if part is not None:
             self._parts[task.job.shown_directory, task.runs] = len(task.runs), part
-        self._say(f"; a pass of {len(task.runs)} is at {past_s:.0f} s of the bag")
+        self._count(f"; a pass of {len(task.runs)} is at {past_s:.0f} s of the bag")
 
-    def _say(self, more: str) -> None:
-        if self.shown:
-            parts = sum(runs * part for runs, part in self._parts.values())
-            line = left_words(self._done + parts, self._total, time.monotonic() - self._begun_s)
-            click.echo(f"\r\x1b[K{line}{more}", nl=False, err=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.shown:
-            click.echo("\r\x1b[K", nl=False, err=True)
+    def _count(self, more: str) -> None:
+        parts = sum(runs * part for runs, part in self._parts.values())
+        self._say(f"{left_words(self._done + parts, self._total, time.monotonic() - self._begun_s)}{more}")
 
 
 def left_words(done: float, total: int, spent_s: float) -> str:
@@ -165,11 +154,4 @@ def left_words(done: float, total: int, spent_s: float) -> str:
     if rate <= 0.0:
         return f"{int(done)} of {total} runs"
     left_s = (total - done) / rate
-    shown = (
-        f"{left_s:.0f} s"
-        if left_s < 120.0
-        else f"{left_s / 60.0:.0f} min"
-        if left_s < 7200.0
-        else f"{left_s / 3600.0:.1f} h"
-    )
-    return f"{int(done)} of {total} runs, {rate:.3g} a second, {shown} left"
+    return f"{int(done)} of {total} runs, {rate:.3g} a second, {_duration(left_s)} left"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._param_types import TRACK, Number, Share
+from odomcorrupt.commands._options import TRACK, Number, Share, added
 from odomcorrupt.commands._progress import Stages, part_done
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
@@ -57,65 +57,92 @@ class Reading:
         self, paths: Sequence[Path], held_out: Sequence[Path], voice: Voice, *, track: float | None = None
     ) -> tuple[Recordings, Recordings | None]:
         """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
+        from odomcorrupt.api.recordings import describe, read_recordings
+
         count = len(paths) + len(held_out)
         for flag, files in (("--truth-bag", self.truth_bags), ("--relative", self.relative)):
             if len(files) > 1 and len(files) != count:
                 raise click.UsageError(f"{len(files)} {flag} for {count} recordings; name one for all, or one for each")
+        alike = {
+            f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("track", "truth_bags", "relative")
+        }
 
-        def part(files: Sequence[Path], rows: slice) -> Sequence[Path]:
-            return files[rows] if len(files) > 1 else files
+        def read(own: Sequence[Path], rows: slice) -> Recordings:
+            truths, motions = (files[rows] if len(files) > 1 else files for files in (self.truth_bags, self.relative))
+            runs = read_recordings(
+                [_spooled(path) if str(path) == "-" else path for path in own],
+                names=["stdin" if str(path) == "-" else "" for path in own],
+                track_m=self.track if self.track is not None else track,
+                truth_bag=truths, relative=motions, progress=part_done, **alike,
+            )  # fmt: skip
+            for recording in runs:
+                voice.detail("\n  ".join([describe(recording), *recording.notes]))
+            return runs
 
-        first, others = slice(len(paths)), slice(len(paths), None)
-        runs = self._read(paths, part(self.truth_bags, first), part(self.relative, first), voice, track)
-        if not held_out:
-            return runs, None
-        return runs, self._read(held_out, part(self.truth_bags, others), part(self.relative, others), voice, track)
-
-    def _read(
-        self,
-        paths: Sequence[Path],
-        truth_bags: Sequence[Path],
-        motions: Sequence[Path],
-        voice: Voice,
-        track: float | None,
-    ) -> Recordings:
-        from odomcorrupt.api.recordings import describe, read_recordings
-
-        runs = read_recordings(
-            [_spooled(path) if str(path) == "-" else path for path in paths],
-            odom=self.odom,
-            truth=self.truth,
-            truth_bag=truth_bags,
-            truth_shift_s=self.truth_shift_s,
-            track_m=self.track if self.track is not None else track,
-            names=["stdin" if str(path) == "-" else "" for path in paths],
-            scan=self.scan,
-            laser_scale_accuracy=self.laser_scale_accuracy,
-            drive_type=self.drive_type,
-            imu=self.imu,
-            gyro_scale_accuracy=self.gyro_scale_accuracy,
-            joints=self.joints,
-            relative=motions,
-            progress=part_done,
-        )
-        for recording in runs:
-            voice.detail(describe(recording))
-            for note in recording.notes:
-                voice.detail(f"  {note}")
-        return runs
+        first = read(paths, slice(len(paths)))
+        return first, read(held_out, slice(len(paths), None)) if held_out else None
 
     def words(self) -> list[str]:
         """Return the words of a command line that read the same recordings again."""
-        words = [w for flag, value in (("--odom", self.odom), ("--truth", self.truth)) if value for w in (flag, value)]
-        words += ["--scan", self.scan] if self.scan else []
-        words += ["--imu", self.imu] if self.imu else []
-        words += ["--joints", *self.joints] if self.joints else []
-        words += [w for path in self.relative for w in ("--relative", str(path))]
-        words += [w for path in self.truth_bags for w in ("--truth-bag", str(path))]
-        if self.truth_shift_s:
-            words += ["--truth-shift", repr(self.truth_shift_s)]
-        words += ["--drive-type", self.drive_type] if self.drive_type != AUTO else []
-        return words + (["--track", f"{self.track:g}"] if self.track is not None else [])
+        said = [("--odom", self.odom), ("--truth", self.truth), ("--scan", self.scan), ("--imu", self.imu)]
+        said += [("--relative", str(path)) for path in self.relative]
+        said += [("--truth-bag", str(path)) for path in self.truth_bags]
+        said.append(("--truth-shift", repr(self.truth_shift_s) if self.truth_shift_s else None))
+        said.append(("--drive-type", self.drive_type if self.drive_type != AUTO else None))
+        said.append(("--track", f"{self.track:g}" if self.track is not None else None))
+        joints = ["--joints", *self.joints] if self.joints else []
+        return [*joints, *(word for flag, value in said if value for word in (flag, value))]
+
+
+_options = added(
+    click.option(
+        "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
+    ),
+    click.option(
+        "--relative", type=click.Path(exists=True, dir_okay=False, path_type=Path), multiple=True,
+        help="CSV of relative motions (t0,t1,dx,dy,dyaw) to learn from, as scan matchers and visual odometry write "
+        "them: one for all, or one for each.",
+    ),
+    click.option(
+        "--joints", nargs=2, metavar="LEFT RIGHT",
+        help="Wheels in JointState whose angles are to be the odometry. [default: wheels by name, for the track]",
+    ),
+    click.option(
+        "--gyro-scale-accuracy", type=Share("a share as in 1% or 0.01", 0.0, 20.0), metavar="SHARE", default="1%",
+        help="How far the gyro's own scale may be off (one standard deviation), where it is the truth. [default: 1%]",
+    ),
+    click.option(
+        "--imu", metavar="TOPIC",
+        help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only one]",
+    ),
+    click.option(
+        "--laser-scale-accuracy", type=Share("a share as in 0.3% or 0.003", 0.0, 20.0), metavar="SHARE",
+        default="0.3%",
+        help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
+        "[default: 0.3%]",
+    ),
+    click.option(
+        "--scan", metavar="TOPIC",
+        help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
+    ),
+    click.option(
+        "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
+    ),
+    click.option(
+        "--truth-bag", "--truth-file", "truth_bags", type=click.Path(path_type=Path), multiple=True,
+        help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
+    ),
+    click.option(
+        "--truth-shift", "truth_shift_s", type=Number("seconds", -1e10, 1e10), default=0.0, metavar="SECONDS",
+        help="Added to the truth's stamps, where its clock is far off (seconds are enough; the rest is fitted).",
+    ),
+    click.option(
+        "--drive-type", type=click.Choice((*DRIVE_TYPES, AUTO)), default=AUTO,
+        help="How the wheels steer the robot: it chooses among names of effects. [default: auto, by its motion]",
+    ),
+    click.option("--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."),
+    unpack_option,
+)  # fmt: skip
 
 
 def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -126,83 +153,7 @@ def recording_options(command: Callable[..., Any]) -> Callable[..., Any]:
         reading = Reading(**{field.name: given.pop(field.name) for field in fields(Reading)})
         return command(*args, reading=reading, **given)
 
-    options = (
-        click.option(
-            "--track", type=TRACK, help="Nominal distance between the wheels, metres (for two-wheel effects)."
-        ),
-        click.option(
-            "--drive-type",
-            type=click.Choice((*DRIVE_TYPES, AUTO)),
-            default=AUTO,
-            help="How the wheels steer the robot: it chooses among names of effects. [default: auto, by its motion]",
-        ),
-        click.option(
-            "--truth-shift",
-            "truth_shift_s",
-            type=Number("seconds", -1e10, 1e10),
-            default=0.0,
-            metavar="SECONDS",
-            help="Added to the truth's stamps, where its clock is far off (seconds are enough; the rest is fitted).",
-        ),
-        click.option(
-            "--truth-bag",
-            "--truth-file",
-            "truth_bags",
-            type=click.Path(path_type=Path),
-            multiple=True,
-            help="Bag, TUM or CSV file with the truth, where the recording has none: one for all, or one for each.",
-        ),
-        click.option(
-            "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"
-        ),
-        click.option(
-            "--scan",
-            metavar="TOPIC",
-            help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
-        ),
-        click.option(
-            "--laser-scale-accuracy",
-            type=Share("a share as in 0.3% or 0.003", 0.0, 20.0),
-            metavar="SHARE",
-            default="0.3%",
-            help="How far the laser's own scale may be off (one standard deviation): no scale is known better. "
-            "[default: 0.3%]",
-        ),
-        click.option(
-            "--imu",
-            metavar="TOPIC",
-            help="Gyro, a second witness of turning; without truth and laser, for diagnose alone. [default: the only "
-            "one]",
-        ),
-        click.option(
-            "--gyro-scale-accuracy",
-            type=Share("a share as in 1% or 0.01", 0.0, 20.0),
-            metavar="SHARE",
-            default="1%",
-            help="How far the gyro's own scale may be off (one standard deviation), where it is the truth. "
-            "[default: 1%]",
-        ),
-        click.option(
-            "--joints",
-            nargs=2,
-            metavar="LEFT RIGHT",
-            help="Wheels in JointState whose angles are to be the odometry. [default: wheels by name, for the track]",
-        ),
-        click.option(
-            "--relative",
-            type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            multiple=True,
-            help="CSV of relative motions (t0,t1,dx,dy,dyaw) to learn from, as scan matchers and visual odometry write "
-            "them: one for all, or one for each.",
-        ),
-        click.option(
-            "--odom", help="Topic of the odometry, or edge of TF as /tf:odom.base_link. [default: the only Odometry]"
-        ),
-    )
-    decorated = unpack_option(with_reading)
-    for option in options:
-        decorated = option(decorated)
-    return decorated
+    return _options(with_reading)
 
 
 def split_arguments(arguments: Sequence[str]) -> tuple[list[Path], list[str]]:

@@ -16,24 +16,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import click
 
 from odomcorrupt import commands
+from odomcorrupt.commands._options import added
+from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping
 
     from odomcorrupt.api.result import Result
+    from odomcorrupt.commands._options import Decorator
     from odomcorrupt.report.text.summary import Summary
 
-__all__ = [
-    "CONFIG",
-    "WORDS",
-    "Files",
-    "Voice",
-    "chosen_output",
-    "output_option",
-    "overwrite_option",
-    "standard_options",
-    "typed_words",
-]
+__all__ = ["WORDS", "Files", "Voice", "chosen_output", "command_names", "output_option", "overwrite_option",
+           "standard_options", "typed_words", "written"]  # fmt: skip
 
 CONFIG = "odomcorrupt.toml"
 """Defaults are read from this file where it is in the working directory."""
@@ -74,7 +68,7 @@ class Voice:
         """Print a result that is a summary, a text and values; parameters as of `show`."""
         files, following = files or {}, ""
         if self.as_json:
-            click.echo(json.dumps(values, indent=2, allow_nan=False), err=err)
+            click.echo(json.dumps(finite(values), indent=2, allow_nan=False), err=err)
         elif self.verbose:
             click.echo(details, err=err)
         elif not self.quiet:
@@ -100,6 +94,11 @@ class Voice:
             click.echo(sentence, err=True)
 
 
+def written(path: Path | None, write: Callable[[Path], object]) -> Files:
+    """Return an output and what writes it, as `Voice.show` takes them; nothing where no path is given."""
+    return {} if path is None else {path: lambda: write(path)}
+
+
 def _colours(stream: Any) -> bool:
     """Tell whether a stream shows colours and the user wants them (https://no-color.org)."""
     return bool(stream.isatty()) and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
@@ -118,22 +117,16 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
             voice.note(f"defaults from {file}: {', '.join(names)}")
         return command(*args, voice=voice, **given)
 
-    decorated: Callable[..., Any] = with_voice
-    for option in (
+    return added(
+        click.option("-v", "--verbose", is_flag=True, help="Print everything that is known."),
+        click.option("-q", "--quiet", is_flag=True, help="Print no result."),
+        click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds."),
         click.option(
-            "--config",
-            type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            is_eager=True,
-            expose_value=False,
-            callback=_read_defaults,
+            "--config", type=click.Path(exists=True, dir_okay=False, path_type=Path), is_eager=True,
+            expose_value=False, callback=_read_defaults,
             help=f"File with defaults of options. [default: {CONFIG}, where there is one]",
         ),
-        click.option("--json", "as_json", is_flag=True, help="Print values for scripts: metres, radians, seconds."),
-        click.option("-q", "--quiet", is_flag=True, help="Print no result."),
-        click.option("-v", "--verbose", is_flag=True, help="Print everything that is known."),
-    ):
-        decorated = option(decorated)
-    return decorated
+    )(with_voice)  # fmt: skip
 
 
 def typed_words(*without: str) -> list[str]:
@@ -157,12 +150,12 @@ def typed_words(*without: str) -> list[str]:
     return kept
 
 
-def overwrite_option(what: str = "an existing output") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def overwrite_option(what: str = "an existing output") -> Decorator:
     """Return the option by which outputs are replaced."""
     return click.option("--overwrite", "--force", "overwrite", is_flag=True, help=f"Replace {what}.")
 
 
-def output_option(metavar: str = "OUTPUT") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def output_option(metavar: str = "OUTPUT") -> Decorator:
     """Return -o, which says the same as the last argument."""
     return click.option("-o", "output_option", metavar=metavar, type=click.Path(), help=f"The same as {metavar}.")
 
@@ -185,13 +178,12 @@ def _read_defaults(ctx: click.Context, _: click.Parameter, path: Path | None) ->
     table = _table(file)
     name = ctx.command.name or ""
     known = _names(ctx.command)
-    commands_known = _command_names()
     defaults: dict[str, Any] = {}
     for key, value in table.items():
         option = key.replace("_", "-")
         if isinstance(value, dict):
-            if key not in commands_known:
-                raise click.UsageError(f"{file}: [{key}] is no command; there are {', '.join(commands_known)}")
+            if key not in command_names():
+                raise click.UsageError(f"{file}: [{key}] is no command; there are {', '.join(command_names())}")
         elif option in known:
             defaults[known[option]] = value
         elif option not in _options_of_all():
@@ -226,11 +218,13 @@ def _names(command: click.Command) -> dict[str, str]:
     return {word[2:]: p.name or "" for p in options for word in p.opts if word.startswith("--")}
 
 
-def _command_names() -> list[str]:
-    found: Iterable[str] = (info.name for info in pkgutil.iter_modules(commands.__path__))
-    return [name.replace("_", "-") for name in sorted(found) if not name.startswith("_")]
+@functools.cache
+def command_names() -> dict[str, str]:
+    """Return command names and the modules they live in; modules that begin with _ are no commands."""
+    found = sorted(info.name for info in pkgutil.iter_modules(commands.__path__))
+    return {name.replace("_", "-"): f"{commands.__name__}.{name}" for name in found if not name.startswith("_")}
 
 
 def _options_of_all() -> set[str]:
-    modules = (importlib.import_module(f"{commands.__name__}.{n.replace('-', '_')}") for n in _command_names())
+    modules = map(importlib.import_module, command_names().values())
     return {name for module in modules for name in _names(module.command)}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options
+from odomcorrupt.commands._bag import bag_words, container_options
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def command(
             raise BatchError(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
-    container = split_options(bag_words(given, BAG_OPTIONS))[1]
+    container = split_options(bag_words(given))[1]
     count = assemble(run, original, target, container)
     sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}

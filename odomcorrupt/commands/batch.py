@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, moving_options, threads_option
+from odomcorrupt.commands._bag import bag_words, container_options, moving_options, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._options import FILE, one_of
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
@@ -25,15 +26,11 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_MODEL_WORDS = {
-    "alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step", "preset": "--preset",
-    "effects": "--effect", "track": "--track",
-}  # fmt: skip
+_MODEL_WORDS = {"alpha": "--alpha", "law": "--law", "twist_noise": "--twist-noise", "step": "--step",
+                "preset": "--preset", "effects": "--effect", "track": "--track"}  # fmt: skip
 _MAP_WORDS = {
     "map_": "--map", "radius": "--robot-radius", "check": "--map-check", "unknown": "--unknown", "tries": "--max-tries",
 }  # fmt: skip
-
-
 _SUFFIXES = {"bag": ".bag", "mcap": ".mcap", "db3": ".db3", "directory": ""}
 """Of the names of runs, by what they become."""
 
@@ -55,43 +52,30 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 @click.option("--runs", type=click.IntRange(1), required=True, metavar="N", help="Make runs 0 to N - 1.")
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: the batch's, or drawn]")
+@one_of(
+    "--output", among=["full", "overlay", "trajectories"],
+    text="Whole bags, only the changed topics, or only paths (TUM, npz).",
+)  # fmt: skip
+@one_of(
+    "--layout", among=["same", "split"],
+    text="Chunks as in the input, or changed messages in chunks of their own: faster.",
+)  # fmt: skip
 @click.option(
-    "--output",
-    type=click.Choice(["full", "overlay", "trajectories"]),
-    default="full",
-    help="Whole bags, only the changed topics, or only paths (TUM, npz). [default: full]",
-)
-@click.option(
-    "--layout",
-    type=click.Choice(["same", "split"]),
-    default="same",
-    help="Chunks as in the input, or changed messages in chunks of their own: faster. [default: same]",
-)
-@click.option(
-    "--to",
-    type=click.Choice(["bag", "mcap", "db3", "directory"]),
+    "--to", type=click.Choice([*_SUFFIXES]),
     help="Kind of the runs: ROS 1 bag, MCAP, sqlite3, ROS 2 directory. [default: that of the input]",
-)
+)  # fmt: skip
 @click.option(
-    "--robots",
-    type=click.Choice(["stated", "posterior"]),
-    default="stated",
+    "--robots", type=click.Choice(["stated", "posterior"]), default="stated",
     help='Draw for each run what the model states as "a +- b", or everything with a standard error.',
-)
+)  # fmt: skip
 @click.option(
-    "--fleet",
-    multiple=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
+    "--fleet", multiple=True, type=FILE, metavar="FILE",
     help="A robot of a fleet (repeat for each): every run draws a robot by their mean and spread.",
-)
+)  # fmt: skip
 @click.option(
-    "--sweep",
-    "sweeps",
-    multiple=True,
-    metavar="NAME=V,V",
+    "--sweep", "sweeps", multiple=True, metavar="NAME=V,V",
     help="As alpha-scale=0.5,1,2, or a range as wheel_scale.e=0..0.02 with --points (repeatable).",
-)
+)  # fmt: skip
 @click.option("--points", type=click.IntRange(0), default=0, metavar="N", help="Cover all ranges by N Sobol points.")
 @click.option("--jobs", type=click.IntRange(1), default=1, metavar="N", help="Processes. [default: 1]")
 @click.option("--shard", type=_ShardType(), help="Make the I-th of N parts, as 3/16, counted from 1.")
@@ -119,7 +103,8 @@ def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice,
     runs = range(given["runs"])
     if given["dry_run"]:
         need = _need(jobs, runs, shard)
-        voice.say(_dry(need, jobs, given["jobs"]), _dry(need, jobs, given["jobs"]), {"schema": 2, **asdict(need)})
+        said = _dry(need, jobs, given["jobs"])
+        voice.say(said, said, {"schema": 2, **asdict(need)})
         return 0
     require_odometry(jobs)
     _require_space(jobs, runs, shard)
@@ -151,18 +136,10 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     from odomcorrupt.batching.plan import BatchSpec, plan, seed_of
 
     model = _model(given)
-    if given["layout"] == "split" and given["output"] != "full":
-        raise click.UsageError(f"--layout split: is for whole bags; --output {given['output']} has no use for it")
-    options, container = split_options(bag_words(given, BAG_OPTIONS))
+    options, container = split_options(bag_words(given))
     container = replace(container, overwrite=False, threads=_threads(given))
-    for flag, asked in (("--keep-truth", given["keep_truth"]), ("--tf correction", given["new_odom_frame"])):
-        if asked and given["output"] != "full":
-            raise click.UsageError(
-                f"{flag}: adds messages, and --output {given['output']} has only what changes; leave one of them out"
-            )
-    for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
-        if given[name] and given["output"] != "full":
-            raise click.UsageError(f"{flag}: is for whole bags; --output {given['output']} has no use for it")
+    if given["output"] != "full":
+        _require_whole_bags(given)
     if given["shard"] and given["dask"]:
         raise click.UsageError("--shard and --dask: both spread the runs; give one of them")
     if given["shard"] and given["seed"] is None:
@@ -188,10 +165,23 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
     return plan(inputs, target, spec)
 
 
+def _require_whole_bags(given: dict[str, Any]) -> None:
+    """Refuse options of whole bags where only parts of them are written."""
+    output = f"--output {given['output']}"
+    for flag, name in (("--keep-truth", "keep_truth"), ("--tf correction", "new_odom_frame")):
+        if given[name]:
+            raise click.UsageError(f"{flag}: adds messages, and {output} has only what changes; leave one of them out")
+    for flag, name in (("--to", "to"), ("--exclude-topic", "exclude"), ("--ros", "ros"), ("--storage", "storage")):
+        if given[name]:
+            raise click.UsageError(f"{flag}: is for whole bags; {output} has no use for it")
+    if given["layout"] == "split":
+        raise click.UsageError(f"--layout split: is for whole bags; {output} has no use for it")
+
+
 def _model(given: dict[str, Any]) -> MotionModel:
     """Return the model that was asked for, or that of a fleet."""
     if not given["fleet"]:
-        return choose_model(**{name: given[name] for name in MODEL_OPTIONS}).motion_model
+        return choose_model(given).motion_model
     from odomcorrupt.batching.parameter_draws import fleet_model
     from odomcorrupt.model.model_file import read_model
 
@@ -259,9 +249,7 @@ def _dry(need: Need, jobs: Sequence[Job], processes: int) -> str:
         f"{need.runs} runs to make, about {need.bytes / 1e9:.3g} GB ({need.free_bytes / 1e9:.3g} GB are free) and "
         f"{need.core_seconds / 60.0:.3g} core minutes"
     )
-    text += (
-        f", {need.core_seconds / 60.0 / processes:.3g} minutes with {processes} processes." if processes > 1 else "."
-    )
+    text += f", {need.core_seconds / 60.0 / processes:.3g} minutes with {processes} processes" * (processes > 1) + "."
     if jobs[0].output == "full":
         text += f" --output overlay would write {need.overlay_bytes / 1e9:.3g} GB, {saved:.0%} less."
     if need.bytes > need.free_bytes:

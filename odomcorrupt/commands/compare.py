@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._poses import PICTURES, need_pictures
+from odomcorrupt.commands._options import FILE, check_picture, need_pictures
 from odomcorrupt.commands._recordings import recording_options, split_arguments
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
@@ -32,17 +32,11 @@ _NAMES = ("error", "path", "nees", "residuals", "map", "pit")
 @click.command("compare", short_help="Compare models with measurements; see where they fail.")
 @click.argument("arguments", nargs=-1, required=True, metavar="RECORDING... MODEL.toml...")
 @recording_options
+@click.option("--report", type=FILE, help="Write all of it as one page of HTML, pictures too.")
 @click.option(
-    "--report",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write all of it as one page of HTML, pictures too.",
-)
-@click.option(
-    "--plot",
-    multiple=True,
-    metavar="[NAME=]FILE",
+    "--plot", multiple=True, metavar="[NAME=]FILE",
     help=f"Write one picture as .png, .svg or .pdf (repeatable): {', '.join(_NAMES)}. [default name: error]",
-)
+)  # fmt: skip
 @click.option("--fail-if-rejected", is_flag=True, help="Exit with 4 where the last model is REJECTED.")
 @overwrite_option("existing outputs")
 @standard_options
@@ -58,7 +52,7 @@ def command(
 ) -> int:
     """Print the error measured and expected by length of path, whether each model is rejected, and where it fails.
 
-    Recordings that a model was fitted on are cut in halves: the model is refitted on one and judged on the other.
+    Recordings that a model was fitted on are cut in halves: the model is refitted on one and evaluated on the other.
     """
     from odomcorrupt.api.comparison import compare
     from odomcorrupt.api.model import Model
@@ -67,10 +61,11 @@ def command(
     if not names:
         raise click.UsageError("no model given; name one or more .toml files that `odomcorrupt fit` wrote")
     plots = _plots(plot)
-    if plots or report is not None:
+    for picture in plots:
+        check_picture(picture, overwrite=overwrite)
+    if report is not None:
         need_pictures()
-    for output in (report, *plots):
-        refuse_existing(output, overwrite=overwrite)
+    refuse_existing(report, overwrite=overwrite)
     models = {name: Model.load(name) for name in names}
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(voice) as stages:
@@ -95,8 +90,6 @@ def _plots(texts: Iterable[str]) -> dict[Path, str]:
         path = Path(file)
         if name not in _NAMES:
             raise click.UsageError(f"--plot {text}: no picture is called {name!r}; there are {', '.join(_NAMES)}")
-        if path.suffix[1:].lower() not in PICTURES:
-            raise click.UsageError(f"--plot {text}: {file!r} says no kind of picture; end it in .png, .svg or .pdf")
         if path in found:
             raise click.UsageError(f"--plot {text}: {file} is the file of another picture already; choose another name")
         found[path] = name

@@ -63,24 +63,22 @@ def _brief(before: Noise, after: Noise) -> Summary:
     """Return the coefficients of the other law, the drift of both, and how to use them."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.model.motion_model import MotionModel
-    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
     from odomcorrupt.sampling.text import law_meaning
 
     straight, turn = _drifts(after)
-    return Summary(
-        (
-            Line("CONVERTED", f"{model_brief(MotionModel(after), '')}; {law_meaning(after)}", "good"),
-            Line("from", f"{model_brief(MotionModel(before), '')}; {law_meaning(before)}"),
-            Line("10 m", f"{straight} (1 sigma, both laws)"),
-            Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"),
-            Line("next", f"odomcorrupt in.bag out.bag {_flags(after)}", "command"),
-        )
-    )
+    new, old = (f"{model_brief(MotionModel(noise), '')}; {law_meaning(noise)}" for noise in (after, before))
+    lines = [Line("CONVERTED", new, "good"), Line("from", old), Line("10 m", f"{straight} (1 sigma, both laws)")]
+    lines.append(Line("360 deg", f"on the spot: {turn} (1 sigma, both laws)"))
+    return Summary((*lines, command_line(f"odomcorrupt in.bag out.bag {_flags(after)}")))
 
 
 def _flags(noise: Noise) -> str:
     """Return the options that select a noise."""
-    alphas = " ".join(f"{getattr(noise.coefficients, name):.6g}" for name in noise.law.alphas[: _needed(noise)])
+    values = [getattr(noise.coefficients, name) for name in noise.law.alphas]
+    while len(values) > 4 and not values[-1]:  # the first four must be typed
+        values.pop()
+    alphas = " ".join(f"{value:.6g}" for value in values)
     return f"--law {noise.law_name} --alpha {alphas}{f' --step {noise.step}' if noise.step is not None else ''}"
 
 
@@ -103,22 +101,12 @@ def _text(before: Noise, after: Noise) -> str:
     from odomcorrupt.sampling.text import law_words
 
     straight, turn = _drifts(after)
-    return "\n".join(
-        [
-            f"{law_words(before)}",
-            "makes the same drift on straight drives and on turns as",
-            f"{law_words(after)}",
-            f"  10 m straight: {straight} (1 sigma, both)",
-            f"  one turn on the spot: {turn} (1 sigma, both)",
-            _flags(after),
-        ]
-    )
-
-
-def _needed(noise: Noise) -> int:
-    """Return how many alphas must be typed: four, or up to the last that is not zero."""
-    values = [getattr(noise.coefficients, name) for name in noise.law.alphas]
-    return max(4, *(i + 1 for i, value in enumerate(values) if value)) if any(values) else 4
+    return f"""{law_words(before)}
+makes the same drift on straight drives and on turns as
+{law_words(after)}
+  10 m straight: {straight} (1 sigma, both)
+  one turn on the spot: {turn} (1 sigma, both)
+{_flags(after)}"""
 
 
 def _values(before: Noise, after: Noise) -> dict[str, Any]:
@@ -126,12 +114,9 @@ def _values(before: Noise, after: Noise) -> dict[str, Any]:
 
     from odomcorrupt.sampling.convert import drift_of
 
-    sides = {
-        name: {
-            "law": noise.law_name,
-            "step": None if noise.step is None else str(noise.step),
-            "coefficients": dataclasses.asdict(noise.coefficients),
-        }
-        for name, noise in (("from", before), ("to", after))
-    }
-    return {"schema": 2, **sides, "variance_growth": dataclasses.asdict(drift_of(after))}
+    def side(noise: Noise) -> dict[str, Any]:
+        step = None if noise.step is None else str(noise.step)
+        return {"law": noise.law_name, "step": step, "coefficients": dataclasses.asdict(noise.coefficients)}
+
+    growth = dataclasses.asdict(drift_of(after))
+    return {"schema": 2, "from": side(before), "to": side(after), "variance_growth": growth}

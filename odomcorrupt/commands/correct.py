@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import BAG_OPTIONS, bag_words, container_options, frame_options, keeping_options
+from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
 from odomcorrupt.commands._model import choose_model
-from odomcorrupt.commands._poses import POSE
+from odomcorrupt.commands._options import FILE, POSE
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
@@ -24,32 +23,19 @@ __all__ = ["command"]
 @click.argument("input_", metavar="INPUT", type=click.Path(allow_dash=True))
 @click.argument("output", metavar="OUTPUT", type=click.Path(allow_dash=True), required=False)
 @output_option()
-@click.option(
-    "--model", type=click.Path(dir_okay=False, path_type=Path), help="Motion model, as `fit` and `learn` write it."
-)
+@click.option("--model", type=FILE, help="Motion model, as `fit` and `learn` write it.")
 @click.option("--effect", "effects", multiple=True, metavar="NAME:KEY=VALUE,...", help="Systematic error (repeatable).")
 @click.option(
-    "--track",
-    type=float,
-    metavar="M",
+    "--track", type=float, metavar="M",
     help="Distance between the wheels, for effects of single wheels. [default: the model's]",
-)
+)  # fmt: skip
 @frame_options
 @keeping_options
 @click.option("--start", type=POSE, help="Where the drive began, for effects of places. [default: as odometry has it]")
 @click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
 @container_options
 @standard_options
-def command(
-    input_: str,
-    output: str | None,
-    output_option: str | None,
-    *,
-    model: Path | None,
-    effects: tuple[str, ...],
-    voice: Voice,
-    **given: Any,
-) -> int:
+def command(input_: str, output: str | None, output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Take the effects of a model out of a bag's odometry: its poses, twists and covariances, and its TF edges.
 
     It takes the whole motion to know what was wrong with it, so INPUT is read twice and cannot be a pipe; OUTPUT can.
@@ -64,10 +50,8 @@ def command(
         )
     if target == "-" and sys.stdout.isatty():
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
-    chosen = choose_model(effects=effects, model=model, track=given["track"]) if effects or model else None
+    chosen = choose_model(given) if given["effects"] or given["model"] else None
     with Progress(quiet=voice.quiet) as progress:
-        done = correct(
-            input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given, BAG_OPTIONS)
-        )
+        done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
     voice.show(done, err=True)
     return 3 if done.losses else 0

@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import (
-    BAG_OPTIONS,
-    bag_words,
-    container_options,
-    moving_options,
-    source_of,
-    threads_option,
-)
+from odomcorrupt.commands._bag import bag_words, container_options, moving_options, source_of, threads_option
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
@@ -64,26 +57,17 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     """
     from odomcorrupt.api.bag_options import options_of
     from odomcorrupt.api.corruption import corrupt
-    from odomcorrupt.commands.corrupt import keep_freed_memory
 
     target = chosen_output(output, output_option)
-    model = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
+    model = choose_model(given)
     if target == "-" and sys.stdout.isatty():
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     source = source_of(input_)
-    options = bag_words(given, BAG_OPTIONS)
+    options = bag_words(given)
     condition = choose_condition_of_run(given, source, options_of(options))
     keep_freed_memory()
     with Progress(quiet=voice.quiet) as progress:
-        done = corrupt(
-            input_,
-            target,
-            model=model,
-            seed=given["seed"],
-            run=given["run"],
-            within=condition,
-            watch=progress,
-            **options,
-        )
+        asked = {"seed": given["seed"], "run": given["run"], "within": condition, "watch": progress}
+        done = corrupt(input_, target, model=model, **asked, **options)
     voice.show(done, err=True)
     return 3 if done.losses else 0

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand
-from odomcorrupt.commands._motion_options import choose_move, move_options
-from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
-from odomcorrupt.files import refuse_existing
+from odomcorrupt.commands._model import AlphaCommand, choose_move, move_options
+from odomcorrupt.commands._options import FILE, POSE, check_picture, one_of, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
@@ -26,15 +24,13 @@ __all__ = ["command"]
 @click.command(
     "density", cls=AlphaCommand, short_help="How likely an end pose is, p(x_t | u_t, x_t-1), beside samples."
 )
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
+@click.option("-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf.")
 @move_options
-@click.option(
-    "--reading",
-    type=click.Choice(["pose", "product", "hypothetical"]),
-    default="pose",
-    help="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
-    "motion to each pose. [default: pose]",
-)
+@one_of(
+    "--reading", among=["pose", "product", "hypothetical"],
+    text="A density over poses; the lecture's p1 p2 p3; or the same as the book prints it, with the variances of the "
+    "motion to each pose.",
+)  # fmt: skip
 @click.option("--at", "poses", type=POSE, multiple=True, help="Print the density there, as in 0.2,0.3,10deg.")
 @map_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the samples. [default: drawn, and printed]")
@@ -59,21 +55,11 @@ def command(
     from odomcorrupt.errors import ModelError
     from odomcorrupt.rng import draw_seed
 
-    refuse_existing(output, overwrite=overwrite)
-    if output is not None:
-        if picture_kind(output) is None:
-            raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
-        need_pictures()
+    check_picture(output, overwrite=overwrite)
     chosen = choose_move(given)
     try:
-        found = density(
-            chosen.start_xyt,
-            chosen.end_xyt,
-            poses,
-            model=chosen.model,
-            reading=reading,
-            within=choose_condition(given, None, ""),
-        )
+        condition = choose_condition(given, None, "")
+        found = density(chosen.start_xyt, chosen.end_xyt, poses, model=chosen.model, reading=reading, within=condition)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
 
@@ -85,4 +71,4 @@ def command(
     if output is not None:
         following = ["sample", *typed_words("--output", "--overwrite", "--at", "--reading")]
     shown = replace(found, following=shlex.join(["odomcorrupt", *following]))
-    voice.show(shown, files={} if output is None else {output: partial(draw, output)})
+    voice.show(shown, files=written(output, draw))

@@ -46,35 +46,30 @@ def command(name: str | None, *, voice: Voice) -> None:
     kinds = registry()
     effects = [{"name": n, "kind": k.kind, "summary": k.summary} for n, k in kinds.items()]
     width = max(map(len, kinds))
-    text = "\n".join(
-        [
-            *(f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in kinds.items()),
-            "\neffect: systematic; setup: of the measurement, not of the robot; noise: random",
-            "odomcorrupt effects NAME explains one",
-        ]
-    )
-    voice.say(_brief(kinds), text, {"schema": 2, "effects": effects})
+    rows = [f"{n:<{width}}  {k.kind:<6}  {k.summary}" for n, k in kinds.items()]
+    voice.say(_brief(kinds), "\n".join([*rows, _LEGEND]), {"schema": 2, "effects": effects})
 
 
+_LEGEND = """
+effect: systematic; setup: of the measurement, not of the robot; noise: random
+odomcorrupt effects NAME explains one"""
 _FAMILIES = {"effect": "SYSTEMATIC", "setup": "setup", "event": "event", "noise": "random"}
 """Labels of the kinds of effects, in the order in which they are listed."""
 
 
 def _brief(kinds: Mapping[str, type[Effect]]) -> Summary:
     """Return the names by kind."""
-    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
 
-    lines = [
-        Line(label, ", ".join(name for name, one in kinds.items() if one.kind == kind))
-        for kind, label in _FAMILIES.items()
-    ]
-    return Summary((*lines, Line("next", "odomcorrupt effects NAME, or -v for all in words", "command")), most=20)
+    names = {label: ", ".join(n for n, one in kinds.items() if one.kind == kind) for kind, label in _FAMILIES.items()}
+    lines = [Line(label, text) for label, text in names.items()]
+    return Summary((*lines, command_line("odomcorrupt effects NAME, or -v for all in words")), most=20)
 
 
 def _brief_page(kind: type[Effect]) -> Summary:
     """Return what an effect does, its parameters, and a command that puts it into a bag."""
     from odomcorrupt.effects.effect import choices, parameters
-    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     lines = [Line(kind.name, f"{kind.summary} ({kind.kind})", "good")]
     own = parameters(kind)
@@ -84,9 +79,15 @@ def _brief_page(kind: type[Effect]) -> Summary:
         lines.append(Line("twin", f"{kind.twin_of}: no recording of poses tells them apart"))
     if kind.about is not None:
         lines += [Line("adds", kind.about.equation), Line("source", kind.about.source)]
-    values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
-    command = f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
-    return Summary((*lines, Line("next", command, "command")))
+    return Summary((*lines, command_line(_example(kind))))
+
+
+def _example(kind: type[Effect]) -> str:
+    """Return a command that puts an effect of typical size into a bag."""
+    from odomcorrupt.effects.effect import amplitudes
+
+    values = ",".join(f"{p.name}={p.typical:g}" for p in amplitudes(kind))
+    return f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"
 
 
 def _facts(kind: type[Effect]) -> dict[str, Any]:
@@ -100,16 +101,8 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "summary": kind.summary,
         "equation": about.equation if about else None,
         "parameters": [
-            {
-                "name": p.name,
-                "meaning": p.meaning,
-                "unit": p.unit,
-                "low": p.low,
-                "high": p.high,
-                "typical": p.typical,
-                "default": p.identity,
-                "role": "amplitude" if p.amplitude else "shape",
-            }
+            {"name": p.name, "meaning": p.meaning, "unit": p.unit, "low": p.low, "high": p.high, "typical": p.typical,
+             "default": p.identity, "role": "amplitude" if p.amplitude else "shape"}
             for p in parameters(kind)
         ],
         "words": {word: list(options) for word, options in choices(kind).items()},
@@ -122,14 +115,13 @@ def _facts(kind: type[Effect]) -> dict[str, Any]:
         "needs_gyro": kind.needs_gyro,
         "needs_track": kind.needs_track,
         "needs_sideways": kind.needs_sideways,
-    }
+    }  # fmt: skip
 
 
 def _page(kind: type[Effect]) -> str:
     from odomcorrupt.effects.effect import choices, parameters
 
     own = parameters(kind)
-    names = {p.name for p in own}
     lines = [f"{kind.name} ({kind.kind}): {kind.summary}", ""]
     if kind.about is not None:
         lines += [f"truth minus odometry:  {kind.about.equation}", ""]
@@ -137,7 +129,7 @@ def _page(kind: type[Effect]) -> str:
     lines += [f"  {p.name:<12} {p.meaning}; {_range(p)}" for p in own]
     lines += [f"  {word:<12} {' or '.join(options)}" for word, options in choices(kind).items()]
     if kind.needs_track:
-        own_track = ", or its parameter track" if "track" in names else ""
+        own_track = ", or its parameter track" if any(p.name == "track" for p in own) else ""
         lines.append(f"  needs the distance between the wheels: --track, or [robot] track in a model file{own_track}")
     if kind.drives is not None:
         lines.append(f"  for the drive types {', '.join(sorted(kind.drives))}")
@@ -148,9 +140,7 @@ def _page(kind: type[Effect]) -> str:
         lines += [f"confused with  {', '.join(kind.about.confused_with)}", f"shown by       {kind.about.drive}"]
     if kind.twin_of is not None:
         lines.append(f"twin           {kind.twin_of}: the same motion; no recording of poses can separate them")
-    values = ",".join(f"{p.name}={p.typical:g}" for p in own if p.amplitude)
-    lines += ["", f"odomcorrupt in.bag out.bag --effect {kind.name}:{values}"]
-    return "\n".join(lines)
+    return "\n".join([*lines, "", _example(kind)])
 
 
 def _range(p: Parameter) -> str:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._param_types import TRACK, Number
+from odomcorrupt.commands._options import FILE, TRACK, Number
 from odomcorrupt.commands._standard import overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
+    from odomcorrupt.commands._options import Decorator
     from odomcorrupt.commands._standard import Voice
-    from odomcorrupt.export.nav2 import Turn
     from odomcorrupt.model.motion_model import MotionModel
     from odomcorrupt.report.text.summary import Summary
 
@@ -24,77 +24,32 @@ __all__ = ["command"]
 _EVERY = "nothing would let amcl update at every scan"
 
 
+def _number(flag: str, kind: Number, default: float, metavar: str, text: str) -> Decorator:
+    return click.option(flag, type=kind, default=default, show_default=True, metavar=metavar, help=text)
+
+
 @click.command("export", short_help="Print a model as parameters of ros2_control, nav2 or robot_localization.")
-@click.argument("model", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("model", type=FILE)
 @click.option(
-    "--to",
-    "target",
-    type=click.Choice(["ros2_control", "nav2", "robot_localization"]),
-    required=True,
+    "--to", "target", type=click.Choice(["ros2_control", "nav2", "robot_localization"]), required=True,
     help="Wheel multipliers, amcl's alphas, or covariances.",
-)
+)  # fmt: skip
 @click.option("--track", type=TRACK, metavar="M", help="Nominal distance between the wheels. [default: the model's]")
+@_number("--update-min-d", Number("metres", 0.0, 1e3, above=True, else_=_EVERY), 0.25, "M", "Of amcl.")
+@_number("--update-min-a", Number("radians", 0.0, 1e3, above=True, else_=_EVERY), 0.2, "RAD", "Of amcl.")
 @click.option(
-    "--update-min-d",
-    type=Number("metres", 0.0, 1e3, above=True, else_=_EVERY),
-    default=0.25,
-    show_default=True,
-    metavar="M",
-    help="Of amcl.",
-)
-@click.option(
-    "--update-min-a",
-    type=Number("radians", 0.0, 1e3, above=True, else_=_EVERY),
-    default=0.2,
-    show_default=True,
-    metavar="RAD",
-    help="Of amcl.",
-)
-@click.option(
-    "--turn",
-    type=click.Choice(["rolling", "spot"]),
-    default="rolling",
-    show_default=True,
+    "--turn", type=click.Choice(["rolling", "spot"]), default="rolling", show_default=True,
     help="The turn on which amcl is to agree with the model: along an arc, or on the spot.",
-)
-@click.option(
-    "--speed",
-    type=Number("m/s", 0.0, 1e3),
-    default=0.5,
-    show_default=True,
-    metavar="M/S",
-    help="For what depends on it.",
-)
-@click.option(
-    "--turn-rate", type=Number("rad/s", 0.0, 1e3), default=0.5, show_default=True, metavar="RAD/S", help="Likewise."
-)
-@click.option(
-    "--rate",
-    type=Number("messages per second", 0.0, 1e6, above=True),
-    default=50.0,
-    show_default=True,
-    metavar="HZ",
-    help="Of odometry messages.",
-)
+)  # fmt: skip
+@_number("--speed", Number("m/s", 0.0, 1e3), 0.5, "M/S", "For what depends on it.")
+@_number("--turn-rate", Number("rad/s", 0.0, 1e3), 0.5, "RAD/S", "Likewise.")
+@_number("--rate", Number("messages per second", 0.0, 1e6, above=True), 50.0, "HZ", "Of odometry messages.")
 @click.option("--controller", default="diff_drive_controller", show_default=True, metavar="NAME", help="Node to set.")
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Write the YAML to a file.")
+@click.option("-o", "--output", type=FILE, help="Write the YAML to a file.")
 @overwrite_option()
 @standard_options
 def command(
-    model: Path,
-    *,
-    target: str,
-    track: float | None,
-    update_min_d: float,
-    update_min_a: float,
-    turn: Turn,
-    speed: float,
-    turn_rate: float,
-    rate: float,
-    controller: str,
-    output: Path | None,
-    overwrite: bool,
-    voice: Voice,
+    model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, voice: Voice, **given: Any
 ) -> None:
     """Print a model as YAML to paste; -v adds what it assumes and cannot express, in comments, as -o writes it.
 
@@ -110,17 +65,16 @@ def command(
     refuse_existing(output, overwrite=overwrite)
     robot = read_model(model)
     try:
+        drive = Steady(given["speed"], given["turn_rate"], given["rate"])
         if target == "nav2":
-            drive = Steady(speed, turn_rate, rate)
-            alphas = amcl_alphas(robot.noise, update_min_d, update_min_a, turn=turn, drive=drive)
-            text = amcl_text(robot, alphas, update_min_d, update_min_a, turn)
+            update, turn = (given["update_min_d"], given["update_min_a"]), given["turn"]
+            text = amcl_text(robot, amcl_alphas(robot.noise, *update, turn=turn, drive=drive), *update, turn)
         elif target == "robot_localization":
-            drive = Steady(speed, turn_rate, rate)
             text = twists_text(robot, twist_variances(robot.noise, drive), drive, controller)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
     if target == "ros2_control":
-        text = wheels_text(robot, wheel_multipliers(robot, track), controller)
+        text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
     values = {"schema": 2, "to": target, "yaml": text}
     if output is None:
         voice.say(without_comments(text, robot), text, values)

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 import shlex
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from odomcorrupt.commands._options import FILE
 from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, written
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
     from odomcorrupt.commands._recordings import Reading
     from odomcorrupt.commands._standard import Voice
@@ -26,8 +27,8 @@ __all__ = ["command"]
 @click.command("fit", short_help="Fit a robot's motion model to odometry and truth.")
 @click.argument("recordings", nargs=-1, required=True)
 @recording_options
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
-@click.option("--start", type=click.Path(dir_okay=False, path_type=Path), help="Model file whose effects to refit.")
+@click.option("-o", "--output", type=FILE, help="Model file to write.")
+@click.option("--start", type=FILE, help="Model file whose effects to refit.")
 @click.option("--add", multiple=True, metavar="EFFECT", help="Effect to add to the start model (repeatable).")
 @click.option("--law", help="Noise law, or all: the likeliest. [default: that of the start model, or diffusion]")
 @click.option(
@@ -37,12 +38,9 @@ __all__ = ["command"]
     "truth, as in a square test (UMBmark).",
 )
 @click.option(
-    "--end",
-    "ends",
-    multiple=True,
-    metavar="X,Y,YAW",
+    "--end", "ends", multiple=True, metavar="X,Y,YAW",
     help="Where a drive really ended, seen from where it began (m, m, deg): once for all, or for each.",
-)
+)  # fmt: skip
 @overwrite_option()
 @standard_options
 def command(
@@ -83,17 +81,12 @@ def command(
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
     following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    files = {} if output is None else {output: lambda: result.model.save(output, overwrite=True)}
-    voice.show(replace(result, following=following if output is not None else ""), files=files)
+    shown = replace(result, following=following if output is not None else "")
+    voice.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 
 def _square_test(
-    paths: Sequence[Path],
-    ends: Sequence[str],
-    reading: Reading,
-    add: Sequence[str],
-    output: Path | None,
-    voice: Voice,
+    paths: Sequence[Path], ends: Sequence[str], reading: Reading, add: Sequence[str], output: Path | None, voice: Voice
 ) -> None:
     """Fit what a square test measures to the ends of drives."""
     from odomcorrupt.api.returns import fit_returns
@@ -109,7 +102,7 @@ def _square_test(
     with reading.stages(voice) as stages:
         stages("fit", 0.0)
         result = fit_returns(paths, poses, effects=add, odom=reading.odom, track_m=reading.track, scan=reading.scan)
-    voice.show(result, files={} if output is None else {output: lambda: result.model.save(output, overwrite=True)})
+    voice.show(result, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 
 def _end(text: str) -> tuple[float, float, float]:

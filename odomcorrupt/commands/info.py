@@ -9,7 +9,6 @@ import click
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import standard_options
-from odomcorrupt.report.json.numbers import finite
 
 if TYPE_CHECKING:
     from odomcorrupt.commands._standard import Voice
@@ -22,13 +21,7 @@ __all__ = ["command"]
 @bag_options
 @standard_options
 def command(
-    input_: str,
-    *,
-    odom_topic: str | None,
-    odom_frame: str | None,
-    base_frame: str | None,
-    recover: bool,
-    voice: Voice,
+    input_: str, *, odom_topic: str | None, odom_frame: str | None, base_frame: str | None, recover: bool, voice: Voice
 ) -> int:
     """Show a bag's topics, frames and edges, its motion, what is odd, and which topics still hold the true motion."""
     from odomcorrupt.bags.open import open_reader
@@ -43,5 +36,5 @@ def command(
         losses = list(reader.losses)
     values = summarise(seen, odom_topic=odom_topic, odom_frame=odom_frame, base_frame=base_frame)
     values["provenance"] = [*watcher.provenance(source)]
-    voice.say(brief(values, input_), summary_text(values), finite(values))
+    voice.say(brief(values, input_), summary_text(values), values)
     return report_losses(losses)

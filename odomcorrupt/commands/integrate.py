@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._poses import need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
+from odomcorrupt.commands._options import FILE, check_picture, one_of, save_picture
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.files import refuse_existing
 
@@ -24,34 +24,26 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_FILE = click.Path(path_type=Path)
+_BAG = click.Path(path_type=Path)
 
 
 @click.command("integrate", short_help="Odometry from the velocities of a bag alone, with or without noise on them.")
-@click.argument("input_", metavar="INPUT", type=_FILE)
-@click.argument("output", metavar="[OUTPUT]", type=_FILE, required=False)
+@click.argument("input_", metavar="INPUT", type=_BAG)
+@click.argument("output", metavar="[OUTPUT]", type=_BAG, required=False)
 @output_option()
-@click.option(
-    "--integrate",
-    "rule",
-    type=click.Choice(["euler", "midpoint", "exact"]),
-    default="exact",
-    help="Along the heading an interval begins with, the one half-way, or the arc. [default: exact]",
-)
-@click.option(
-    "--hold",
-    type=click.Choice(["next", "previous"]),
-    default="next",
-    help="A twist holds until the next stamp, or since the previous one. [default: next]",
-)
+@one_of(
+    "--integrate", "rule", among=["euler", "midpoint", "exact"], default="exact",
+    text="Along the heading an interval begins with, the one half-way, or the arc.",
+)  # fmt: skip
+@one_of("--hold", among=["next", "previous"], text="A twist holds until the next stamp, or since the previous one.")
 @click.option(
     "--twist-noise", nargs=2, type=float, metavar="V OMEGA", help="White noise on every twist: m/s and rad/s."
 )
 @click.option("--runs", type=click.IntRange(1, 100_000), default=1, help="How many noisy runs to draw. [default: 1]")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of the noise. [default: drawn, and printed]")
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry whose twists are taken.")
+@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry whose twists are taken.")
 @click.option("--truth", metavar="TOPIC", help="Poses to compare with. [default: the topic that is called so]")
-@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture: .png, .svg or .pdf.")
+@click.option("--plot", type=FILE, help="Picture: .png, .svg or .pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -76,13 +68,9 @@ def command(input_: Path, output: Path | None, output_option: str | None, *, voi
         raise OdomCorruptError("-: integration reads the whole drive first, which a pipe cannot do; name files")
     if given["runs"] > 1 and noise is None:
         raise click.UsageError(f"--runs {given['runs']}: without --twist-noise all runs are the same")
-    refuse_existing(plot, overwrite=given["overwrite"])
+    check_picture(plot, overwrite=given["overwrite"])
     refuse_existing(output, overwrite=given["overwrite"])
     _check_name(input_, output)
-    if plot is not None:
-        if picture_kind(plot) is None:
-            raise click.UsageError(f"{plot}: ends in {plot.suffix or 'nothing'}; write .png, .svg or .pdf")
-        need_pictures()
     drive = read_drive(input_, given["odom_topic"])
     truth_topic = given["truth"] or find_truth(input_)
     truth = None if truth_topic is None else read_poses(input_, truth_topic)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import click
 
 from odomcorrupt.commands._advice import advice_files, advice_options, check_advice
-from odomcorrupt.commands._poses import need_pictures, picture_kind
+from odomcorrupt.commands._options import FILE, check_picture
 from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._standard import overwrite_option, standard_options, written
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
@@ -27,18 +27,12 @@ __all__ = ["command"]
 @click.command("learn", short_help="Fit, diagnose and add, until nothing is missing.")
 @click.argument("recordings", nargs=-1, required=True)
 @recording_options
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Model file to write.")
+@click.option("-o", "--output", type=FILE, help="Model file to write.")
 @click.option(
-    "--validate",
-    "--judge",
-    "validate",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    help="Recording to judge the result on (repeatable).",
-)
-@click.option(
-    "--plot", type=click.Path(dir_okay=False, path_type=Path), help="Picture of the errors, before and after."
-)
+    "--validate", "--judge", "validate", type=click.Path(path_type=Path), multiple=True,
+    help="Recording to evaluate the result on (repeatable).",
+)  # fmt: skip
+@click.option("--plot", type=FILE, help="Picture of the errors, before and after.")
 @advice_options
 @overwrite_option("existing outputs")
 @standard_options
@@ -63,32 +57,24 @@ def command(
     paths, models = split_arguments(recordings)
     if models:
         raise click.UsageError(f"{models[0]} is a model; `fit --start` and `diagnose` take models")
-    for path in (output, plot):
-        refuse_existing(path, overwrite=overwrite)
+    refuse_existing(output, overwrite=overwrite)
+    check_picture(plot, overwrite=overwrite)
     check_advice(drive, report, overwrite=overwrite)
-    if plot is not None:
-        if picture_kind(plot) is None:
-            raise click.UsageError(f"--plot {plot}: says no kind of picture; end it in .png, .svg or .pdf")
-        need_pictures()
     with reading.stages(voice) as stages:
         runs, held_out = reading.read_with_held_out(paths, validate, voice)
         result = learn(runs, validate=held_out or (), watch=stages)
-    judged_on = [*map(str, validate or paths), *reading.words()]
+    evaluated_on = [*map(str, validate or paths), *reading.words()]
     usable = not result.comparison.fails and result.result.reproduction.holds
-    following = _following(output, [*map(str, paths), *reading.words()], judged_on, usable=usable)
+    following = _following(output, [*map(str, paths), *reading.words()], evaluated_on, usable=usable)
     result = replace(result, following=following)
-    files = dict(advice_files(result, drive, report))
-    if output is not None:
-        files = {output: lambda: result.model.save(output, overwrite=True), **files}
-    if plot is not None:
-        files[plot] = lambda: result.plot(plot)
-    voice.show(result, files=files)
+    saved = written(output, lambda path: result.model.save(path, overwrite=True))
+    voice.show(result, files={**saved, **advice_files(result, drive, report), **written(plot, result.plot)})
 
 
-def _following(model: Path | None, words: Sequence[str], judged_on: Sequence[str], *, usable: bool) -> str:
+def _following(model: Path | None, words: Sequence[str], evaluated_on: Sequence[str], *, usable: bool) -> str:
     """Return what to type when all is learned: see where the model fails, corrupt with it, or write one first."""
     if model is None:
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     if not usable:
-        return f"odomcorrupt compare {shlex.join([*judged_on, str(model)])} -v"
+        return f"odomcorrupt compare {shlex.join([*evaluated_on, str(model)])} -v"
     return f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(str(model))}"

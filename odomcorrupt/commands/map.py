@@ -8,15 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import unpack_option
+from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._motion_options import MODEL_OPTIONS
-from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import POSE, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
 from odomcorrupt.commands._progress import part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
-from odomcorrupt.report.json.numbers import finite
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 
 if TYPE_CHECKING:
@@ -31,37 +28,27 @@ __all__ = ["command"]
 @click.command("map", cls=AlphaCommand, short_help="What the laser sees through clean and through noisy odometry.")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option(
-    "-o",
-    "--output",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml.",
+    "-o", "--output", type=FILE, help="Picture: .png, .svg or .pdf; the maps are written beside it as .pgm and .yaml."
 )
 @model_options
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @click.option("--run", type=click.IntRange(0), default=0, metavar="N", help="Which run of this seed. [default: 0]")
 @click.option("--scan", metavar="TOPIC", help="Laser scans. [default: the only such topic]")
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Odometry that places the scans.")
+@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Odometry that places the scans.")
 @click.option("--truth", metavar="TOPIC", help="Draw the map through these poses as well.")
 @click.option("--laser-pose", type=POSE, help="Where the laser sits on the robot, where TF does not say.")
 @click.option(
-    "--max-yaw-rate",
-    type=Number("rad/s", 0.0, 1e3),
-    metavar="W",
+    "--max-yaw-rate", type=Number("rad/s", 0.0, 1e3), metavar="W",
     help="Leave out rays shot while turning faster, rad/s.",
-)
+)  # fmt: skip
 @click.option(
-    "--resolution",
-    type=Number("metres", 0.0, 1e3, above=True),
-    default=0.05,
+    "--resolution", type=Number("metres", 0.0, 1e3, above=True), default=0.05,
     help="Of the maps, metres. [default: 0.05]",
-)
-@click.option(
-    "--method",
-    type=click.Choice(["odometry", "laser"]),
-    default="odometry",
-    help="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png. "
-    "[default: odometry]",
-)
+)  # fmt: skip
+@one_of(
+    "--method", among=["odometry", "laser"],
+    text="Place scans by odometry, or by matching them: then -o map.yaml also gets map.tum and map.png.",
+)  # fmt: skip
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -85,14 +72,10 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         _by_laser(bag, output, given, voice)
         return
     beside = {} if output is None else {name: output.with_name(f"{output.stem}_{name}") for name in ("clean", "noisy")}
-    if output is not None:
-        if picture_kind(output) is None:
-            raise click.UsageError(f"{output}: ends in {output.suffix or 'nothing'}; write .png, .svg or .pdf")
-        need_pictures()
-        for path in (output, *(p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml"))):
-            refuse_existing(path, overwrite=given["overwrite"])
-    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    chosen = choose_model(**options)
+    check_picture(output, overwrite=given["overwrite"])
+    for path in (p.with_suffix(end) for p in beside.values() for end in (".pgm", ".yaml")):
+        refuse_existing(path, overwrite=given["overwrite"])
+    chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
@@ -144,8 +127,7 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
         need_pictures()
         for path in files.values():
             refuse_existing(path, overwrite=given["overwrite"])
-    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    chosen = choose_model(**options)
+    chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
     run = laser_run(bag, str(bag), odom, given["scan"], part_done)
@@ -153,7 +135,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
     notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
-    said = "\n".join([*notes, _thicknesses(maps.surveys)])
+    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in maps.surveys)
+    said = "\n".join([*notes, f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"])
     lines = [Line("MATCHED", f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map", "good")]
     lines += [Line("walls" if not i else "", f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}") for i, s in
               enumerate(maps.surveys)]  # fmt: skip
@@ -178,26 +161,13 @@ def _brief(
     clean, noisy = (100.0 * s.thickness_m[-1] for s in surveys[:2])
     added = 100.0 * added_thickness(surveys[0].thickness_m, surveys[1].thickness_m)[-1]
     first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
-    return Summary(
-        (
-            Line(
-                "THICKER" if noisy > clean else "NO THICKER",
-                f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added",
-                "warning" if noisy > clean else "good",
-            ),
-            Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"),
-            *(Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]),
-            Line("seed", drawn[1]),
-            Line("model", drawn[0]),
-            *(Line("scans" if "rays" in note else "note", note) for note in notes),
-            command_line(following),
-        )
-    )
-
-
-def _thicknesses(surveys: Sequence[Survey]) -> str:
-    thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in surveys)
-    return f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"
+    said = f"walls {clean:.2f} -> {noisy:.2f} cm ({noisy / clean:.2f} times), {added:.2f} cm added"
+    lines = [Line("THICKER", said, "warning") if noisy > clean else Line("NO THICKER", said, "good")]
+    lines.append(Line("hits", f"{first:.1f} cm off the clean walls at first, {last:.1f} cm at last"))
+    lines += [Line("walls", f"{100.0 * s.thickness_m[-1]:.2f} cm through the {s.name}") for s in surveys[2:]]
+    lines += [Line("seed", drawn[1]), Line("model", drawn[0])]
+    lines += [Line("scans" if "rays" in note else "note", note) for note in notes]
+    return Summary((*lines, command_line(following)))
 
 
 def _surveys(bag: Path, model: Any, seed: int, given: dict[str, Any]) -> tuple[tuple[str, ...], list[Survey]]:
@@ -244,27 +214,17 @@ def _table(surveys: Sequence[Survey]) -> str:
     for i, mark in enumerate(surveys[0].marks_m):
         values = (*(s.thickness_m[i] for s in surveys), added[i], surveys[1].off_surface_m[i])
         lines.append(f"  {mark:7.2f} m  " + "".join(f"{100.0 * value:12.2f}" for value in values))
-    return "\n".join(
-        [
-            *lines,
-            f"walls became {noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them",
-            _hits_line(surveys[1].off_surface_m),
-        ]
-    )
-
-
-def _hits_line(off_surface_m: Any) -> str:
-    first, last = 100.0 * off_surface_m[0], 100.0 * off_surface_m[-1]
-    return (
-        f"noisy hits are {first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the "
-        "last (root mean square, across the walls)"
-    )
+    first, last = 100.0 * surveys[1].off_surface_m[0], 100.0 * surveys[1].off_surface_m[-1]
+    grown = f"{noisy[-1] / clean[-1]:.2f} times as thick: {100.0 * added[-1]:.2f} cm were added to them"
+    hits = f"{first:.1f} cm off the clean map's walls in the first part of the drive, {last:.1f} cm in the last"
+    lines += [f"walls became {grown}", f"noisy hits are {hits} (root mean square, across the walls)"]
+    return "\n".join(lines)
 
 
 def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[str, Any]:
     from odomcorrupt.mapping.wall_thickness import added_thickness
 
-    content: dict[str, Any] = {
+    return {
         "schema": 2,
         "seed": seed,
         "measure": "root of the mean plane variance, m (Razlaw et al., ECMR 2015)",
@@ -274,4 +234,3 @@ def _values(surveys: Sequence[Survey], notes: Sequence[str], seed: int) -> dict[
         "off_surface_m": {s.name: s.off_surface_m.tolist() for s in surveys[1:]},
         "notes": list(notes),
     }
-    return dict(finite(content))

@@ -33,11 +33,12 @@ def command(name: str | None, *, voice: Voice) -> None:
 
     if name is None:
         chosen = list(PRESETS.values())
-        text = (
-            "\n".join(_lines(p) for p in chosen)
-            + "\nodomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
+        use = "odomcorrupt INPUT OUTPUT --preset NAME uses one; odomcorrupt presets NAME > robot.toml is for --model"
+        voice.say(
+            _brief(chosen),
+            "\n".join([*map(_lines, chosen), use]),
+            {"schema": 2, "presets": [_values(p) for p in chosen]},
         )
-        voice.say(_brief(chosen), text, {"schema": 2, "presets": [_values(p) for p in chosen]})
         return
     try:
         preset = preset_named(name)
@@ -50,19 +51,14 @@ def command(name: str | None, *, voice: Voice) -> None:
 
 def _brief(presets: Sequence[Preset]) -> Summary:
     """Return the names, fitted ones apart."""
-    from odomcorrupt.report.text.summary import Line, Summary
+    from odomcorrupt.report.text.summary import Line, Summary, command_line
 
     fitted = [p.name for p in presets if p.source.startswith("fitted")]
     stated = [p.name for p in presets if p.name not in fitted]
-    return Summary(
-        (
-            Line("PRESETS", f"{len(presets)} noise models; -v has their laws, numbers and sources", "good"),
-            Line("stated", ", ".join(stated)),
-            Line("fitted", ", ".join(fitted)),
-            Line("use", f"odomcorrupt INPUT OUTPUT --preset {presets[0].name}"),
-            Line("next", f"odomcorrupt presets {presets[0].name} > robot.toml", "command"),
-        )
-    )
+    count, first = f"{len(presets)} noise models; -v has their laws, numbers and sources", presets[0].name
+    lines = [Line("PRESETS", count, "good"), Line("stated", ", ".join(stated)), Line("fitted", ", ".join(fitted))]
+    lines.append(Line("use", f"odomcorrupt INPUT OUTPUT --preset {first}"))
+    return Summary((*lines, command_line(f"odomcorrupt presets {first} > robot.toml")))
 
 
 def _values(preset: Preset) -> dict[str, Any]:

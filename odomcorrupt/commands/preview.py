@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -12,14 +10,14 @@ import click
 from odomcorrupt.commands import corrupt
 from odomcorrupt.commands._bag import bag_options, report_losses, source_of
 from odomcorrupt.commands._map import choose_condition_of_run, map_options
-from odomcorrupt.commands._model import MODEL_OPTIONS, AlphaCommand, choose_model, model_options
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
+from odomcorrupt.commands._options import FILE, check_picture, save_picture
 from odomcorrupt.commands._progress import Progress
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
-from odomcorrupt.files import refuse_existing
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from odomcorrupt.commands._standard import Voice
 
 __all__ = ["command"]
@@ -35,9 +33,7 @@ __all__ = ["command"]
 )
 @bag_options
 @map_options
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
-)
+@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
 def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> int:
@@ -52,13 +48,9 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.preview.forecast import brief, forecast, forecast_json, forecast_text, read_clean_drive
 
-    chosen = choose_model(**{name: given[name] for name in MODEL_OPTIONS})
+    chosen = choose_model(given)
     model = chosen.motion_model
-    if output is not None:
-        if picture_kind(output) is None:
-            raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")
-        need_pictures()
-        refuse_existing(output, overwrite=given["overwrite"])
+    check_picture(output, overwrite=given["overwrite"])
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
     condition = choose_condition_of_run(given, source, options)
@@ -80,12 +72,11 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
             title += f" at {outlook.rate_hz:.3g} Hz; at another message rate it does something else"
         save_picture(path, draw_fan(outlook, title))
 
-    files = {} if output is None else {output: partial(draw, output)}
     following = ["odomcorrupt", "preview", *typed_words("--output", "--overwrite"), "-o", "fan.png"]
     if output is not None:
         following = ["odomcorrupt", *typed_words("--output", "--overwrite", "--runs"), "noisy.mcap"]
     said = brief(outlook, model, chosen.origin, seed, following)
-    voice.say(said, text, finite(forecast_json(outlook, model, seed)), files=files)
+    voice.say(said, text, forecast_json(outlook, model, seed), files=written(output, draw))
     return report_losses(losses)
 
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import shlex
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._bag import unpack_option
+from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._map import choose_condition, map_options
-from odomcorrupt.commands._model import AlphaCommand, choose_model
-from odomcorrupt.commands._motion_options import MODEL_OPTIONS, choose_move, move_options
-from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
+from odomcorrupt.commands._model import AlphaCommand, choose_model, choose_move, move_options
+from odomcorrupt.commands._options import FILE, PICTURES, Number, need_pictures, picture_kind, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
 from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -25,12 +22,13 @@ if TYPE_CHECKING:
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["DEFAULT_RUNS", "command", "sample_along"]
+__all__ = ["command"]
 
-DEFAULT_RUNS = 300
+_RUNS = 300
+"""Drawn along a bag, where nothing is said."""
 
 
-def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
+def _sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voice, given: Mapping[str, Any]) -> None:
     """Draw runs of a bag's drive, evaluate them at distances along it, and print and write the result."""
     from odomcorrupt.corruption.summary import model_brief
     from odomcorrupt.errors import OdomCorruptError
@@ -53,13 +51,12 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voi
         raise click.UsageError(f"--{taken[0]}: the motion is that of {bag}; leave it out")
     if str(bag) == "-":
         raise OdomCorruptError("-: the whole drive is read first, which a pipe cannot do; name a file")
-    options: dict[str, Any] = {name: given.get(name) for name in MODEL_OPTIONS}
-    chosen = choose_model(**options)
+    chosen = choose_model(given)
     drive = read_drive(bag, given["odom_topic"])
     # about six clouds, at round distances
     every = given["every"] or _round(float(drive.distance_m[-1]) / 6.0)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    runs = given["count"] or DEFAULT_RUNS
+    runs = given["count"] or _RUNS
     condition = choose_condition(given, bag, drive.frame_id)
     if condition is None:
         cloud = sample_particles(drive, chosen.motion_model, seed=seed, runs=runs, every_m=every)
@@ -90,8 +87,7 @@ def sample_along(bag: Path, output: Path | None, kind: str | None, *, voice: Voi
         following = ["odomcorrupt", "preview", str(bag)]
     words = model_brief(chosen.motion_model, chosen.origin.partition(":")[0])
     said = brief(cloud, words, f"{drive.topic} of {bag}", following)
-    files = {} if output is None else {output: partial(write, output)}
-    voice.say(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=files)
+    voice.say(said, text, {"schema": 2, **json.loads(json_text(cloud))}, files=written(output, write))
 
 
 def _round(value: float) -> float:
@@ -104,13 +100,11 @@ def _round(value: float) -> float:
 
 @click.command("sample", cls=AlphaCommand, short_help="Draw where one motion may have ended: the banana.")
 @click.argument("bag", metavar="[BAG]", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Result: .png, .svg, .pdf, .csv or .json."
-)
+@click.option("-o", "--output", type=FILE, help="Result: .png, .svg, .pdf, .csv or .json.")
 @move_options
 @map_options
 @click.option("--every", type=Number("metres", 0.0, 1e6, above=True), metavar="M", help="Along a bag: a cloud per M m.")
-@click.option("--odom-topic", "--odom", "odom_topic", metavar="TOPIC", help="Along a bag: which odometry.")
+@click.option(*ODOM_TOPIC, metavar="TOPIC", help="Along a bag: which odometry.")
 @click.option("--seed", type=click.IntRange(0), metavar="N", help="Of all draws. [default: drawn, and printed]")
 @overwrite_option()
 @unpack_option
@@ -128,7 +122,7 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.api.motion import sample
     from odomcorrupt.errors import ModelError
-    from odomcorrupt.sampling.text import csv_text, json_text
+    from odomcorrupt.sampling.text import csv_text, drawn_json
 
     refuse_existing(output, overwrite=overwrite)
     kind = None if output is None else picture_kind(output) or output.suffix.lower()
@@ -137,19 +131,13 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
     if kind in PICTURES:
         need_pictures()
     if bag is not None:
-        sample_along(bag, output, kind, voice=voice, given=given)
+        _sample_along(bag, output, kind, voice=voice, given=given)
         return
     chosen = choose_move(given)
     condition = choose_condition(given, None, "odom")
     try:
-        drawn = sample(
-            chosen.start_xyt,
-            chosen.end_xyt,
-            model=chosen.model,
-            count=chosen.count,
-            seed=given["seed"],
-            within=condition,
-        )
+        asked = {"count": chosen.count, "seed": given["seed"], "within": condition}
+        drawn = sample(chosen.start_xyt, chosen.end_xyt, model=chosen.model, **asked)
     except ModelError as error:
         raise click.UsageError(str(error)) from error
 
@@ -157,10 +145,11 @@ def command(bag: Path | None, output: Path | None, *, overwrite: bool, voice: Vo
         if kind in PICTURES:
             drawn.plot(path)
         else:
-            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else json_text(drawn.drawn))
+            as_json = json.dumps(drawn_json(drawn.drawn), indent=1) + "\n"
+            write_text(path, csv_text(drawn.xyt) if kind == ".csv" else as_json)
 
     following = ["sample", *typed_words("--output", "--overwrite"), "-o", "banana.png"]
     if output is not None:
         following = ["density", *typed_words("--output", "--overwrite", "--every", "--odom-topic", "--max-unpacked")]
     shown = replace(drawn, following=shlex.join(["odomcorrupt", *following]))
-    voice.show(shown, files={} if output is None else {output: partial(write, output)})
+    voice.show(shown, files=written(output, write))

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import unpack_option
-from odomcorrupt.commands._param_types import Number
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options
+from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options, written
 from odomcorrupt.files import read_input, refuse_existing, write_text
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_FILE = click.Path(dir_okay=False, path_type=Path)
 _BASELINE_BYTES = 1 << 28
 
 
@@ -30,20 +28,14 @@ _BASELINE_BYTES = 1 << 28
 )
 @click.option("--estimate", metavar="TOPIC", help="Topic of the estimate, or an edge of TF as /tf:map.base_link.")
 @click.option(
-    "--outputs",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    "--outputs", type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Where the estimates are: bags, TUM or CSV files named after the runs. [default: beside the runs]",
-)
+)  # fmt: skip
 @click.option("--truth", metavar="TOPIC", help="Topic or edge of TF. [default: the odometry before it was corrupted]")
 @click.option(
     "--truth-bag", "truth_file", type=click.Path(exists=True, path_type=Path), help="Bag, TUM or CSV with the truth."
 )
-@click.option(
-    "--align",
-    type=click.Choice(["rigid", "origin", "none"]),
-    default="rigid",
-    help="Best fit of positions, equal first poses, or as recorded. [default: rigid]",
-)
+@one_of("--align", among=["rigid", "origin", "none"], text="Best fit of positions, equal first poses, or as recorded.")
 @click.option("--lost", "lost_m", type=Number("metres", 0.0, 1e6), default=1.0, help="Lost beyond. [default: 1]")
 @click.option(
     "--lost-for", "lost_s", type=Number("seconds", 0.0, 1e6), default=10.0, help="Or until the end. [default: 10]"
@@ -56,9 +48,9 @@ _BASELINE_BYTES = 1 << 28
     help='Exit with 1 where it holds, as in "ate_p90 +20%", "lost +5%", "ate_median > 0.3" (repeatable).',
 )  # fmt: skip
 @click.option("--each", is_flag=True, help="A line for every run, not only for those that failed.")
-@click.option("--save", type=_FILE, help="Write the result as JSON: a baseline for later.")
-@click.option("--report", type=_FILE, help="Write all of it as one page of HTML.")
-@click.option("-o", "--output", type=_FILE, help="Picture to write: png, svg or pdf.")
+@click.option("--save", type=FILE, help="Write the result as JSON: a baseline for later.")
+@click.option("--report", type=FILE, help="Write all of it as one page of HTML.")
+@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("existing outputs")
 @unpack_option
 @standard_options
@@ -92,14 +84,12 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
 
 def _refuse(given: dict[str, Any]) -> None:
     """Raise before any work where an output could not be written."""
-    output = given["output"]
-    if output is not None and picture_kind(output) is None:
-        raise click.UsageError(f"{output}: no kind of picture; name it .{', '.join(PICTURES)}")
+    check_picture(given["output"], overwrite=given["overwrite"])
     if given["baseline"] is not None and not given["rules"]:
         raise click.UsageError('--baseline: is for a gate; say what must not rise, as in --fail-if "ate_p90 +20%"')
-    if output is not None or given["report"] is not None:
+    if given["report"] is not None:
         need_pictures()
-    for path in (output, given["report"], given["save"]):
+    for path in (given["report"], given["save"]):
         refuse_existing(path, overwrite=given["overwrite"])
 
 
@@ -134,15 +124,16 @@ def _tell(report: ScoreReport, verdicts: list[Verdict], given: dict[str, Any], v
         for sentence in gates:
             click.echo(sentence, err=True)
 
-    def write_page() -> None:
+    def write_page(path: Path) -> None:
         from odomcorrupt.report.html.score import score_html
 
-        write_text(given["report"], score_html(report, verdicts, version=__version__))
+        write_text(path, score_html(report, verdicts, version=__version__))
 
-    def draw() -> None:
+    def draw(path: Path) -> None:
         from odomcorrupt.report.plots.score import draw_score
 
-        save_picture(given["output"], draw_score(report))
+        save_picture(path, draw_score(report))
 
-    writers = {"save": lambda: write_text(given["save"], text + "\n"), "report": write_page, "output": draw}
-    voice.say(brief, details, values, files={given[o]: w for o, w in writers.items() if given[o] is not None})
+    saved = written(given["save"], lambda path: write_text(path, text + "\n"))
+    files = {**saved, **written(given["report"], write_page), **written(given["output"], draw)}
+    voice.say(brief, details, values, files=files)

@@ -9,53 +9,32 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from odomcorrupt.commands._param_types import Number
+from odomcorrupt.commands._options import FILE, Number
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
-from odomcorrupt.files import refuse_existing, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.commands._standard import Voice
 
-__all__ = ["command", "faults_of", "size_of"]
+__all__ = ["command"]
 
-HEADINGS = {"wheels": "encoders", "gyro": "gyro"}
-"""Sources of heading, as users and as the simulator call them."""
+_ALONE = {
+    "hidden": "stands alone, since what else there is would be known",
+    "none": "stands alone; leave it out or leave out the others",
+}
 _LARGEST = 100.0
 """Largest factor on the usual size of a fault with which a drive is possible."""
 
 
-def faults_of(effects: Sequence[str], heading: str | None) -> tuple[list[str], dict[str, dict[str, float | str]]]:
-    """Return the names of the faults asked for (none: they are drawn), and their parameters as far as given.
-
-    Parameters
-    ----------
-    effects : as in "wheelbase:e=0.01", "hidden" or "none"
-    heading : {"wheels", "gyro"} or None
-        Source of heading asked for.
-    """
-    from odomcorrupt.simulation.fault_draws import EVERY, names_of, source_of_turns
-
-    if "hidden" in effects and len(effects) > 1:
-        raise click.UsageError("--effect hidden: stands alone, since what else there is would be known")
-    if "none" in effects and len(effects) > 1:
-        raise click.UsageError("--effect none: stands alone; leave it out or leave out the others")
-    if not effects or "hidden" in effects:
-        return [], {}
-    if "none" in effects:
-        return ["none"], {}
-    given = dict(_parse(text) for text in effects)
-    try:
-        causes = names_of([text.partition(":")[0].strip() for text in effects])
-        chosen = HEADINGS[heading] if heading else source_of_turns(causes)
-    except EffectError as error:
-        raise click.UsageError(f"--effect {error}") from error
-    for name in causes:
-        if chosen not in EVERY[name].shows_with:
-            raise click.UsageError(f"--heading {heading}: {name} does not show with it; choose the other source")
-    return list(causes), given
+def _faults(effects: Sequence[str]) -> tuple[list[str], dict[str, dict[str, float | str]]]:
+    """Return the names of the faults asked for (none: they are drawn), and their parameters as far as given."""
+    for word, why in _ALONE.items():
+        if word in effects and len(effects) > 1:
+            raise click.UsageError(f"--effect {word}: {why}")
+    parsed = [_parse(text) for text in effects if text != "hidden"]
+    return [name for name, _ in parsed], {name: values for name, values in parsed if name != "none"}
 
 
 def _parse(text: str) -> tuple[str, dict[str, float | str]]:
@@ -76,7 +55,7 @@ def _parse(text: str) -> tuple[str, dict[str, float | str]]:
     return name.strip(), values
 
 
-def size_of(text: str) -> float:
+def _size(text: str) -> float:
     """Return by how much a size in words or figures multiplies a drawn fault."""
     from odomcorrupt.simulation.fault_draws import SIZES
 
@@ -95,29 +74,22 @@ def size_of(text: str) -> float:
 @click.argument("output", type=click.Path(dir_okay=False), required=False)
 @output_option()
 @click.option(
-    "--effect",
-    "effects",
-    multiple=True,
-    metavar="hidden|none|NAME[:KEY=VALUE,...]",
+    "--effect", "effects", multiple=True, metavar="hidden|none|NAME[:KEY=VALUE,...]",
     help="What is wrong with the robot (repeatable; a wrong name lists all). [default: hidden]",
-)
+)  # fmt: skip
 @click.option(
     "--size", default="medium", show_default=True, help="Size of a drawn fault: weak, medium, strong, number."
 )
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the drive and its noise.")
 @click.option("--robot", type=click.IntRange(0), help="Seed of the robot and its fault. [default: the drive's]")
 @click.option(
-    "--route",
-    type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]),
-    default="office",
-    show_default=True,
-    help="Where it drives; with --drive, where its fault has been met.",
-)
+    "--route", type=click.Choice(["office", "loops", "shuttle", "slalom", "yard", "umbmark"]), default="office",
+    show_default=True, help="Where it drives; with --drive, where its fault has been met.",
+)  # fmt: skip
 @click.option(
-    "--drive",
-    type=click.Path(exists=True, path_type=Path),
+    "--drive", type=click.Path(exists=True, path_type=Path),
     help="Bag whose /cmd_vel it follows instead, as `diagnose --drive` writes it.",
-)
+)  # fmt: skip
 @click.option("--truth", type=click.Choice(["mocap", "rtk"]), default="mocap", show_default=True, help="Who watches.")
 @click.option(
     "--heading", type=click.Choice(["wheels", "gyro"]), help="Source of its heading. [default: what the fault needs]"
@@ -126,7 +98,7 @@ def size_of(text: str) -> float:
 @click.option(
     "--duration", "duration_s", type=Number("seconds", 10.0, 1e6), help="Seconds. [default: 600, or as long as --drive]"
 )
-@click.option("--answer", type=click.Path(dir_okay=False, path_type=Path), help="Answer. [default: OUTPUT.answer.toml]")
+@click.option("--answer", type=FILE, help="Answer. [default: OUTPUT.answer.toml]")
 @overwrite_option("existing files")
 @standard_options
 def command(
@@ -142,14 +114,13 @@ def command(
     piped = target == "-"
     if piped and given["answer"] is None:
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
-    names, parameters = faults_of(effects, given["heading"])
+    names, parameters = _faults(effects)
+    try:
+        done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
+    except EffectError as error:
+        raise click.UsageError(f"--effect {error}") from error
     if piped:
-        answer, overwrite = given.pop("answer"), given.pop("overwrite")
-        refuse_existing(answer, overwrite=overwrite)
-        done = simulate(None, effects=names, parameters=parameters, size=size_of(size), **given)
-        write_text(answer, done.answer_text)
         sys.stdout.buffer.write(done.bag)
-        voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {answer}")
-        return
-    done = simulate(target, effects=names, parameters=parameters, size=size_of(size), **given)
-    voice.show(done, err=True)
+        voice.note(f"wrote stdout: {done.settings['duration_s']:g} s; what is wrong is in {done.answer_path}")
+    else:
+        voice.show(done, err=True)

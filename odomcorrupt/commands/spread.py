@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from odomcorrupt.commands._poses import PICTURES, need_pictures, picture_kind, save_picture
-from odomcorrupt.commands._standard import overwrite_option, standard_options
-from odomcorrupt.files import refuse_existing
-from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.commands._options import FILE, check_picture, save_picture
+from odomcorrupt.commands._standard import overwrite_option, standard_options, written
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,9 +27,7 @@ _ERRORS = 2.0
 
 @click.command("spread", short_help="Compare the spread of a batch's runs with the prediction.")
 @click.argument("directory", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Picture to write: png, svg or pdf."
-)
+@click.option("-o", "--output", type=FILE, help="Picture to write: png, svg or pdf.")
 @overwrite_option("an existing picture")
 @standard_options
 def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voice) -> None:
@@ -41,11 +36,7 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
     from odomcorrupt.batching.dispersion import measure
 
-    if output is not None:
-        if picture_kind(output) is None:
-            raise click.UsageError(f"{output}: no kind of picture; name it .{', .'.join(PICTURES)}")
-        need_pictures()
-        refuse_existing(output, overwrite=overwrite)
+    check_picture(output, overwrite=overwrite)
     report = measure(directory)
     rows = [asdict(row) for row in report.rows]
     words = {"schema": 2, "directory": report.directory, "runs": report.runs, "random_effects": report.random_effects}
@@ -55,9 +46,8 @@ def command(directory: Path, output: Path | None, *, overwrite: bool, voice: Voi
 
         save_picture(path, draw_spread(report))
 
-    files = {} if output is None else {output: partial(draw, output)}
     following = ["spread", directory, "-o", "spread.png"] if output is None else ["score", "-h"]
-    voice.say(_brief(report, following), _text(report), finite({**words, "rows": rows}), files=files)
+    voice.say(_brief(report, following), _text(report), {**words, "rows": rows}, files=written(output, draw))
 
 
 def _brief(report: SpreadReport, following: Sequence[object]) -> Summary:

@@ -92,20 +92,31 @@ class ChannelLag(Effect):
         return Recorded(late, way)
 
 
-class _DelayState:
-    """What a delayed channel has not reported yet, and the stretch before it, m or rad over seconds."""
+class _LateState:
+    """The way gone by one channel (m or rad) at times (s), as far as it is needed still."""
 
     def __init__(self) -> None:
         self.clock_s: list[float] = []
         self.gone: list[float] = []
-        self.told = self.last_s = 0.0
+        self.last_s = 0.0
 
-    def reported(self, step: float, now_s: float, tau_s: float) -> float:
-        """Return what is reported over a step that ends then: what was done until tau before, and not yet reported."""
-        if now_s < self.last_s:  # time was reset
+    def elapsed_s(self, now_s: float) -> float:
+        """Return the time since the step before; where time was reset, all is forgotten."""
+        if now_s < self.last_s:
             self.clock_s, self.gone = [], []
             self.last_s = 0.0
         dt_s, self.last_s = now_s - self.last_s, now_s
+        return dt_s
+
+
+class _DelayState(_LateState):
+    """What a delayed channel has not reported yet, and the stretch before it."""
+
+    told = 0.0
+
+    def reported(self, step: float, now_s: float, tau_s: float) -> float:
+        """Return what is reported over a step that ends then: what was done until tau before, and not yet reported."""
+        dt_s = self.elapsed_s(now_s)
         if not dt_s > 0.0:
             return step
         if not self.clock_s:  # before the first interval the robot moved as in it
@@ -121,20 +132,14 @@ class _DelayState:
         return self.told - before
 
 
-class _FilterState:
-    """The last `TRAIL_S` of what a filtered channel reported, m or rad over seconds, and its mean speed over them."""
+class _FilterState(_LateState):
+    """The last `TRAIL_S` of what a filtered channel reported, and its mean speed over them."""
 
-    def __init__(self) -> None:
-        self.clock_s: list[float] = []
-        self.gone: list[float] = []
-        self.speed = self.last_s = 0.0
+    speed = 0.0
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
         """Return what is reported of a step that ends then: r with r + tau (change of the mean speed) = step."""
-        if now_s < self.last_s:  # time was reset
-            self.clock_s, self.gone = [], []
-            self.last_s = 0.0
-        dt_s, self.last_s = now_s - self.last_s, now_s
+        dt_s = self.elapsed_s(now_s)
         if not dt_s > 0.0:
             return step
         if not self.clock_s:  # before the first interval the robot moved as in it

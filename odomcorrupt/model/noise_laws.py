@@ -6,8 +6,8 @@ alpha1..4, in metres and radians. What they mean differs between laws, and the n
 * `diffusion`: standard deviation after one metre or one radian; variance grows with distance, whatever the rate.
 * `linear` (the article; MRPT): standard deviation of one step = coefficient times motion of that step.
 * `article-code` (the article's listing, literally): as `linear`, with each standard deviation squared.
-* `quadratic` (Probabilistic Robotics ch. 5.4; nav2, amcl diff-corrected): *variance* of one step = coefficient times
-  squared motion of that step. `velocity` (ch. 5.3; its alphas in the book's order: trans_trans, trans_rot, rot_trans,
+* `quadratic` (Probabilistic Robotics, table 5.6; nav2, amcl diff-corrected): *variance* of one step = coefficient times
+  squared motion of that step. `velocity` (table 5.3; its alphas in the book's order: trans_trans, trans_rot, rot_trans,
   rot_rot, end_trans, end_rot) and `omni` (amcl omni-corrected, with alpha5) scale the variance likewise.
 
 All but the first depend on the step they are applied to. A law is one function from magnitudes of motion to variances;
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _FOUR = ("rot_rot", "rot_trans", "trans_trans", "trans_rot")
+_VELOCITY = ("trans_trans", "trans_rot", "rot_trans", "rot_rot", "end_trans", "end_rot")
 
 __all__ = ["LAWS", "Coefficients", "Law", "Variances", "law_named", "magnitudes", "variances"]
 
@@ -103,9 +104,8 @@ class Law:
 
     name: str
     rule: _Rule
-    per_step: bool
     degree: int
-    source: str
+    per_step: bool = True
     alphas: tuple[str, ...] = _FOUR
     split: bool = False
     arc: bool = False
@@ -182,58 +182,15 @@ def _omni(k: Coefficients, rot1: Array, trans: Array, rot2: Array) -> Variances:
 LAWS: Mapping[str, Law] = {
     law.name: law
     for law in (
-        Law(
-            "diffusion",
-            _diffusion,
-            per_step=False,
-            degree=2,
-            source="Probabilistic Robotics' growth, the article's units",
-        ),
-        Law(
-            "linear",
-            _linear,
-            per_step=True,
-            degree=2,
-            source="the article (2018); MRPT CActionRobotMovement2D",
-            split=True,
-        ),
-        Law(
-            "quadratic",
-            _quadratic,
-            per_step=True,
-            degree=1,
-            source="Probabilistic Robotics ch. 5.4, table 5.6; nav2_amcl",
-            split=True,
-        ),
-        Law(
-            "velocity",
-            _velocity,
-            per_step=True,
-            degree=1,
-            source="Probabilistic Robotics ch. 5.3, table 5.3",
-            alphas=("trans_trans", "trans_rot", "rot_trans", "rot_rot", "end_trans", "end_rot"),
-            arc=True,
-        ),
-        Law(
-            "omni",
-            _omni,
-            per_step=True,
-            degree=1,
-            source="amcl omni-corrected",
-            alphas=(*_FOUR, "across_trans"),
-            along_travel=True,
-        ),
-        Law(
-            "article-code",
-            _article_code,
-            per_step=True,
-            degree=4,
-            source="the article's listing (2018), which draws with sd * sd in the place of sd",
-            split=True,
-            fitted=False,
-        ),
+        Law("diffusion", _diffusion, per_step=False, degree=2),
+        Law("linear", _linear, degree=2, split=True),
+        Law("quadratic", _quadratic, degree=1, split=True),
+        Law("velocity", _velocity, degree=1, alphas=_VELOCITY, arc=True),
+        Law("omni", _omni, degree=1, alphas=(*_FOUR, "across_trans"), along_travel=True),
+        Law("article-code", _article_code, degree=4, split=True, fitted=False),
     )
 }
+"""Their sources are named above."""
 
 
 def law_named(name: str) -> Law:

@@ -28,17 +28,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = [
-    "SCHEMA",
-    "CleanDrive",
-    "Forecast",
-    "Row",
-    "brief",
-    "forecast",
-    "forecast_json",
-    "forecast_text",
-    "read_clean_drive",
-]
+__all__ = ["CleanDrive", "Forecast", "brief", "forecast", "forecast_json", "forecast_text", "read_clean_drive"]
 
 DRAWN_POINTS, DRAWN_RUNS = 600, 100
 """Points of a path, and runs, that are kept for a picture at most."""
@@ -210,7 +200,7 @@ def brief(outlook: Forecast, model: MotionModel, origin: str, seed: int, followi
     lines.append(Line("model", model_brief(model, origin.partition(":")[0])))
     if not per_message(model.noise) and not model.noise.coefficients.silent:
         lines.append(Line("rate", "the noise does not depend on the message rate"))
-    return Summary((*lines, *([command_line(following)] if following else [])))
+    return Summary((*lines, command_line(following)))
 
 
 def forecast_text(outlook: Forecast, model: MotionModel, origin: str, seed: int) -> str:

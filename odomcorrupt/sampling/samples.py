@@ -22,21 +22,8 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.noise_laws import Variances
 
-__all__ = [
-    "DEFAULT_EXAMPLE",
-    "EXAMPLES",
-    "Ellipse",
-    "Example",
-    "Moments",
-    "Move",
-    "ellipse",
-    "example_named",
-    "linearised_moments",
-    "move_between",
-    "move_sampled",
-    "move_variances",
-    "sample_moments",
-]
+__all__ = ["DEFAULT_EXAMPLE", "EXAMPLES", "Moments", "Move", "ellipse", "example_named", "linearised_moments",
+           "move_between", "move_sampled", "move_variances", "sample_moments", "with_noise"]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from odomcorrupt.report.text.summary import Line, Summary
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.sampling.samples import ellipse, linearised_moments, sample_moments
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from odomcorrupt.model.noise_laws import Variances
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["Drawn", "brief", "csv_text", "json_text", "law_meaning", "law_words", "report_text", "title"]
+__all__ = ["Drawn", "brief", "csv_text", "drawn_json", "law_meaning", "law_words", "report_text", "title"]
 
 _ARTICLE_CODE = (
     "article-code: the listing passes sd*sd where a standard deviation is asked for, so what is drawn has deviation "
@@ -67,8 +66,7 @@ def brief(drawn: Drawn, following: str = "") -> Summary:
     lines.append(Line("noise", law_words(drawn.noise)))
     lines += [Line("note", _ARTICLE_CODE, "warning")] if drawn.article_code else []
     lines += [Line("note", note, "warning") for note in drawn.notes]
-    lines += [Line("next", following, "command")] if following else []
-    return Summary(tuple(lines))
+    return Summary((*lines, command_line(following)))
 
 
 def csv_text(xyt: Array) -> str:
@@ -77,13 +75,13 @@ def csv_text(xyt: Array) -> str:
     return "\n".join(["x_m,y_m,theta_rad", *rows]) + "\n"
 
 
-def json_text(drawn: Drawn) -> str:
-    """Return everything as JSON: motion, noise, samples, moments drawn and linearised."""
+def drawn_json(drawn: Drawn) -> dict[str, Any]:
+    """Return everything as plain values: motion, noise, samples, moments drawn and linearised."""
     noise, v = drawn.noise, drawn.variances
     parts = drawn.move.parts
     linear = linearised_moments(drawn.move, v)
     about = ellipse(linear, 1.0)
-    content: dict[str, Any] = {
+    return {
         "law": noise.law_name,
         "step": None if noise.step is None else str(noise.step),
         "coefficients": dataclasses.asdict(noise.coefficients),
@@ -108,7 +106,6 @@ def json_text(drawn: Drawn) -> str:
         "notes": list(drawn.notes),
         "xyt": drawn.xyt.tolist(),
     }
-    return json.dumps(content, indent=1) + "\n"
 
 
 def _moments(moments: Moments) -> dict[str, Any]:
@@ -117,8 +114,7 @@ def _moments(moments: Moments) -> dict[str, Any]:
 
 def report_text(drawn: Drawn) -> str:
     """Return what was drawn in a few lines."""
-    move, v, parts = drawn.move, drawn.variances, drawn.move.parts
-    degrees = math.degrees
+    move, v, parts, degrees = drawn.move, drawn.variances, drawn.move.parts, math.degrees
     rot1, rot2, trans = (float(values[0]) for values in (parts.rot1_rad, parts.rot2_rad, parts.trans_m))
     deviation = [math.sqrt(float(values[0])) for values in (v.rot1, v.trans, v.rot2)]
     lines = [

@@ -1,20 +1,15 @@
-"""Presets: listed with law, numbers and source; printed as model files; offered by the shell."""
+"""Presets: listed with law, numbers and source; printed as model files."""
 
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.effects import registry
 from odomcorrupt.model.model_file import parse_model
-from odomcorrupt.model.noise_laws import LAWS
 from odomcorrupt.model.presets import PRESETS
 
 OFFICE = str(Path(__file__).parents[2] / "fixtures" / "office.mcap")
@@ -63,19 +58,3 @@ def test_a_preset_that_is_none_is_wrong_usage_of_this_command(capsys):
 def test_one_word_alone_is_reported_what_it_is_not(words, sentence, capsys):
     assert run(words) == 2
     assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("odomcorrupt in.bag out.bag --law ", set(LAWS)),
-        ("odomcorrupt preview in.bag --preset opti", {"optitrack-diff-drive", "optitrack-tricycle"}),
-        ("odomcorrupt in.bag out.bag --effect gyro", {name for name in registry() if name.startswith("gyro")}),
-    ],
-)
-def test_the_shell_completes_laws_presets_and_effects(words, expected):
-    told = {"_ODOMCORRUPT_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
-    done = subprocess.run(
-        [sys.executable, "-m", "odomcorrupt"], env=os.environ | told, capture_output=True, text=True, check=False
-    )
-    assert set(done.stdout.split()) == {f"plain,{name}" for name in expected}

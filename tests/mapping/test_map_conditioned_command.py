@@ -7,7 +7,7 @@ from packed import grid
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.cli import run
-from odomcorrupt.commands._poses import POSE
+from odomcorrupt.commands._options import POSE
 from odomcorrupt.errors import TopicError
 from odomcorrupt.mapping import map_condition
 from odomcorrupt.mapping.free_space import free_space

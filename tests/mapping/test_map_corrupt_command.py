@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from odomcorrupt.cli import run
-from odomcorrupt.commands._poses import POSE
+from odomcorrupt.commands._options import POSE
 from odomcorrupt.mapping.free_space import free_space
 from odomcorrupt.mapping.map_condition import read_map_from_odom
 from odomcorrupt.mapping.mapfile import OCCUPIED, Grid, format_map, read_map

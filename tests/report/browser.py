@@ -17,15 +17,16 @@ class Tab:
     """One page in the browser.
 
     complaints : what the page wrote to its console, exceptions included
+    asked : addresses that it asked for beyond itself
     """
 
     def __init__(self, wire_in, wire_out):
         self._in, self._out, self._last = wire_in, wire_out, 0
         self._session = None
-        self.complaints = []
+        self.complaints, self.asked = [], []
         target = self.ask("Target.createTarget", url="about:blank")["targetId"]
         self._session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log"):
+        for domain in ("Page", "Runtime", "Log", "Network"):
             self.ask(f"{domain}.enable")
 
     def ask(self, method, **params):
@@ -49,12 +50,16 @@ class Tab:
         said = json.loads(raw)
         if said.get("method") in {"Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"}:
             self.complaints.append(json.dumps(said["params"]))
+        url = said["params"]["request"]["url"] if said.get("method") == "Network.requestWillBeSent" else "about:blank"
+        if not url.startswith(("file:", "data:", "about:")):
+            self.asked.append(url)
         self.seen = said
         return said
 
     def show(self, page, width, height=900, *, phone=False, dark=False):
         """Load a file as a screen of this size shows it."""
         self.complaints.clear()
+        self.asked.clear()
         self.ask(
             "Emulation.setDeviceMetricsOverride",
             width=width, height=height, deviceScaleFactor=1, mobile=phone, screenWidth=width, screenHeight=height,

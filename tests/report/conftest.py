@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, browser
 
 from odomcorrupt.effects import effect_from_values
 from odomcorrupt.model.model_file import format_model
@@ -18,8 +19,7 @@ from odomcorrupt.study.io.recording import Recording, Trajectory
 from odomcorrupt.study.validate.compare import compare
 
 BASE = MotionModel(
-    Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)),
-    setup=Setup(truth=TruthNoise(0.002, 0.0035, 3e-6)),
+    Noise("diffusion", Coefficients(0.004, 0.0085, 0.0012, 0.0014)), setup=Setup(truth=TruthNoise(0.002, 0.0035, 3e-6))
 )
 CURVATURE = -0.0133
 
@@ -35,6 +35,15 @@ class Case(NamedTuple):
 
 def unwrapped(stamps, xyt):
     return Trajectory(stamps, np.column_stack((xyt[:, :2], np.unwrap(xyt[:, 2]))))
+
+
+@pytest.fixture
+def tab(tmp_path):
+    """Return a page in a real browser; the test is skipped where there is none."""
+    if not CHROMIUM.exists():
+        pytest.skip(f"no {CHROMIUM} here: the page was not rendered")
+    with browser(tmp_path) as page:
+        yield page
 
 
 @pytest.fixture(scope="session")

@@ -32,7 +32,7 @@ def test_json_has_the_numbers_behind_and_a_rejected_model_fails_where_that_is_as
     assert compare(case, case.base, "--json", "--fail-if-rejected") == REJECTED == 4
     model = json.loads(capsys.readouterr().out)["models"][0]
     assert model["verdict"]["rejected"] is True
-    assert model["verdict"]["threshold"] == pytest.approx(model["verdict"]["level"] / len(model["verdict"]["looks"]))
+    assert model["verdict"]["threshold"] == pytest.approx(model["verdict"]["level"] / len(model["verdict"]["checks"]))
     assert [h["distance_m"] for h in model["horizons"]][:4] == [1.0, 2.0, 5.0, 10.0]
     first = model["horizons"][0]
     assert set(first["coverage_50"]) == {"along", "across", "yaw"}
@@ -63,8 +63,8 @@ def test_report_and_pictures_are_written_once(case, tmp_path, capsys):
     ("plot", "words"),
     [
         ("cloud=a.png", "there are error, path"),
-        ("error=a.bmp", "end it in .png"),
-        ("a", "end it in .png"),
+        ("error=a.bmp", "a.bmp: ends in .bmp; write .png"),
+        ("a", "a: ends in nothing; write .png"),
     ],
 )
 def test_a_picture_that_is_not_there_is_named(case, capsys, plot, words):

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, browser
 from matplotlib.image import imread
 from scipy.stats import chi2
 
@@ -85,45 +84,42 @@ def test_third_model_has_tick_labels_and_a_legend_of_its_own(comparison):
 
 
 @pytest.mark.slow
-def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, case, base_model, tmp_path):
-    if not CHROMIUM.exists():
-        pytest.skip("no /usr/bin/chromium here: the page was not rendered")
+def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, case, base_model, tab, tmp_path):
     long = "a_recording_with_a_name_that_has_no_place_to_break_020120212354_run1_of_many_more.mcap"
     found = compare([replace(case.recording, name=long)], {"base.toml": base_model, long: base_model, "c": base_model})
     (tmp_path / "long.html").write_text(report_html(found, version="0"))
     (tmp_path / "page.html").write_text(page)
-    with browser(tmp_path) as tab:
-        for name, width, phone, dark in (
-            ("page", 1280, False, False), ("page", 1280, False, True), ("page", 360, True, False),
-            ("long", 360, True, True),
-        ):  # fmt: skip
-            tab.show(tmp_path / f"{name}.html", width, phone=phone, dark=dark)
-            assert tab.run("document.documentElement.scrollWidth") <= width, (name, width)
-            assert tab.run("document.querySelectorAll('#plane path').length") > 20
-            assert tab.run("getComputedStyle(document.body).backgroundColor === 'rgb(255, 255, 255)'") is not dark
-            assert tab.complaints == []
-            tab.screenshot(tmp_path / f"{name}_{width}.png")
-            assert imread(tmp_path / f"{name}_{width}.png").shape[1] == width
-        tab.show(tmp_path / "page.html", 1280)
-        drawn = tab.run("document.querySelectorAll('#plane path.run').length")
-        tab.run("document.querySelectorAll('.controls input')[0].click()")
-        assert 0 < tab.run("document.querySelectorAll('#plane path.run').length") < drawn
-        assert tab.run("document.querySelector('[data-model=\"0\"]').hidden") is True
-        assert tab.run("document.querySelectorAll('.span').length") == 0
-        motion = next(i for i, f in enumerate(comparison.judgements[0].failures) if f.kind == "motion")
-        tab.run(f"document.querySelector('[data-look=\"0,{motion}\"]').click()")
-        marked = tab.run("[document.querySelectorAll('path.mark').length, document.querySelectorAll('.span').length]")
-        assert marked[0] == marked[1] > 0
-        before = tab.run("document.querySelector('#plane g').getAttribute('transform')")
-        tab.run("document.querySelector('[aria-label=\"zoom in\"]').click()")
-        assert tab.run("document.querySelector('#plane g').getAttribute('transform')") != before
-        tab.run("document.querySelector('[aria-label=\"show all\"]').click()")
-        box = tab.run("(() => { const b = document.querySelector('.start').getBoundingClientRect(); "
-                      "return [b.x + 4, b.y + 4]; })()")  # fmt: skip
-        tab.ask("Input.dispatchMouseEvent", type="mouseMoved", x=box[0], y=box[1])
-        assert "0.00 m driven" in tab.run("document.querySelector('.tip').textContent")
-        rows = "document.querySelectorAll('[data-model=\"1\"] tbody tr:not([hidden])').length"
-        shown = tab.run(rows)
-        tab.run("document.querySelectorAll('fieldset')[2].querySelector('input').click()")
-        assert tab.run(rows) == shown - 1
+    for name, width, phone, dark in (
+        ("page", 1280, False, False), ("page", 1280, False, True), ("page", 360, True, False),
+        ("long", 360, True, True),
+    ):  # fmt: skip
+        tab.show(tmp_path / f"{name}.html", width, phone=phone, dark=dark)
+        assert tab.run("document.documentElement.scrollWidth") <= width, (name, width)
+        assert tab.run("document.querySelectorAll('#plane path').length") > 20
+        assert tab.run("getComputedStyle(document.body).backgroundColor === 'rgb(255, 255, 255)'") is not dark
         assert tab.complaints == []
+        tab.screenshot(tmp_path / f"{name}_{width}.png")
+        assert imread(tmp_path / f"{name}_{width}.png").shape[1] == width
+    tab.show(tmp_path / "page.html", 1280)
+    drawn = tab.run("document.querySelectorAll('#plane path.run').length")
+    tab.run("document.querySelectorAll('.controls input')[0].click()")
+    assert 0 < tab.run("document.querySelectorAll('#plane path.run').length") < drawn
+    assert tab.run("document.querySelector('[data-model=\"0\"]').hidden") is True
+    assert tab.run("document.querySelectorAll('.span').length") == 0
+    motion = next(i for i, f in enumerate(comparison.judgements[0].failures) if f.kind == "motion")
+    tab.run(f"document.querySelector('[data-look=\"0,{motion}\"]').click()")
+    marked = tab.run("[document.querySelectorAll('path.mark').length, document.querySelectorAll('.span').length]")
+    assert marked[0] == marked[1] > 0
+    before = tab.run("document.querySelector('#plane g').getAttribute('transform')")
+    tab.run("document.querySelector('[aria-label=\"zoom in\"]').click()")
+    assert tab.run("document.querySelector('#plane g').getAttribute('transform')") != before
+    tab.run("document.querySelector('[aria-label=\"show all\"]').click()")
+    box = tab.run("(() => { const b = document.querySelector('.start').getBoundingClientRect(); "
+                  "return [b.x + 4, b.y + 4]; })()")  # fmt: skip
+    tab.ask("Input.dispatchMouseEvent", type="mouseMoved", x=box[0], y=box[1])
+    assert "0.00 m driven" in tab.run("document.querySelector('.tip').textContent")
+    rows = "document.querySelectorAll('[data-model=\"1\"] tbody tr:not([hidden])').length"
+    shown = tab.run(rows)
+    tab.run("document.querySelectorAll('fieldset')[2].querySelector('input').click()")
+    assert tab.run(rows) == shown - 1
+    assert tab.complaints == []

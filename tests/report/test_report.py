@@ -5,13 +5,10 @@ from __future__ import annotations
 import base64
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from hashlib import sha256
 from html import unescape
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +24,6 @@ from odomcorrupt.report.text.lack_of_fit import MOST, judgement_sentence, senten
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.validate.compare import compare
 
-CHROMIUM = Path("/usr/bin/chromium")
 VOID = {"meta", "img", "link", "br", "hr"}
 
 
@@ -46,12 +42,18 @@ class Balanced(HTMLParser):
         assert self.open.pop() == tag
 
 
-def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
+def parsed_page(page):
+    """Return a page's tags and sources; it is whole, small, and asks for nothing but itself."""
     parsed = Balanced()
     parsed.feed(page)
     assert not parsed.open
     assert len(page.encode()) <= 3_000_000
     assert all(source.startswith("data:") for source in parsed.sources)
+    return parsed
+
+
+def test_the_page_is_whole_small_and_needs_nothing_but_itself(page):
+    parsed = parsed_page(page)
     assert "@import" not in page
     assert "url(" not in page
     assert "@media print" in page
@@ -133,40 +135,20 @@ def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, ba
     assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", shown)).lower().split()
 
 
-def browse(page: Path, folder: Path) -> tuple[list[str], list[str]]:
-    """Return what a real browser logs to its console, and the addresses it asks for beyond the page itself."""
-    if not CHROMIUM.exists():
-        pytest.skip("no /usr/bin/chromium here: the page was not rendered")
-    net = folder / f"{page.stem}.net.json"
-    done = subprocess.run(
-        [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-background-networking",
-         "--disable-component-update", "--disable-sync", "--no-first-run", "--no-default-browser-check",
-         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-         f"--user-data-dir={folder / 'profile'}", "--enable-logging=stderr", "--hide-scrollbars",
-         f"--log-net-log={net}", "--window-size=1150,6000", f"--screenshot={page.with_suffix('.png')}", page.as_uri()],
-        capture_output=True, text=True, timeout=120, check=False,
-    )  # fmt: skip
-    said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    events = [event.get("params", {}) for event in json.loads(net.read_text())["events"]]
-    # what the browser asks of its maker has no page as its origin
-    asked = {event["url"] for event in events if event.get("initiator", "not an origin") != "not an origin"}
-    own = ("file:", "data:", "about:")
-    return said, sorted(url for url in asked if not url.startswith(own))
-
-
-def test_a_real_browser_shows_the_page_without_complaint_and_without_a_network(page, tmp_path):
+def test_a_real_browser_shows_the_page_without_complaint_and_without_a_network(page, tab, tmp_path):
     # a page that does what ours must not: what is looked for can be seen
     (tmp_path / "bad.html").write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('heard')</script>")
-    said, asked = browse(tmp_path / "bad.html", tmp_path)
-    assert any("heard" in line for line in said)
-    assert asked == ["http://127.0.0.1:9/x.png"]
-
+    tab.show(tmp_path / "bad.html", 1150)
+    assert any("heard" in line for line in tab.complaints)
+    assert tab.asked == ["http://127.0.0.1:9/x.png"]
     (tmp_path / "report.html").write_text(page)
-    said, asked = browse(tmp_path / "report.html", tmp_path)
-    assert said == []
-    assert asked == []
-    shown = imread(tmp_path / "report.png")[:, :, :3]
-    inked = np.mean(shown < 0.95, axis=(1, 2)) > 0.0
     # words, tables and six pictures fill most of a long page
-    assert inked.sum() > 2500
-    shutil.rmtree(tmp_path / "profile", ignore_errors=True)
+    assert shown(tab, tmp_path / "report.html") > 2500
+
+
+def shown(tab, page):
+    """Return how many rows of pixels of a page are not empty; it neither complains nor asks for anything."""
+    tab.show(page, 1150, 6000)
+    assert (tab.complaints, tab.asked) == ([], [])
+    tab.screenshot(page.with_suffix(".png"))
+    return (np.mean(imread(page.with_suffix(".png"))[:, :, :3] < 0.95, axis=(1, 2)) > 0.0).sum()

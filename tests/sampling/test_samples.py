@@ -139,11 +139,7 @@ def test_velocity_law_drives_the_exact_arc_of_the_book():
     errors = np.random.default_rng(3).standard_normal((1000, 4)) * np.array([0.3, 0.3, 0.0, 0.1])
     v_hat, omega_hat = v + errors[:, 1], omega + errors[:, 0]
     book = np.column_stack(
-        (
-            v_hat / omega_hat * np.sin(omega_hat),
-            v_hat / omega_hat * (1.0 - np.cos(omega_hat)),
-            omega_hat + errors[:, 3],
-        )
+        (v_hat / omega_hat * np.sin(omega_hat), v_hat / omega_hat * (1.0 - np.cos(omega_hat)), omega_hat + errors[:, 3])
     )
     np.testing.assert_allclose(with_noise(move, errors), book, atol=1e-9)
     # what a Kalman filter takes for it agrees where the noise is small

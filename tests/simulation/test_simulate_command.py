@@ -94,10 +94,10 @@ def test_control_has_no_causes(tmp_path):
         (["--effect", "hidden", "--effect", "slope"], 2, "alone"),
         (["--effect", "slope:creep"], 2, "key=value"),
         (["--size", "huge"], 2, "weak, medium, strong"),
-        (["--effect", "slope:crep=0.1"], 1, "it has creep, direction"),
-        (["--effect", "side_slip:k=-0.1"], 1, "no negative"),
-        (["--effect", "slope:creep=much"], 1, "no number"),
-        (["--effect", "gauss_markov:channel=up"], 1, "along or yaw"),
+        (["--effect", "slope:crep=0.1"], 2, "it has creep, direction"),
+        (["--effect", "side_slip:k=-0.1"], 2, "no negative"),
+        (["--effect", "slope:creep=much"], 2, "no number"),
+        (["--effect", "gauss_markov:channel=up"], 2, "along or yaw"),
     ],
 )
 def test_what_makes_no_sense_is_said(tmp_path, capsys, options, code, says):

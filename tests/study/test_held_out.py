@@ -13,7 +13,7 @@ from odomcorrupt.effects import effect_from_values
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.report.text.confidence import clocks_found
+from odomcorrupt.report.text.numbers import clocks_found
 from odomcorrupt.study.estimate.clocks import Clocks
 from odomcorrupt.study.estimate.config import Approach
 from odomcorrupt.study.estimate.gauss_newton import fit

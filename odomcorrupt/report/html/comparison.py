@@ -42,7 +42,7 @@ def _models_line(comparison: Comparison) -> str:
     names = ", ".join(j.name for j in comparison.judgements)
     if any(j.refitted for j in comparison.judgements):
         return (
-            f"Models: {names}. Fitted on these recordings, so refitted on one half and judged on the other, both ways."
+            f"Models: {names}. Fitted on these recordings: refitted on one half and evaluated on the other, both ways."
         )
     return f"Models: {names}. Evaluation on recordings that they were not fitted on."
 

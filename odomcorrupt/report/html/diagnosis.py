@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from html import escape
+from itertools import pairwise
+from math import isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
-from odomcorrupt.report.html.cards import cards
 from odomcorrupt.report.html.comparison import sequence_table
 from odomcorrupt.report.html.explorer import explorer, failure_items, script_hash
 from odomcorrupt.report.html.page import page, picture, prose, table
@@ -14,15 +15,29 @@ from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.residuals import draw_residuals
 from odomcorrupt.report.text.design import advice_sentences, drive_sentence, limit_size
 from odomcorrupt.report.text.diagnosis import NOTHING, dependence, unnamed
-from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection
+from odomcorrupt.report.text.lack_of_fit import SIGNS, rejection, size
+from odomcorrupt.report.text.numbers import (
+    clock_lines,
+    effects_with_errors,
+    fitted_expression,
+    law_numbers,
+    noise_confidence,
+    noise_text,
+    numbers_text,
+    step_confidence,
+    words_text,
+)
 from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.design.advise import Advice
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
 __all__ = ["Story", "found_html"]
@@ -31,7 +46,7 @@ __all__ = ["Story", "found_html"]
 class Story(NamedTuple):
     """A search from its beginning to its advice.
 
-    sequence : the models on the way judged on held-out halves, or what a search is judged by instead
+    sequence : the models on the way, evaluated on held-out halves, or what a search is evaluated by instead
     next_command : what to type next, or ""
     """
 
@@ -49,10 +64,10 @@ def found_html(story: Story, *, version: str) -> str:
     body = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="verdict{" rejected" if learned.added or learned.unknown else ""}">{escape(_verdict(story))}.</p>',
-        *cards(learned, sequence),
+        *_cards(learned, sequence),
         "<h2>What to do next</h2>",
         _next(story),
-        f"<h2>{'The error falls' if _falls(sequence) else 'The error'}</h2>",
+        f"<h2>The error{' falls' if agreement_of(sequence).verdict == 'better' else ''}</h2>",
         sequence_table(sequence),
         *_left(sequence),
         explorer(sequence),
@@ -91,12 +106,7 @@ _UNKNOWN = "What is left when everything that was found is taken out, as a curve
 def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
     if learned.added:
-        named = [step for step in learned.steps if step.added is not None]
-        names = [
-            _named(str(step.added), step.alternatives, learned)
-            + (" (negligible)" if learned.is_negligible(str(step.added)) else "")
-            for step in named
-        ]
+        names = [_named(step.added, step.alternatives, learned) for step in learned.steps if step.added is not None]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")
@@ -110,17 +120,18 @@ def _verdict(story: Story) -> str:
 
 
 def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
-    """Return a name with its twins as readings of it, and its rivals after "or"."""
+    """Return a name with its twins as readings of it, its rivals after "or", and whether it is negligible."""
     own = next((effect for effect in learned.fit.effects if effect.name == name), name)
     twins = readings_of(own, learned.drive_type)
     rivals = [other for other in alternatives if other not in twins]
-    return " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
+    said = " or ".join([f"{name} (= {', '.join(twins)})" if twins else name, *rivals])
+    return f"{said} (negligible)" if learned.is_negligible(name) else said
 
 
 def _next(story: Story) -> str:
     items = [*advice_sentences(story.advice)]
     items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
-    listed = f"<ul>{_items(items)}</ul>" if items else ""
+    listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""
     command = f"<pre>{escape(story.next_command)}</pre>" if story.next_command else ""
     nothing = "" if listed or command else "<p>Nothing is open that another drive would settle.</p>"
     if story.sequence.judgements[-1].verdict.fails and not story.learned.unknown:
@@ -137,14 +148,6 @@ def _left(sequence: Comparison) -> list[str]:
             f'<p class="quiet">{escape(SIGNS)}</p>']  # fmt: skip
 
 
-def _falls(sequence: Comparison) -> bool:
-    return agreement_of(sequence).verdict == "better"
-
-
-def _items(sentences: Iterable[str]) -> str:
-    return "".join(f"<li>{prose(s)}.</li>" for s in sentences)
-
-
 def _detectable(advice: Advice) -> list[str]:
     """Return the sizes that would have been seen, side by side to save height."""
     if not advice.limits:
@@ -158,7 +161,68 @@ def _detectable(advice: Advice) -> list[str]:
 
 def _legend(version: str) -> str:
     return (
-        "Held-out: every model on the way was fitted again on one half of each recording and judged on the other, both "
+        "Held-out: every model on the way was refitted on one half of each recording and evaluated on the other, both "
         "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Sizes that would have been seen are "
         f"4.2 standard errors. Made by odomcorrupt {version}."
     )
+
+
+def _cards(learned: Learned, sequence: Comparison) -> list[str]:
+    """Return everything that was found as cards: name, numbers, confidence, and the error before and after."""
+    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
+    names = [recording.name for recording in learned.fit.problem.recordings]
+    found = [_clock(line) for line in clock_lines(names, learned.clocks)]
+    found += [_effect(step, learned, *own[step.added], sequence) for step in learned.steps if step.added in own]
+    found += [_noise(gain, learned) for gain in learned.noise]
+    found += [_unknown(unknown, learned) for unknown in learned.unknown[:3]]
+    return [f'<div class="cards">{"".join(found)}</div>'] if found else []
+
+
+def _card(kind: str, title: str, lines: Sequence[str]) -> str:
+    return f'<section class="card {kind}"><h3>{escape(title)}</h3>{"".join(lines).replace("+-", "±")}</section>'
+
+
+def _clock(line: str) -> str:
+    name, _, value = line.partition(": the odometry's clock is off: ")
+    return _card("setup", "clock", [f'<p class="value">{escape(value)}</p>', f"<p>of {escape(name)}</p>"])
+
+
+def _effect(step: Step, learned: Learned, effect: Effect, errors: Sequence[float], sequence: Comparison) -> str:
+    lines = [*_values(numbers_text(effect, errors)), f"<p>{escape(effect.summary)}</p>"]
+    if twins := readings_of(effect, learned.drive_type):
+        lines.append(f"<p>= {escape(', '.join(twins))}: one error with two readings</p>")
+    if rivals := [name for name in step.alternatives if name not in twins]:
+        lines.append(f"<p>or {escape(', '.join(rivals))}: these data do not separate them</p>")
+    lines += _meter(step_confidence(step, learned), step.candidates[0].gain)
+    for one, other in pairwise(sequence.judgements):
+        before, after = one.ten_second_error_m, other.ten_second_error_m
+        if other.name == f"+ {step.added}" and isfinite(before) and isfinite(after):
+            change = f"{size('along', before)} → <strong>{size('along', after)}</strong>"
+            lines.append(f"<p>10 s error {change}, held out</p>")
+    return _card(effect.kind, effect.name + words_text(effect), lines)
+
+
+def _values(numbers: Iterable[str]) -> list[str]:
+    return [f'<p class="value">{escape(number)}</p>' for number in numbers]
+
+
+def _meter(sure: float, nats: float) -> list[str]:
+    return [
+        f'<span class="meter"><span style="width:{100.0 * sure:.1f}%"></span></span>',
+        f"<p>{100.0 * sure:.1f} % confidence, {nats:.0f} nats</p>",
+    ]
+
+
+def _noise(gain: RandomCoefficient, learned: Learned) -> str:
+    channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
+    lines = [*_values(noise_text(gain.effect)), f"<p>noise: {escape(gain.effect.summary)}</p>"]
+    lines += _meter(noise_confidence(gain, learned), gain.nats)
+    return _card("noise", gain.effect.name + channel, lines)
+
+
+def _unknown(unknown: Dependence, learned: Learned) -> str:
+    expression = fitted_expression(unknown, law_numbers(unknown, learned))
+    what = f"{dependence(unknown)} ({unknown.nats:.0f} nats), and no known effect explains it"
+    then = "fitted" if unknown in learned.laws else "suggested"
+    lines = [f"<p>{escape(what)}; {then}:</p>", f"<p><code>{escape(expression)}</code></p>"]
+    return _card("unknown", "unknown", lines)

@@ -10,13 +10,13 @@ from base64 import b64encode
 from dataclasses import dataclass
 from hashlib import sha256
 from html import escape
-from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import between, compose
+from odomcorrupt.report.html.page import resource
 from odomcorrupt.report.plots.model_sequence import rms_interval
 from odomcorrupt.report.text.lack_of_fit import MOST, sentence
 from odomcorrupt.study.estimate.problem import undo
@@ -51,13 +51,13 @@ def explorer(comparison: Comparison) -> str:
         "explored here; everything below is complete without.</p></noscript>"
         '<div id="explorer" hidden></div>'
         f'<script type="application/json" id="explorer-data">{content}</script>'
-        f"<script>{_script()}</script>"
+        f"<script>{resource('explorer.js')}</script>"
     )
 
 
 def script_hash() -> str:
     """Return the hash by which the page's policy admits the one script it carries."""
-    return f"sha256-{b64encode(sha256(_script().encode()).digest()).decode()}"
+    return f"sha256-{b64encode(sha256(resource('explorer.js').encode()).digest()).decode()}"
 
 
 def failure_items(judgement: Judgement, number: int) -> str:
@@ -67,10 +67,6 @@ def failure_items(judgement: Judgement, number: int) -> str:
         for i, failure in enumerate(judgement.failures[:MOST])
     )
     return f"<ol>{''.join(items)}</ol>"
-
-
-def _script() -> str:
-    return files("odomcorrupt.report.html").joinpath("explorer.js").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from odomcorrupt.report.html.page import page, picture, table
-from odomcorrupt.report.plots.score import draw_along, draw_drift, draw_places
+from odomcorrupt.report.plots.score import along, draw_alone, drift, places
 from odomcorrupt.report.text.score import METRIC_WORDS, metric_text, run_cells, run_heads, sentences
 
 if TYPE_CHECKING:
@@ -35,13 +35,13 @@ def score_html(report: ScoreReport, verdicts: Sequence[Verdict], *, version: str
         *(f"<p>{escape(sentence)}</p>" for sentence in rest),
         picture(
             "drift", "Error against drift", "One mark per run. Line: the drift at which 5 % of runs are lost, band: "
-            "its 95 % interval.", draw_drift(report),
+            "its 95 % interval.", draw_alone(drift, report, 8.0, 4.2),
         ),
         picture(
             "along", "Error along the path", "Position error of each run over the distance driven; lost runs are red.",
-            draw_along(report),
+            draw_alone(along, report, 8.0, 4.2),
         ),
-        picture("places", "Where it fails", "Crosses: where runs were lost.", draw_places(report)),
+        picture("places", "Where it fails", "Crosses: where runs were lost.", draw_alone(places, report, 7.0, 6.0)),
         "<h2>Over runs</h2>",
         _summary(report),
         _sections(report),

@@ -23,7 +23,7 @@ SCHEMA = 2
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
     """Return a comparison."""
-    values: dict[str, Any] = finite(
+    return finite(
         {
             "schema": SCHEMA,
             "signs": SIGNS,
@@ -38,7 +38,6 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             "models": [_judgement(j) for j in comparison.judgements],
         }
     )
-    return values
 
 
 def _judgement(j: Judgement) -> dict[str, Any]:
@@ -56,7 +55,7 @@ def _judgement(j: Judgement) -> dict[str, Any]:
             "fails": j.verdict.fails,
             "misfit": j.verdict.misfit,
             "level": j.verdict.level,
-            "looks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
+            "checks": [{"question": test.question, "p": test.p} for test in j.verdict.checks],
             "threshold": j.verdict.threshold,
             "sentence": judgement_sentence(j),
         },

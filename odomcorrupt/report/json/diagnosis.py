@@ -1,23 +1,23 @@
-"""Results of the study as JSON: schema 2, described in docs/json.md. No NaN ever: what is not known is null."""
+"""Fits and findings as JSON: schema 2, described in docs/json.md. No NaN ever: what is not known is null."""
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.report.json.numbers import finite
-from odomcorrupt.report.text.confidence import (
+from odomcorrupt.report.text.design import drive_sentence
+from odomcorrupt.report.text.diagnosis import position_error
+from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
+from odomcorrupt.report.text.numbers import (
     clocks_found,
+    effects_with_errors,
     fitted_expression,
     law_numbers,
     noise_confidence,
     step_confidence,
 )
-from odomcorrupt.report.text.design import drive_sentence
-from odomcorrupt.report.text.diagnosis import position_error
-from odomcorrupt.report.text.lack_of_fit import rejection, reproduction_sentence
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.validate.clock_gain import clock_gain
 
@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
     from odomcorrupt.effects.effect import Effect
-    from odomcorrupt.report.text.confidence import LawNumber
+    from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
+    from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.candidates import Candidate
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.compare import Judgement
     from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = ["learned_json", "recordings_json", "reproduction_json"]
+__all__ = ["fit_json", "learned_json", "recordings_json", "reproduction_json"]
 
 SCHEMA = 2
 
@@ -46,32 +47,29 @@ def learned_json(
     sequence: Sequence[Judgement],
     advice: Advice,
     *,
-    judged: Judgement | None = None,
+    evaluated: Judgement | None = None,
     fit: Fit | None = None,
 ) -> dict[str, Any]:
     """Return what a search found, in the order it was found: clocks first, then effects, then noise.
 
-    sequence : the models on the way judged on held-out halves, as `study.validate.model_sequence` gives them
-    judged : the final model as it was judged, if it was: the ladder's last one lacks noise that was named
+    sequence : the models on the way, evaluated on held-out halves, as `study.validate.model_sequence` gives them
+    evaluated : the final model as it was evaluated, if it was: the ladder's last one lacks noise that was named
     fit : the fit of the final model, where it is not the search's own
     """
-    errors = iter(learned.fit.standard_errors)
-    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in learned.fit.effects}
+    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(learned.fit)}
     found = [*_clocks_found(learned)]
     for place, step in enumerate(learned.steps):
         if step.added is not None:
-            effect, spread = own[step.added]
-            sure = step_confidence(step, learned)
-            held_out = _held_out(sequence[place], sequence[place + 1])
-            matters = _matters(step.added, learned)
-            found.append(_entry(effect, spread, step.alternatives, sure) | {"held_out": held_out} | matters)
+            entry = _entry(*own[step.added], step.alternatives, step_confidence(step, learned))
+            held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
+            found.append(entry | held_out | _matters(step.added, learned))
     found += [_noise(gain, learned) for gain in learned.noise]
     missing = any(not one["negligible"] for one in found)
-    values: dict[str, Any] = finite(
+    return finite(
         {
             "schema": SCHEMA,
             "verdict": "unknown" if learned.unexplained else "missing" if missing else "complete",
-            "rejected": (judged and rejection(judged)) or None,
+            "rejected": (evaluated and rejection(evaluated)) or None,
             "recordings": recordings_json(learned.fit.problem.recordings),
             "drive_type": {"name": learned.drive_type.name, "guessed_because": learned.drive_type.reason or None},
             "found": found,
@@ -116,7 +114,6 @@ def learned_json(
             **_advice(advice),
         }
     )
-    return values
 
 
 def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
@@ -128,7 +125,7 @@ def recordings_json(recordings: Iterable[Recording]) -> list[dict[str, Any]]:
 
 def reproduction_json(one: Reproduction) -> dict[str, Any]:
     """Return how far a model drifts beside the recordings that it was learned from."""
-    values: dict[str, Any] = finite(
+    return finite(
         {
             "measured_rmse_10s": one.measured_m,
             "corrupted_rmse_10s": one.drawn_m,
@@ -138,7 +135,6 @@ def reproduction_json(one: Reproduction) -> dict[str, Any]:
             "sentence": reproduction_sentence(one) or None,
         }
     )
-    return values
 
 
 def _advice(advice: Advice) -> dict[str, Any]:
@@ -189,10 +185,7 @@ def _clocks_found(learned: Learned) -> Iterable[dict[str, Any]]:
 
 def _noise(gain: RandomCoefficient, learned: Learned) -> dict[str, Any]:
     """Return a random effect; its numbers come without errors."""
-    entry = _entry(gain.effect, [math.nan] * len(amplitudes(gain.effect)), (), noise_confidence(gain, learned))
-    for p in parameters(gain.effect):
-        entry["parameters"][p.name] = {"value": getattr(gain.effect, p.name), "standard_error": None, "unit": p.unit}
-    return entry | {"held_out": None, "negligible": False}
+    return _entry(gain.effect, (), (), noise_confidence(gain, learned)) | {"held_out": None, "negligible": False}
 
 
 def _matters(name: str, learned: Learned) -> dict[str, Any]:
@@ -242,21 +235,20 @@ def _unknown(unknown: Dependence, numbers: Mapping[str, LawNumber], *, fitted: b
 
 
 def _entry(effect: Effect, errors: Sequence[float], alternatives: Sequence[str], confidence: float) -> dict[str, Any]:
+    return _effect(effect, errors) | {"alternatives": list(alternatives), "confidence": confidence}
+
+
+def _effect(effect: Effect, errors: Sequence[float]) -> dict[str, Any]:
+    """Return an effect with its parameters, amplitudes with standard errors first, and its words."""
+    known = dict(zip((p.name for p in amplitudes(effect)), errors, strict=False))
+    own = sorted(parameters(effect), key=lambda p: not p.amplitude)
     return {
         "effect": effect.name,
         "kind": effect.kind,
         "parameters": {
-            p.name: {"value": getattr(effect, p.name), "standard_error": error, "unit": p.unit}
-            for p, error in zip(amplitudes(effect), errors, strict=True)
-        }
-        | {
-            p.name: {"value": getattr(effect, p.name), "standard_error": None, "unit": p.unit}
-            for p in parameters(effect)
-            if not p.amplitude
+            p.name: {"value": getattr(effect, p.name), "standard_error": known.get(p.name), "unit": p.unit} for p in own
         },
         "words": {word: getattr(effect, word) for word in choices(effect)},
-        "alternatives": list(alternatives),
-        "confidence": confidence,
     }
 
 
@@ -280,3 +272,42 @@ def _step(judgement: Judgement) -> dict[str, Any]:
         "rmse_50m": position_error(judgement, 50.0),
         "nats_per_m": judgement.nats.per_m,
     }
+
+
+def fit_json(result: RobotFit, laws: Mapping[str, RobotFit]) -> dict[str, Any]:
+    """Return a fit as plain values.
+
+    Parameters
+    ----------
+    result : the fit
+    laws : the fits of every law where all were tried, the likeliest first
+    """
+    fit = result.fit
+    truth = fit.noise.truth
+    pairs = zip(fit.problem.recordings, result.clocks.clocks, result.clocks.errors, strict=True)
+    best = next(iter(laws.values())).information_nats if laws else 0.0
+    return finite(
+        {
+            "schema": SCHEMA,
+            "law": fit.problem.approach.law_name,
+            "coefficients": {
+                i.name: {"value": i.value, "low": i.low, "high": i.high, "identifiable": i.identifiable}
+                for i in result.intervals
+            },
+            "effects": [_effect(effect, errors) for effect, errors in effects_with_errors(fit)],
+            "clocks": [
+                {
+                    "recording": recording.name,
+                    "offset_s": clock.offset_s,
+                    "skew": clock.rate,
+                    "offset_error_s": spread[0],
+                    "skew_error": spread[1],
+                }
+                for recording, clock, spread in pairs
+            ],
+            "truth_noise": {"xy_m": truth.xy_m, "yaw_rad": truth.yaw_rad, "wander": truth.random_walk},
+            "log_likelihood_nats": fit.log_likelihood,
+            "rmse_10s": result.ten_second_error_m,
+            "laws": {name: {"nats_behind": best - one.information_nats} for name, one in laws.items()},
+        }
+    )

@@ -9,15 +9,19 @@ from typing import Any
 __all__ = ["finite"]
 
 
-def finite(value: Any) -> Any:
-    """Return a value with plain numbers in place of numpy's, and None in place of what is not known or not finite."""
+def finite(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values with plain numbers in place of numpy's, and None in place of what is not known or not finite."""
+    return {key: _finite(own) for key, own in values.items()}
+
+
+def _finite(value: Any) -> Any:
     if hasattr(value, "tolist"):  # numpy's, which a help page does without
-        return finite(value.tolist())
+        return _finite(value.tolist())
     match value:
         case Mapping():
-            return {key: finite(own) for key, own in value.items()}
+            return finite(value)
         case list() | tuple():
-            return [finite(own) for own in value]
+            return [_finite(own) for own in value]
         case float():
             return value if math.isfinite(value) else None
         case _:

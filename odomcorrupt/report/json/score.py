@@ -23,7 +23,7 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
     """Return a report, and the verdicts of a gate: metres, radians, seconds; unknown and infinite are null."""
     found = report.breakdown
     grown = report.growth
-    values: dict[str, Any] = finite(
+    return finite(
         {
             "schema": SCHEMA,
             "estimate": report.estimate,
@@ -42,7 +42,6 @@ def score_json(report: ScoreReport, verdicts: Sequence[Verdict] = ()) -> dict[st
             "notes": list(report.notes),
         }
     )
-    return values
 
 
 def _run(run: RunScore, report: ScoreReport) -> dict[str, Any]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import NullFormatter
 
-from odomcorrupt.report.plots.figure import BLACK, drawing, new_figure, short_name
+from odomcorrupt.report.plots.figure import BLACK, COLOURS, MARKERS, drawing, new_figure, plain_logarithm, short_name
 from odomcorrupt.report.plots.lack_of_fit_map import draw_failure_map
-from odomcorrupt.report.plots.model_sequence import COLOURS, MARKERS, draw_errors
+from odomcorrupt.report.plots.model_sequence import draw_errors
 from odomcorrupt.report.plots.paths import draw_paths
 from odomcorrupt.report.plots.residuals import draw_residuals
 
@@ -33,18 +33,12 @@ def draw_nees(comparison: Comparison) -> Figure:
         for i, judgement in enumerate(comparison.judgements):
             colour, marker = COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]
             # side by side, or their bars cover each other
-            distance = np.array([h.distance_m for h in judgement.horizons]) * min(1.06, 1.3 ** (1.0 / count)) ** (
-                2 * i - count + 1
-            )
+            shift = min(1.06, 1.3 ** (1.0 / count)) ** (2 * i - count + 1)
+            distance = shift * np.array([h.distance_m for h in judgement.horizons])
             low, high = np.array([h.nees_bounds for h in judgement.horizons]).reshape(-1, 2).T
             left.vlines(distance, low, high, color=colour, linewidth=7 if count <= 3 else 4, alpha=0.25)
-            style = {
-                "color": colour,
-                "marker": marker,
-                "markersize": 5.5,
-                "linewidth": 1.2,
-                "label": short_name(judgement.name),
-            }
+            style = {"color": colour, "marker": marker, "markersize": 5.5, "linewidth": 1.2}
+            style["label"] = short_name(judgement.name)
             left.plot(distance, [h.nees for h in judgement.horizons], **style)
             inside = [100.0 * float(np.nanmean(h.coverage_90)) for h in judgement.horizons]
             right.plot(distance, inside, **style)
@@ -52,9 +46,7 @@ def draw_nees(comparison: Comparison) -> Figure:
         left.set(
             yscale="log", title="NEES per degree of freedom\n(1: errors are as large as expected; bars: 95 % chance)"
         )
-        left.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        left.yaxis.set_minor_formatter(NullFormatter())
-        left.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        plain_logarithm(left.yaxis)
         right.axhline(90.0, color=BLACK, linewidth=1.0)
         right.set(
             ylim=(0.0, 102.0), title="errors inside the model's 90 % interval (%)\n(mean over along, across, yaw)"
@@ -70,7 +62,6 @@ def _distances(axes: Axes, distances: list[float]) -> None:
     axes.set_xticks(distances, [f"{d:g}" for d in distances])
     axes.xaxis.set_minor_formatter(NullFormatter())
     axes.grid(visible=True, which="major", color="0.92")
-    axes.set_axisbelow(True)
 
 
 def draw_pit(comparison: Comparison) -> Figure:
@@ -84,9 +75,8 @@ def draw_pit(comparison: Comparison) -> Figure:
             axes.fill_between(band.at, band.low, band.high, color="0.85", label="95 % of right models stay inside")
             for judgement, colour in zip(comparison.judgements, COLOURS, strict=False):
                 pit = judgement.pits[channel]
-                axes.step(
-                    pit.at, pit.difference, where="mid", color=colour, linewidth=1.4, label=short_name(judgement.name)
-                )
+                label = short_name(judgement.name)
+                axes.step(pit.at, pit.difference, where="mid", color=colour, linewidth=1.4, label=label)
             axes.axhline(0.0, color=BLACK, linewidth=0.8)
             axes.set(title=channel, xlabel="predicted probability", xlim=(0.0, 1.0))
         panels[0].set_ylabel("measured minus predicted")

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.stepwise import Learned, Step
 
-__all__ = ["MOST_CURVES", "draw_candidates", "draw_plan", "draw_unknown", "evidence_nats"]
+__all__ = ["draw_candidates", "draw_plan", "draw_unknown", "evidence_nats"]
 
 _MOST = 7
 _STEPS = 6
@@ -91,7 +91,7 @@ def _label(candidate: Candidate, nats: float, step: Step) -> str:
     return candidate.refused or f"{nats:.0f}, others explain it better"
 
 
-MOST_CURVES = 3
+_MOST_CURVES = 3
 _UNITS = {
     "speed": ("speed (m/s)", 1.0),
     "yaw_rate": ("yaw rate (deg/s)", float(np.degrees(1.0))),
@@ -105,7 +105,7 @@ _UNITS = {
 
 def draw_unknown(unknown: Sequence[Dependence]) -> Figure:
     """Draw the plainest curves beside each other, with two standard errors about them."""
-    shown = unknown[:MOST_CURVES]
+    shown = unknown[:_MOST_CURVES]
     with drawing():
         figure = new_figure(11.0, 3.6)
         for axes, one in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
@@ -141,7 +141,6 @@ def _band(axes: Axes, x: Array, curve: Array, error: Array) -> None:
     axes.fill_between(x, curve - 2.0 * error, curve + 2.0 * error, color=ORANGE, alpha=0.28, linewidth=0)
     axes.plot(x, curve, color="#A06000", linewidth=1.8, marker="o" if len(x) < 20 else "", markersize=4)
     axes.grid(visible=True, color="0.93")
-    axes.set_axisbelow(True)
 
 
 def _places(axes: Axes, one: Dependence, scale: float, unit: str) -> None:

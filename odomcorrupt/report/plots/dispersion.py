@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.patches import Ellipse as EllipsePatch
@@ -74,7 +74,6 @@ def draw_cloud(cloud: ParticleSet, title: str, space: FreeSpace | None = None) -
             axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad))
             axes.set_aspect("equal", adjustable="box")
         axes.grid(visible=True, color="0.92")
-        axes.set_axisbelow(True)
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower left", ncols=4, fontsize=9)
     return figure
 
@@ -97,14 +96,8 @@ def draw_spread(report: SpreadReport) -> Figure:
         ):
             growth = figure.add_subplot(grid[row, 1])
             band = report.band
-            growth.fill_between(
-                band[:, 0],
-                2.0 * factor * band[:, column],
-                color=BLUE,
-                alpha=0.15,
-                linewidth=0.0,
-                label="predicted, 2 sigma",
-            )
+            below: dict[str, Any] = {"color": BLUE, "alpha": 0.15, "linewidth": 0.0, "label": "predicted, 2 sigma"}
+            growth.fill_between(band[:, 0], 2.0 * factor * band[:, column], **below)
             growth.plot(band[:, 0], factor * band[:, column], color=BLUE, linewidth=1.2, label="predicted, 1 sigma")
             errors = report.errors
             for run in errors[:200]:

@@ -10,29 +10,22 @@ import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-__all__ = [
-    "BLACK",
-    "BLUE",
-    "GREEN",
-    "ORANGE",
-    "RED",
-    "SKY",
-    "YELLOW",
-    "drawing",
-    "new_figure",
-    "remove_unused",
-    "rendered",
-    "short_name",
-    "shown_models",
-]
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+
+__all__ = ["BLACK", "BLUE", "COLOURS", "GREEN", "MARKERS", "ORANGE", "RED", "SKY", "drawing", "model_panels",
+           "new_figure", "plain_logarithm", "rendered", "short_name"]  # fmt: skip
 
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-YELLOW, BLUE, RED, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
+BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 """Okabe & Ito's palette; RED is their vermilion."""
+COLOURS, MARKERS = (RED, BLUE, GREEN, ORANGE, PURPLE, SKY), ("o", "s", "^", "D", "v", "P")
+"""A colour for each model, and a shape: a grey print tells them apart, too."""
 
 _STYLE: dict[Any, Any] = {
     "font.size": 10,
@@ -40,12 +33,15 @@ _STYLE: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.titlesize": 10.5,
     "axes.titlelocation": "left",
+    "axes.axisbelow": True,
     "legend.frameon": False,
     "svg.hashsalt": "odomcorrupt",
 }
 
 
 _MOST_PANELS = 4
+_LONGEST = 34
+"""Characters of a model's name in a legend."""
 _DPI = 150
 _T = TypeVar("_T")
 
@@ -88,26 +84,38 @@ def rendered(figure: Figure, kind: str) -> bytes:
     return out.getvalue()
 
 
-def short_name(name: str, most: int = 34) -> str:
+def short_name(name: str) -> str:
     """Return a name as long as a legend can hold; of a longer one the middle is left out."""
-    if len(name) <= most:
-        return name
-    half = (most - 1) // 2
-    return f"{name[:half]}…{name[-half:]}"
+    return name if len(name) <= _LONGEST else f"{name[: _LONGEST // 2 - 1]}…{name[1 - _LONGEST // 2 :]}"
 
 
-def shown_models(models: Sequence[_T]) -> list[_T]:
-    """Return the models that get a panel each: all of four, else the first, which the others improve, and the last."""
-    if len(models) <= _MOST_PANELS:
-        return list(models)
-    return [models[0], *models[1 - _MOST_PANELS :]]
+def plain_logarithm(axis: Axis) -> None:
+    """Label a logarithmic axis at 1, 2 and 5 times powers of ten, with plain numbers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
-def remove_unused(panels: Any, used: int) -> None:
-    """Remove the panels (rows, columns) behind the used ones; what stands above them gets the tick labels they had."""
-    columns = panels.shape[1]
-    for number, axes in enumerate(panels.flat):
-        if number >= used:
-            axes.remove()
-        elif number + columns >= used:
-            axes.tick_params(labelbottom=True)
+def model_panels(
+    models: Sequence[_T], pair_in: float, single_in: float, more_in: float
+) -> tuple[Figure, list[tuple[Axes, _T]]]:
+    """Return a figure with a panel for each model: all of four, else the first, which the others improve, and the last.
+
+    Parameters
+    ----------
+    models : what is drawn
+    pair_in, single_in : height of a row of two panels, and of a panel alone, inches
+    more_in : what the legend takes
+    """
+    shown = list(models) if len(models) <= _MOST_PANELS else [models[0], *models[1 - _MOST_PANELS :]]
+    columns = min(len(shown), 2)
+    rows = -(-len(shown) // columns)
+    figure = new_figure(9.0, more_in + (pair_in if columns == 2 else single_in) * rows)
+    figure.set_layout_engine("compressed")
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axes in panels[len(shown) :]:
+        axes.remove()
+    # what stands above a panel that is not there gets the tick labels it had
+    for axes in panels[len(shown) - columns : len(shown)]:
+        axes.tick_params(labelbottom=True)
+    return figure, list(zip(panels, shown, strict=False))

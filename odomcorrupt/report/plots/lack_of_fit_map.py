@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Circle
 
-from odomcorrupt.report.plots.figure import BLACK, RED, drawing, new_figure, remove_unused, short_name, shown_models
+from odomcorrupt.report.plots.figure import BLACK, RED, drawing, model_panels, short_name
 from odomcorrupt.report.text.lack_of_fit import MOST
 from odomcorrupt.study.estimate.windows import distance_windows, window_errors
 
@@ -32,24 +32,15 @@ _TOP = 4.0
 
 def draw_failure_map(comparison: Comparison) -> Figure:
     """Draw a panel for each model."""
-    shown = shown_models(comparison.judgements)
-    columns = min(len(shown), 2)
-    rows = -(-len(shown) // columns)
     length_m = _length(comparison)
     with drawing():
-        figure = new_figure(9.0, 0.9 + (4.4 if columns == 2 else 6.0) * rows)
-        figure.set_layout_engine("compressed")
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        remove_unused(panels, len(shown))
-        lines = None
-        for axes, judgement in zip(panels.flat, shown, strict=False):
-            lines = _panel(axes, judgement, length_m)
-        if lines is not None:
-            bar = figure.colorbar(
-                lines, ax=list(panels.flat[: len(shown)]), location="bottom", shrink=0.6, aspect=40, extend="max",
-                label=f"squared error over {length_m:g} m of path, divided by the expected (1: right)",
-            )  # fmt: skip
-            bar.ax.axvline(1.0, color=BLACK, linewidth=1.2)
+        figure, panels = model_panels(comparison.judgements, 4.4, 6.0, 0.9)
+        lines = [_panel(axes, judgement, length_m) for axes, judgement in panels]
+        bar = figure.colorbar(
+            lines[-1], ax=[axes for axes, _ in panels], location="bottom", shrink=0.6, aspect=40, extend="max",
+            label=f"squared error over {length_m:g} m of path, divided by the expected (1: right)",
+        )  # fmt: skip
+        bar.ax.axvline(1.0, color=BLACK, linewidth=1.2)
     return figure
 
 
@@ -82,7 +73,6 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlabel="x (m)", ylabel="y (m)", title=short_name(judgement.name))
     axes.grid(visible=True, color="0.93")
-    axes.set_axisbelow(True)
     return lines
 
 

@@ -88,7 +88,6 @@ def _off_surface(axes: Axes, surveys: Sequence[Survey]) -> None:
     axes.set(xlabel="distance travelled (m)", ylabel="cm", ylim=(0.0, None), xlim=(0.0, None))
     axes.set_title(f"hits off the walls of: {surveys[0].name} (RMS)")
     axes.grid(visible=True, axis="y", color="0.92")
-    axes.set_axisbelow(True)
     axes.legend(loc="upper left", fontsize=9)
 
 

@@ -6,31 +6,19 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from scipy.stats import chi2
 
-from odomcorrupt.report.plots.figure import BLUE, GREEN, ORANGE, RED, SKY, drawing, new_figure, rendered, short_name
+from odomcorrupt.report.plots.figure import COLOURS, MARKERS, drawing, new_figure, plain_logarithm, short_name
 from odomcorrupt.report.text.comparison import sequence_steps
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.validate.compare import Comparison, Judgement
 
-__all__ = ["COLOURS", "MARKERS", "draw_errors", "draw_sequence", "rms_interval"]
-
-COLOURS = (RED, BLUE, GREEN, ORANGE, "#CC79A7", SKY)
-MARKERS = ("o", "s", "^", "D", "v", "P")
-"""A shape for each model besides its colour: a grey print tells them apart, too."""
-
-
-def draw_sequence(comparison: Comparison, path: Path) -> None:
-    """Write the picture of errors against distance."""
-    path.write_bytes(rendered(draw_errors(comparison), path.suffix.lstrip(".") or "png"))
+__all__ = ["draw_errors", "rms_interval"]
 
 
 def draw_errors(comparison: Comparison) -> Figure:
@@ -54,11 +42,8 @@ def draw_errors(comparison: Comparison) -> Figure:
             axes.set_ylim(top=1.35 * axes.get_ylim()[1])
             _counts(axes, comparison.judgements[-1])
             for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-                axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-                axis.set_minor_formatter(NullFormatter())
+                plain_logarithm(axis)
             axes.grid(visible=True, which="major", color="0.9")
-            axes.set_axisbelow(True)
         # what the two kinds of lines mean is said once, not of every model
         panels[0].plot([], [], color="0.4", marker="|", markersize=9, linewidth=1.3, label="measured, 90 % interval")
         panels[0].plot([], [], color="0.4", linewidth=1.3, linestyle=(0, (4, 3)), label="expected by the model")
@@ -77,10 +62,9 @@ def _yaw(judgement: Judgement) -> Array:
     return degrees
 
 
-def rms_interval(measured: float, windows: int, part: float = 0.9) -> tuple[float, float]:
-    """Return the central interval of a root mean square that was measured over so many independent windows."""
-    tail = (1.0 - part) / 2.0
-    square = windows * measured**2
+def rms_interval(measured: float, windows: int) -> tuple[float, float]:
+    """Return the central 90 % interval of a root mean square that was measured over so many independent windows."""
+    tail, square = (1.0 - 0.9) / 2.0, windows * measured**2
     return float(np.sqrt(square / chi2.isf(tail, windows))), float(np.sqrt(square / chi2.ppf(tail, windows)))
 
 

@@ -8,18 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import EffectError
-from odomcorrupt.report.plots.figure import (
-    BLACK,
-    BLUE,
-    ORANGE,
-    RED,
-    SKY,
-    drawing,
-    new_figure,
-    remove_unused,
-    short_name,
-    shown_models,
-)
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, model_panels, new_figure, short_name
 from odomcorrupt.study.validate.predictive_check import replay
 
 if TYPE_CHECKING:
@@ -28,44 +17,32 @@ if TYPE_CHECKING:
 
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.preview.forecast import Forecast
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.predictive_check import Replay
     from odomcorrupt.trajectories.integrate import PathError
 
-__all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_runs", "paths_of"]
+__all__ = ["draw_corruption", "draw_errors", "draw_fan", "draw_paths", "draw_runs"]
 
-RUNS = 100
+_RUNS = 100
 _MARKS = 20
 _SHOWN_M = 100.0
 """Path drawn at most, metres: beyond it lines hide lines. What is said of places holds for all of it."""
 
 
-def paths_of(judgement: Judgement) -> Replay:
-    """Return the longest stretch that a model was judged on, with 100 runs of the model."""
-    longest = max(judgement.pieces, key=lambda piece: float(piece.node_metres.sum()))
-    return replay(longest, runs=RUNS)
-
-
 def draw_paths(comparison: Comparison) -> Figure:
-    """Draw a panel for each model."""
-    shown = shown_models(comparison.judgements)
-    columns = min(len(shown), 2)
-    rows = -(-len(shown) // columns)
+    """Draw truth, odometry and runs of each model over the longest stretch that it was evaluated on, a panel each."""
     with drawing():
-        figure = new_figure(9.0, 0.7 + (4.6 if columns == 2 else 6.5) * rows)
+        figure, panels = model_panels(comparison.judgements, 4.6, 6.5, 0.7)
         # panels side by side without a gap, below the legend
         figure.set_layout_engine("compressed", rect=(0.0, 0.0, 1.0, 1.0 - 0.35 / figure.get_figheight()))
-        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
-        remove_unused(panels, len(shown))
-        for axes, judgement in zip(panels.flat, shown, strict=False):
+        for axes, judgement in panels:
             try:
-                _panel(axes, paths_of(judgement), short_name(judgement.name))
+                longest = max(judgement.pieces, key=lambda piece: float(piece.node_metres.sum()))
+                _panel(axes, replay(longest, runs=_RUNS), short_name(judgement.name))
             except EffectError:  # a law that swallows motion can be taken out of odometry, and not put in
-                axes.set_title(
-                    f"{short_name(judgement.name)}\nno odometry of this drive obeys it: no runs to show", fontsize=10
-                )
-        handles, labels = panels.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="upper left", ncols=4, fontsize=9)
+                none = "no odometry of this drive obeys it: no runs to show"
+                axes.set_title(f"{short_name(judgement.name)}\n{none}", fontsize=10)
+        figure.legend(*panels[0][0].get_legend_handles_labels(), loc="upper left", ncols=4, fontsize=9)
     return figure
 
 
@@ -90,7 +67,6 @@ def _panel(axes: Axes, paths: Replay, name: str) -> None:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="box")
     axes.grid(visible=True, color="0.93")
-    axes.set_axisbelow(True)
 
 
 def draw_corruption(
@@ -184,7 +160,6 @@ def _plane(axes: Axes) -> None:
     axes.set(xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="datalim")
     axes.grid(visible=True, color="0.92")
-    axes.set_axisbelow(True)
 
 
 def draw_fan(outlook: Forecast, title: str) -> Figure:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.report.plots.figure import drawing, new_figure, short_name
-from odomcorrupt.report.plots.model_sequence import COLOURS, MARKERS
+from odomcorrupt.report.plots.figure import COLOURS, MARKERS, drawing, new_figure, short_name
 from odomcorrupt.study.validate.error_rates import CHANNELS, joint_rates, node_motion, unit_columns
 
 if TYPE_CHECKING:
@@ -58,7 +57,6 @@ def draw_residuals(comparison: Comparison) -> Figure:
             for axes in panels[c]:
                 axes.axhline(0.0, color="0.3", linewidth=0.8, zorder=1)
                 axes.grid(visible=True, color="0.93")
-                axes.set_axisbelow(True)
                 axes.tick_params(labelsize=8)
         for axes, label in zip(panels[-1], labels, strict=True):
             axes.set_xlabel(label)

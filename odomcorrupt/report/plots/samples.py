@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.patches import Ellipse as EllipsePatch
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.sampling.density import DensityGrid
     from odomcorrupt.sampling.samples import Moments, Move
 
-__all__ = ["draw_banana", "draw_density", "draw_move", "draw_samples", "frame_samples"]
+__all__ = ["draw_banana", "draw_density"]
 
 SIGMAS = 2.0
 
@@ -37,11 +37,11 @@ def draw_banana(move: Move, variances: Variances, xyt: Array, title: str, space:
         plane, headings = figure.subplots(1, 2, width_ratios=(3, 1))
         if space is not None:
             draw_free_space(plane, space)
-        draw_samples(plane, xyt)
+        _draw_samples(plane, xyt)
         _ellipses(plane, move, variances, xyt)
-        draw_move(plane, move)
+        _draw_move(plane, move)
         reach = [_corners(linearised_moments(move, variances)), _corners(sample_moments(xyt))]
-        frame_samples(plane, move, np.concatenate((xyt[:, :2], *reach)))
+        _frame_samples(plane, move, np.concatenate((xyt[:, :2], *reach)))
         _inset(plane, move, variances, xyt)
         _headings(headings, move, xyt)
         figure.legend(*plane.get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=9)
@@ -56,7 +56,7 @@ def _inset(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
     if not 0.0 < extent < 0.25 * width:
         return
     inset = axes.inset_axes((0.47, 0.06, 0.5, 0.5))
-    draw_samples(inset, xyt)
+    _draw_samples(inset, xyt)
     _ellipses(inset, move, variances, xyt)
     middle = xyt[:, :2].mean(axis=0)
     half = 0.55 * extent
@@ -75,7 +75,7 @@ def _corners(moments: Moments) -> Array:
     return out
 
 
-def draw_samples(axes: Axes, xyt: Array) -> None:
+def _draw_samples(axes: Axes, xyt: Array) -> None:
     """Draw samples as dots that stay visible where they are many."""
     size = float(np.clip(6000.0 / len(xyt), 1.0, 12.0))
     axes.scatter(
@@ -83,7 +83,7 @@ def draw_samples(axes: Axes, xyt: Array) -> None:
     )
 
 
-def draw_move(axes: Axes, move: Move) -> None:
+def _draw_move(axes: Axes, move: Move) -> None:
     """Draw the odometry's motion: both poses as arrows, the way between them as a line."""
     start, end = move.start_xyt, move.end_xyt
     axes.plot(*np.stack((start, end))[:, :2].T, color=BLACK, linewidth=1.0, linestyle=(0, (4, 3)), zorder=4)
@@ -102,7 +102,7 @@ def _tips(move: Move) -> Array:
     return out
 
 
-def frame_samples(axes: Axes, move: Move, xy: Array) -> None:
+def _frame_samples(axes: Axes, move: Move, xy: Array) -> None:
     """Show all points (n, 2) and the motion, a metre as long upwards as sideways."""
     points = np.concatenate((xy, move.start_xyt[None, :2], move.end_xyt[None, :2], _tips(move)))
     low, high = points.min(axis=0), points.max(axis=0)
@@ -110,7 +110,6 @@ def frame_samples(axes: Axes, move: Move, xy: Array) -> None:
     axes.set(xlim=(low[0] - pad, high[0] + pad), ylim=(low[1] - pad, high[1] + pad), xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal", adjustable="box")
     axes.grid(visible=True, color="0.92", linewidth=0.8)
-    axes.set_axisbelow(True)
 
 
 def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
@@ -125,16 +124,14 @@ def _ellipses(axes: Axes, move: Move, variances: Variances, xyt: Array) -> None:
             fill=False, edgecolor=colour, linestyle=style, linewidth=1.8, label=label, zorder=5,
         )  # fmt: skip
         axes.add_patch(patch)
-    axes.plot(
-        *drawn.mean_xyt[:2],
-        "X",
-        color=ORANGE,
-        markersize=6,
-        markeredgecolor="white",
-        markeredgewidth=0.6,
-        label="mean",
-        zorder=8,
-    )
+    mean: dict[str, Any] = {
+        "color": ORANGE,
+        "markersize": 6,
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.6,
+        "zorder": 8,
+    }
+    axes.plot(*drawn.mean_xyt[:2], "X", label="mean", **mean)
 
 
 def _headings(axes: Axes, move: Move, xyt: Array) -> None:
@@ -155,13 +152,13 @@ def draw_density(move: Move, grid: DensityGrid, xyt: Array, title: str, unit: st
             grid.x_m, grid.y_m, np.ma.masked_less(grid.density, 0.01 * grid.density.max()), cmap="Blues",
             shading="nearest", rasterized=True,
         )  # fmt: skip
-        draw_samples(left, xyt)
+        _draw_samples(left, xyt)
         shown = grid.density > 1e-3 * grid.density.max()
         rows, columns = np.nonzero(shown.any(axis=1))[0], np.nonzero(shown.any(axis=0))[0]
         box = np.column_stack((grid.x_m[columns[[0, -1]]], grid.y_m[rows[[0, -1]]]))
         for axes in (left, right):
-            draw_move(axes, move)
-            frame_samples(axes, move, np.concatenate((xyt[:, :2], box)))
+            _draw_move(axes, move)
+            _frame_samples(axes, move, np.concatenate((xyt[:, :2], box)))
         left.set_title(f"{len(xyt)} samples")
         right.set_title("closed form, summed over the heading")
         right.set_ylabel("")

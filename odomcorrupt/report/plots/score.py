@@ -6,17 +6,19 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import NullLocator
 
-from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure
+from odomcorrupt.report.plots.figure import BLACK, BLUE, ORANGE, RED, SKY, drawing, new_figure, plain_logarithm
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from odomcorrupt.scoring.run import ScoreReport
 
-__all__ = ["draw_along", "draw_drift", "draw_places", "draw_score"]
+__all__ = ["along", "draw_alone", "draw_score", "drift", "places"]
 
 _SHOWN = 200
 """Runs drawn as lines, at most."""
@@ -26,38 +28,21 @@ def draw_score(report: ScoreReport) -> Figure:
     """Draw all three pictures beside each other."""
     with drawing():
         figure = new_figure(13.5, 4.4)
-        left, middle, right = figure.subplots(1, 3)
-        _drift(left, report)
-        _along(middle, report)
-        _places(right, report)
+        for axes, draw in zip(figure.subplots(1, 3), (drift, along, places), strict=True):
+            draw(axes, report)
     return figure
 
 
-def draw_drift(report: ScoreReport) -> Figure:
+def draw_alone(draw: Callable[[Axes, ScoreReport], None], report: ScoreReport, *size_in: float) -> Figure:
+    """Draw one of the three pictures alone, as wide and high as is said, in inches."""
+    with drawing():
+        figure = new_figure(*size_in)
+        draw(figure.subplots(), report)
+    return figure
+
+
+def drift(axes: Axes, report: ScoreReport) -> None:
     """Draw ATE against drift, lost runs apart, with the break-down point and its interval."""
-    with drawing():
-        figure = new_figure(8.0, 4.2)
-        _drift(figure.subplots(), report)
-    return figure
-
-
-def draw_along(report: ScoreReport) -> Figure:
-    """Draw the position error of each run along the path, with median and 90 % quantile."""
-    with drawing():
-        figure = new_figure(8.0, 4.2)
-        _along(figure.subplots(), report)
-    return figure
-
-
-def draw_places(report: ScoreReport) -> Figure:
-    """Draw the true path, the estimates, and where runs were lost."""
-    with drawing():
-        figure = new_figure(7.0, 6.0)
-        _places(figure.subplots(), report)
-    return figure
-
-
-def _drift(axes: Axes, report: ScoreReport) -> None:
     runs = [run for run in report.runs if run.scored and isfinite(run.drift)]
     above = [run.drift for run in runs if run.drift > 0.0]
     # perfect odometry has no place on a logarithmic axis: it stands at its left end
@@ -65,9 +50,9 @@ def _drift(axes: Axes, report: ScoreReport) -> None:
     for lost, colour, marker, label in ((False, BLUE, "o", "not lost"), (True, RED, "X", "lost")):
         own = [run for run in runs if run.lost is lost]
         if own:
-            drift = [100.0 * max(run.drift, least) for run in own]
+            shares = [100.0 * max(run.drift, least) for run in own]
             axes.plot(
-                drift, [run.metrics["ate_m"] for run in own], marker, color=colour,
+                shares, [run.metrics["ate_m"] for run in own], marker, color=colour,
                 markersize=4.5, alpha=0.7, markeredgewidth=0.0, label=f"{len(own)} {label}",
             )  # fmt: skip
     found = report.breakdown
@@ -79,15 +64,15 @@ def _drift(axes: Axes, report: ScoreReport) -> None:
     if above and all(run.metrics["ate_m"] > 0.0 for run in runs):
         axes.set(xscale="log", yscale="log", xlim=(80.0 * min(drifts), 125.0 * max(drifts)))
         for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            plain_logarithm(axis)
             axis.set_minor_locator(NullLocator())
     axes.set(xlabel="drift of the odometry, % of the way (rms over 10 m)", ylabel="ATE of the estimate, m")
     axes.set_title("Error against the drift that was put in")
     axes.legend(loc="upper left", fontsize=9)
 
 
-def _along(axes: Axes, report: ScoreReport) -> None:
+def along(axes: Axes, report: ScoreReport) -> None:
+    """Draw the position error of each run along the path, with median and 90 % quantile."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
         axes.plot(run.distance_m, run.position_m, color=RED if run.lost else BLUE, alpha=0.15, linewidth=0.7)
@@ -102,7 +87,8 @@ def _along(axes: Axes, report: ScoreReport) -> None:
     axes.legend(loc="best", fontsize=9)
 
 
-def _places(axes: Axes, report: ScoreReport) -> None:
+def places(axes: Axes, report: ScoreReport) -> None:
+    """Draw the true path, the estimates, and where runs were lost."""
     runs = [run for run in report.runs if run.scored]
     for run in runs[:_SHOWN]:
         axes.plot(*run.estimate_xy.T, color=SKY, alpha=0.25, linewidth=0.6)

@@ -6,33 +6,35 @@ from dataclasses import replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.report.text.comparison import measures_words
-from odomcorrupt.report.text.confidence import (
+from odomcorrupt.report.text.design import inseparable_sentence
+from odomcorrupt.report.text.diagnosis import contradiction, dependence
+from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, sentence, size, within
+from odomcorrupt.report.text.numbers import (
     clocks_found,
     confidence_words,
+    effects_with_errors,
     fitted_expression,
     law_numbers,
     noise_confidence,
+    noise_text,
+    numbers_text,
     step_confidence,
 )
-from odomcorrupt.report.text.design import inseparable_sentence
-from odomcorrupt.report.text.diagnosis import contradiction, dependence
-from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, size, within
-from odomcorrupt.report.text.summary import Line, Summary
-from odomcorrupt.report.text.tables import noise_text, numbers_text, value_text
+from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.study.terms.drive_type import readings_of
 from odomcorrupt.study.validate.agreement import agreement_of
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Sequence
+    from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.report.text.summary import Tone
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.calibrate import RobotFit
+    from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.select.stepwise import Learned, Step
+    from odomcorrupt.study.select.stepwise import Learned
     from odomcorrupt.study.terms.drive_type import DriveType
     from odomcorrupt.study.validate.compare import Comparison
     from odomcorrupt.study.validate.reproduction import Reproduction
@@ -61,19 +63,19 @@ def findings_brief(
     robot: RobotFit | None = None,
     notes: Sequence[str] = (),
     reproduction: Reproduction | None = None,
-    following: Line | None = None,
+    following: str = "",
 ) -> Summary:
     """Return what a search found: each effect with its size and probability, the held-out errors, what is open.
 
     Parameters
     ----------
     search, advice : what was found, and what the data leave open
-    comparison : the models that were judged; the first one without what was found
+    comparison : the models that were evaluated; the first one without what was found
     fit : the final fit, where it is not the search's own
     robot : its noise with intervals, of which what a localisation hides is said
     notes : what reading the recordings noticed
     reproduction : how far the final model drifts beside the recordings, where that is known
-    following : the command to type next
+    following : the command to type next, "" for none
     """
     undecided = {name for choice in advice.choices for name in choice.names}
     lines, negligible = _found_lines(search, fit or search.fit, undecided)
@@ -111,7 +113,7 @@ def findings_brief(
         lines.insert(1, Line("outliers" if reproduction.holds else "drift", drifts, "warning"))
     if notes:
         lines.append(Line("notes", notes[0] if len(notes) == 1 else f"{len(notes)} remarks: -v shows them", "warning"))
-    return Summary((*lines, *([following] if following else [])))
+    return Summary((*lines, command_line(following)))
 
 
 def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
@@ -123,58 +125,49 @@ def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     return "COMPLETE", "good"
 
 
-def _found_lines(search: Learned, fit: Fit, undecided: Container[str]) -> tuple[list[Line], list[Line]]:
+def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
     """Return a line for each effect, dependence, noise and clock that was found, effects first; and of negligible ones.
 
     What is negligible is in one line, because nobody has to do anything about it.
 
-    undecided : names that another line says of what they are not separated
+    undecided : names that the line of what is open has
     """
-    errors = iter(fit.standard_errors)
-    own = {e.name: (e, [float(next(errors)) for _ in amplitudes(e)]) for e in fit.effects}
-    lines = []
-    small = []
+    own = {effect.name: (effect, errors) for effect, errors in effects_with_errors(fit)}
     drive = search.drive_type
+    lines: list[Line] = []
+    small: list[str] = []
     for step in search.steps:
         if step.added is not None and step.added in own:
             effect, _ = own[step.added]
-            values = ", ".join(numbers_text(*own[step.added]))
+            said = f"{readings(effect, drive)}  {', '.join(numbers_text(*own[step.added]))}"
             if search.is_negligible(step.added):
-                small.append(f"{readings(effect, drive)}  {values}")
+                small.append(said)
                 continue
-            said = f"{readings(effect, drive)}  {values}  {confidence_words(step_confidence(step, search))}"
-            lines.append(Line("", said + _rivals(step, readings_of(effect, drive), undecided)))
+            rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
+            said += f"  {confidence_words(step_confidence(step, search))}"
+            lines.append(Line("", f"{said}, or {', '.join(rivals)}" if rivals else said))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
-        if unknown not in search.unexplained:
+        if unknown in search.unexplained:
+            lines.append(Line("", f"{dependence(unknown)}: {expression}"))
+        else:
             small.append(expression)
-            continue
-        lines.append(Line("", f"{dependence(unknown)}: {expression}"))
     for gain in search.noise:
-        sure = confidence_words(noise_confidence(gain, search))
-        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}  {sure}"
-        lines.append(Line("noise", said))
-    names = [r.name for r in search.fit.problem.recordings]
-    for one in clocks_found(search.clocks):
-        value = (
-            value_text(one.value, one.error, "s")
-            if one.name == "time_offset"
-            else f"{one.value * 1e6:.0f} +- {one.error * 1e6:.2g} ppm"
-        )
-        lines.append(Line("clock", f"{one.name} {value} in {names[one.recording]}"))
+        said = f"{gain.effect.name}, {', '.join(noise_text(gain.effect))}"
+        lines.append(Line("noise", f"{said}  {confidence_words(noise_confidence(gain, search))}"))
+    lines += _clock_lines(search.clocks, search.fit)
     lines += [
         Line("disagree", f"recordings disagree about {one.effect} (p {one.p:.2g}): did the robot change?", "warning")
         for one in search.disagreements
     ]
     lines += [Line("data", contradiction(one), "warning") for one in search.contradictions]
-    if not small:
-        return lines, []
-    return lines, [Line("negligible", f"{', '.join(small)}: in the model, but moves nothing that matters")]
+    said = f"{', '.join(small)}: in the model, but moves nothing that matters"
+    return lines, [Line("negligible", said)] if small else []
 
 
-def _rivals(step: Step, twins: Sequence[str], undecided: Container[str]) -> str:
-    rivals = [name for name in step.alternatives if name not in twins and name not in undecided]
-    return f", or {', '.join(rivals)}" if rivals else ""
+def _clock_lines(clocks: Clocks, fit: Fit) -> list[Line]:
+    names = [recording.name for recording in fit.problem.recordings]
+    return [Line("clock", f"{one.name} {one.text} in {names[one.recording]}") for one in clocks_found(clocks)]
 
 
 def _drive_lines(search: Learned) -> list[Line]:
@@ -205,7 +198,7 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
     return [Line("open", said, "warning")] if said else []
 
 
-def comparison_brief(comparison: Comparison, following: Line | None = None) -> Summary:
+def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
     """Return the verdict on the last model, and a line for each model with error, likelihood and rejection."""
     last = comparison.judgements[-1]
     if len(comparison.judgements) == 1:
@@ -223,22 +216,17 @@ def comparison_brief(comparison: Comparison, following: Line | None = None) -> S
     if isfinite(comparison.raw_error_m):
         lines.append(Line("odometry", f"10 s error {size('along', comparison.raw_error_m)} as measured"))
     shown = comparison.judgements[-_SHOWN_MODELS:]
-    for judgement in shown:
-        rejected = "rejected" if judgement.verdict.fails else "not rejected"
-        said = (
-            f"{judgement.name}: 10 s error {size('along', judgement.ten_second_error_m)}, "
-            f"{judgement.nats.per_m:.4g} nats/m, {rejected}"
-        )
-        lines.append(Line("model" if judgement is shown[0] else "", said))
+    for one in shown:
+        said = f"{one.name}: 10 s error {size('along', one.ten_second_error_m)}, {one.nats.per_m:.4g} nats/m, "
+        said += "rejected" if one.verdict.fails else "not rejected"
+        lines.append(Line("model" if one is shown[0] else "", said))
     if last.failures:
-        from odomcorrupt.report.text.lack_of_fit import sentence  # noqa: PLC0415 - one sentence of many
-
         worst = sentence(last.failures[0])
         if last.verdict.fails:
             lines.append(Line("fails", worst, "warning"))
         else:
             lines.append(Line("deviation", f"the largest, for which {last.name} is not REJECTED: {worst}"))
-    return Summary((*lines, *([following] if following else [])))
+    return Summary((*lines, command_line(following)))
 
 
 def _hidden_noise(result: RobotFit) -> list[Line]:
@@ -253,7 +241,7 @@ def _hidden_noise(result: RobotFit) -> list[Line]:
     return [Line("noise", f"at most {most} after a metre: the truth's own noise hides it; the model has the estimate")]
 
 
-def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
+def fit_brief(result: RobotFit, following: str = "") -> Summary:
     """Return the error after 10 s on the fitted data, the noise coefficients and the effects of a fit."""
     fit = result.fit
     law = fit.problem.approach.law_name
@@ -267,12 +255,7 @@ def fit_brief(result: RobotFit, following: Line | None = None) -> Summary:
     hidden = [i.name for i in result.intervals if not i.identifiable]
     if hidden:
         lines.append(Line("", f"not identifiable from this drive: {', '.join(hidden)}", "warning"))
-    errors = iter(fit.standard_errors)
-    for effect in fit.effects:
-        own = [float(next(errors)) for _ in amplitudes(effect)]
+    for effect, errors in effects_with_errors(fit):
         kind = "set-up" if effect.kind == "setup" else "effect"
-        lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, own))}"))
-    for one in clocks_found(result.clocks):
-        value = value_text(one.value, one.error, "s") if one.name == "time_offset" else f"{one.value * 1e6:.0f} ppm"
-        lines.append(Line("clock", f"{one.name} {value} in {fit.problem.recordings[one.recording].name}"))
-    return Summary((*lines, *([following] if following else [])))
+        lines.append(Line(kind, f"{effect.name}  {', '.join(numbers_text(effect, errors))}"))
+    return Summary((*lines, *_clock_lines(result.clocks, fit), command_line(following)))

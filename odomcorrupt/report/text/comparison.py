@@ -26,10 +26,11 @@ def comparison_text(comparison: Comparison) -> str:
     """Return horizons and verdict of every model, the sequence, and where each model fails."""
     lines: list[str] = []
     for judgement in comparison.judgements:
-        how = (
-            "refitted on the other half of each recording it was fitted on" if judgement.refitted else "not fitted here"
-        )
-        lines += [f"{judgement.name} ({how})", *_horizon_lines(judgement.horizons)]
+        how = "refitted on the other half of each recording it was fitted on"
+        lines += [
+            f"{judgement.name} ({how if judgement.refitted else 'not fitted here'})",
+            *_horizon_lines(judgement.horizons),
+        ]
         lines += [f"  note: {note}" for note in judgement.notes]
         lines.append("")
     lines += [*_sequence_lines(comparison), "", *_trajectory_lines(comparison)]
@@ -42,31 +43,18 @@ def comparison_text(comparison: Comparison) -> str:
 
 def failure_lines(judgement: Judgement) -> list[str]:
     """Return the verdict, and where the model fails, the most significant first."""
-    lines = [judgement_sentence(judgement)]
-    if judgement.failures:
-        shown, more = judgement.failures[:MOST], len(judgement.failures) - MOST
-        lines += [f"  {number}. {sentence(f)}" for number, f in enumerate(shown, start=1)]
-        lines += [f"  and {more} more, see --json"] if more > 0 else []
-    else:
-        lines.append("  no lack of fit in any motion, time, place or moment")
-    return lines
+    more = len(judgement.failures) - MOST
+    lines = [f"  {number}. {sentence(f)}" for number, f in enumerate(judgement.failures[:MOST], start=1)]
+    lines += [f"  and {more} more, see --json"] if more > 0 else []
+    return [judgement_sentence(judgement), *(lines or ["  no lack of fit in any motion, time, place or moment"])]
 
 
 def _horizon_lines(horizons: Sequence[Horizon]) -> list[str]:
+    both = "measured (expected)"
     row = "  {:>6}{:>9}{:>23}{:>23}{:>20}{:>8}{:>13}{:>13}{:>13}".format
     lines = [
         row("path", "windows", "along", "across", "yaw", "NEES", "by chance", "in 50 %", "in 90 %"),
-        row(
-            "",
-            "",
-            "measured (expected)",
-            "measured (expected)",
-            "measured (exp.)",
-            "",
-            "(95 %)",
-            "al/ac/yaw",
-            "al/ac/yaw",
-        ),
+        row("", "", both, both, "measured (exp.)", "", "(95 %)", "al/ac/yaw", "al/ac/yaw"),
     ]
     for h in horizons:
         along, across = (f"{_length(h.measured[c])} ({_length(h.expected[c])})" for c in (0, 1))
@@ -153,12 +141,12 @@ def _signed(value: float) -> str:
 def measures_words(comparison: Comparison) -> str:
     """Return every measure of the first and the last model, and whether they agree."""
     agreement = agreement_of(comparison)
-    words = []
-    for one in agreement.measures:
-        if one.name == "log likelihood":
-            words.append(f"{one.name} {_signed(one.after - one.before)} nats/m")
-        else:
-            words.append(f"{one.name} {size('along', one.before)} -> {size('along', one.after)}")
+    words = [
+        f"{one.name} {_signed(one.after - one.before)} nats/m"
+        if one.name == "log likelihood"
+        else f"{one.name} {size('along', one.before)} -> {size('along', one.after)}"
+        for one in agreement.measures
+    ]
     ending = {"mixed": ": they disagree", "worse": ": it is worse", "same": ": no change"}.get(agreement.verdict, "")
     return ", ".join(words) + ending
 
@@ -170,11 +158,9 @@ def _trajectory_lines(comparison: Comparison) -> list[str]:
     steps: list[tuple[str, TrajectoryError]] = [("odometry, clock corrected", comparison.clock_trajectory)]
     steps += [(j.name, j.trajectory) for j in comparison.judgements]
     for name, e in steps:
-        lines += _named(
-            name,
-            f"ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start; "
-            f"RPE over 1 m {_metres(e.rpe_m)}, {_degrees(e.rpe_rad)}",
-        )
+        ate = f"ATE {_metres(e.ate_m)} aligned, {_metres(e.ate_origin_m)} from the same start"
+        turn = f"{degrees(e.rpe_rad):.3f} deg" if isfinite(e.rpe_rad) else "-"
+        lines += _named(name, f"{ate}; RPE over 1 m {_metres(e.rpe_m)}, {turn}")
     return lines
 
 
@@ -186,7 +172,3 @@ def _named(name: str, rest: str) -> list[str]:
 
 def _metres(value: float) -> str:
     return f"{value:.3f} m" if isfinite(value) else "-"
-
-
-def _degrees(value: float) -> str:
-    return f"{degrees(value):.3f} deg" if isfinite(value) else "-"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.tables import value_text
+from odomcorrupt.report.text.numbers import value_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -13,16 +13,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
     from odomcorrupt.study.design.plan import Plan
 
-__all__ = [
-    "advice_sentences",
-    "advice_text",
-    "choice_sentence",
-    "drive_sentence",
-    "drive_words",
-    "inseparable_sentence",
-    "limits_sentence",
-    "untestable_sentence",
-]
+__all__ = ["advice_sentences", "advice_text", "drive_sentence", "inseparable_sentence", "limit_size", "limits_sentence"]
 
 
 def advice_text(advice: Advice) -> str:
@@ -34,11 +25,11 @@ def advice_sentences(advice: Advice) -> list[str]:
     """Return a sentence for every choice, and one for all effects that share reason and drive."""
     groups: dict[tuple[str, str], list[UntestableEffect]] = {}
     for one in advice.untestable:
-        groups.setdefault((one.why, drive_words(one.plan, one.hint)), []).append(one)
-    return [*map(choice_sentence, advice.choices), *map(untestable_sentence, groups.values())]
+        groups.setdefault((one.why, _drive_words(one.plan, one.hint)), []).append(one)
+    return [*map(_choice_sentence, advice.choices), *map(_untestable_sentence, groups.values())]
 
 
-def choice_sentence(choice: Ambiguity) -> str:
+def _choice_sentence(choice: Ambiguity) -> str:
     """Return "A or B: these data do not separate them; drive X"."""
     names = " or ".join(choice.names)
     if choice.plan is None:
@@ -74,14 +65,14 @@ def inseparable_sentence(advice: Advice, readings: Callable[[str], Sequence[str]
     return f"These data cannot separate {', nor '.join(pairs)}{words}"
 
 
-def untestable_sentence(group: Sequence[UntestableEffect]) -> str:
+def _untestable_sentence(group: Sequence[UntestableEffect]) -> str:
     """Return "A, B: not testable here: never reversed; drive X" of effects that share reason and drive."""
     names = ", ".join(one.effect for one in group)
-    words = drive_words(group[0].plan, group[0].hint)
+    words = _drive_words(group[0].plan, group[0].hint)
     return f"{names}: not testable here: {group[0].why}" + (f"; {words}" if words else "")
 
 
-def drive_words(plan: Plan | None, hint: str) -> str:
+def _drive_words(plan: Plan | None, hint: str) -> str:
     """Return "drive X", or what an effect itself says where no plan shows it."""
     return f"drive {drive_sentence(plan)}" if plan is not None else hint
 
@@ -99,16 +90,10 @@ def limits_sentence(limits: Sequence[DetectionLimit]) -> str:
     """Return the smallest detectable sizes in common units; "" where there are none."""
     if not limits:
         return ""
-    names = [limit.effect for limit in limits]
-    sizes = ", ".join(
-        f"{limit_name(limit, alone=names.count(limit.effect) == 1)} {limit_size(limit)}" for limit in limits
-    )
+    every = [limit.effect for limit in limits]
+    names = [one.effect if every.count(one.effect) == 1 else f"{one.effect} {one.parameter}" for one in limits]
+    sizes = ", ".join(f"{name} {limit_size(limit)}" for name, limit in zip(names, limits, strict=True))
     return f"smallest detectable sizes: {sizes}"
-
-
-def limit_name(limit: DetectionLimit, *, alone: bool) -> str:
-    """Return the effect's name, with the parameter's where the effect has several."""
-    return limit.effect if alone else f"{limit.effect} {limit.parameter}"
 
 
 def limit_size(limit: DetectionLimit) -> str:

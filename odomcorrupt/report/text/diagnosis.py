@@ -6,43 +6,57 @@ from itertools import pairwise
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.confidence import confidence_words, fitted_expression, law_numbers, noise_confidence
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.lack_of_fit import rejection, size, within
-from odomcorrupt.report.text.tables import clock_lines, noise_text, sequence_text, value_text
+from odomcorrupt.report.text.numbers import (
+    clock_lines,
+    confidence_words,
+    fitted_expression,
+    law_numbers,
+    noise_confidence,
+    noise_text,
+    step_confidence,
+    value_text,
+    words_text,
+)
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.intervals import join
 from odomcorrupt.study.estimate.outliers import single_events
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.windows import distance_windows, rmse
+from odomcorrupt.study.terms.drive_type import readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.report.text.confidence import LawNumber
+    from odomcorrupt.report.text.numbers import LawNumber
     from odomcorrupt.study.design.advise import Advice
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.outliers import Event
     from odomcorrupt.study.select.candidates import Candidate
     from odomcorrupt.study.select.dependence import Dependence
     from odomcorrupt.study.select.heterogeneity import ParameterDifference
-    from odomcorrupt.study.select.stepwise import Learned
+    from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Judgement
 
-__all__ = ["NOTHING", "contradiction", "dependence", "found_text", "position_error", "shares_text", "unnamed"]
+__all__ = [
+    "NOTHING", "candidates_table", "contradiction", "dependence", "found_text", "position_error", "shares_text",
+    "unnamed",
+]  # fmt: skip
 
 NOTHING = "nothing is missing: no known effect explains more than chance"
 
 
-def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = None, fit: Fit | None = None) -> str:
+def found_text(learned: Learned, advice: Advice, *, evaluated: Judgement | None = None, fit: Fit | None = None) -> str:
     """Return the findings in order of evidence, what is open, and the smallest detectable sizes.
 
-    judged : the verdict on the final model, where it is known
+    evaluated : the verdict on the final model, where it is known
     fit : the fit of the final model, where it is not the search's own
     """
     lines = clock_lines([r.name for r in learned.fit.problem.recordings], learned.clocks)
     if learned.added:
-        lines += ["missing, in the order of evidence, each on top of the ones before:", sequence_text(learned)]
+        lines += ["missing, in the order of evidence, each on top of the ones before:", _sequence_text(learned)]
     for gain in learned.noise:
         values = ", ".join(noise_text(gain.effect))
         channel = f" ({gain.effect.channel})" if hasattr(gain.effect, "channel") else ""
@@ -62,10 +76,10 @@ def found_text(learned: Learned, advice: Advice, *, judged: Judgement | None = N
     lines += [contradiction(one) for one in learned.contradictions]
     if small := [name for name in learned.added if learned.is_negligible(name)]:
         lines.append(f"negligible, though significant: {', '.join(_moved_words(name, learned) for name in small)}")
-    if judged is not None and judged.verdict.fails:
-        lines.append(unnamed(rejection(judged), found=bool(lines)))
-    elif judged is not None and judged.verdict.rejected:
-        lines.append(f"the model holds in practice: {within(judged)}")
+    if evaluated is not None and evaluated.verdict.fails:
+        lines.append(unnamed(rejection(evaluated), found=bool(lines)))
+    elif evaluated is not None and evaluated.verdict.rejected:
+        lines.append(f"the model holds in practice: {within(evaluated)}")
     lines = lines or [NOTHING]
     lines += [text for text in (advice_text(advice), limits_sentence(advice.limits)) if text]
     return "\n".join(lines)
@@ -78,31 +92,12 @@ def _moved_words(name: str, learned: Learned) -> str:
 
 def _event_line(one: Event) -> str:
     """Return when and where something happened once, how large it was, and how to put it into a simulation."""
-    moved = ", ".join(
-        text
-        for text, value, least in (
-            (f"{abs(one.along_m) * 1e3:.0f} mm {'back' if one.along_m > 0.0 else 'forwards'}", one.along_m, 1e-3),
-            (
-                f"{abs(one.across_m) * 1e3:.0f} mm to the {'right' if one.across_m > 0.0 else 'left'}",
-                one.across_m,
-                1e-3,
-            ),
-            (
-                f"{degrees(abs(one.yaw_rad)):.1f} deg to the {'right' if one.yaw_rad > 0.0 else 'left'}",
-                one.yaw_rad,
-                2e-3,
-            ),
-        )
-        if abs(value) > least
-    )
-    lasts_s = max(one.end_s - one.start_s, 1e-3)
-    push = ",".join(
-        f"{name}={value:.4g}"
-        for name, value in (
-            ("along", -one.along_m), ("across", -one.across_m), ("yaw", -one.yaw_rad), ("time", one.start_s),
-            ("duration", lasts_s),
-        )
-    )  # fmt: skip
+    along, across, yaw = one.along_m, one.across_m, one.yaw_rad
+    parts = [f"{abs(along) * 1e3:.0f} mm {'back' if along > 0.0 else 'forwards'}"] if abs(along) > 1e-3 else []
+    parts += [f"{abs(across) * 1e3:.0f} mm to the {'right' if across > 0.0 else 'left'}"] if abs(across) > 1e-3 else []
+    parts += [f"{degrees(abs(yaw)):.1f} deg to the {'right' if yaw > 0.0 else 'left'}"] if abs(yaw) > 2e-3 else []
+    moved, lasts_s = ", ".join(parts), max(one.end_s - one.start_s, 1e-3)
+    push = f"along={-along:.4g},across={-across:.4g},yaw={-yaw:.4g},time={one.start_s:.4g},duration={lasts_s:.4g}"
     x, y = one.place_xy
     return (
         f"once, {one.recording} from {one.start_s:.1f} to {one.end_s:.1f} s near ({x:.1f}, {y:.1f}): the robot was "
@@ -181,3 +176,45 @@ def _fall(what: str, before: float, after: float) -> str:
     if not (isfinite(before) and isfinite(after) and before > 0.0):
         return ""
     return f"{what}: {size('along', before)} -> {size('along', after)} ({100.0 * (after / before - 1.0):+.0f} %)"
+
+
+_MOST_CANDIDATES = 8
+
+
+def candidates_table(step: Step) -> str:
+    """Return the candidates of one step, those with most evidence first."""
+    head = f"{'effect':<16}{'estimate':<44}{'evidence':>10}{'held out':>16}{'10 s error':>20}"
+    return "\n".join([head, *map(_candidate_line, step.candidates[:_MOST_CANDIDATES])])
+
+
+def _candidate_line(candidate: Candidate) -> str:
+    score = candidate.score
+    values = ", ".join(
+        f"{p.name} {value_text(float(v), float(e), p.unit)}" if score.separable else "-"
+        for p, v, e in zip(amplitudes(score.effect), score.estimate, score.standard_error, strict=True)
+    )
+    evidence = f"{candidate.gain:+.1f}" if candidate.fit is not None else f"p {score.p:.2g}"
+    held = f"{score.held_out_nats:+.1f} +- {score.held_out_error:.1f}"
+    before, after = candidate.rmse
+    drift = f"{before * 1e3:.1f} -> {after * 1e3:.1f} mm" if candidate.fit is not None else ""
+    refused = f"  ({candidate.refused})" if candidate.refused else ""
+    return f"{score.effect.name:<16}{values:<44}{evidence:>10}{held:>16}{drift:>20}{refused}"
+
+
+def _sequence_text(learned: Learned) -> str:
+    """Return how the 10 s error of the fitted data fell, step by step."""
+    lines, own = [], {effect.name: effect for effect in learned.fit.effects}
+    for step in learned.steps:
+        if step.added is not None:
+            before, after = step.candidates[0].rmse
+            twins = readings_of(own[step.added], learned.drive_type)
+            others = [name for name in step.alternatives if name not in twins]
+            rivals = f" (= {', '.join(twins)}: the same error)" if twins else ""
+            rivals += f" (or {', '.join(others)}: these data do not separate them)" if others else ""
+            name = step.added + words_text(own[step.added])
+            sure = confidence_words(step_confidence(step, learned))
+            lines.append(
+                f"  + {name:<16}{step.candidates[0].gain:+8.1f} nats   "
+                f"{before * 1e3:6.1f} -> {after * 1e3:.1f} mm after 10 s   {sure}{rivals}"
+            )
+    return "\n".join(lines)

@@ -5,21 +5,18 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.report.text.tables import clock_lines, numbers_text, words_text
+from odomcorrupt.report.text.numbers import clock_lines, effects_with_errors, numbers_text, words_text
 from odomcorrupt.study.estimate.outliers import events
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from odomcorrupt.effects.effect import Effect
     from odomcorrupt.study.estimate.calibrate import RobotFit
     from odomcorrupt.study.estimate.confidence_intervals import Interval
     from odomcorrupt.study.estimate.outliers import Event
 
 __all__ = ["fit_text", "laws_table"]
 
-_AFTER = {"rot_rot": "rad", "rot_trans": "m", "trans_trans": "m", "trans_rot": "rad", "across_trans": "m"}
 _MOST_EVENTS = 8
 
 
@@ -29,8 +26,10 @@ def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
     names = [r.name for r in result.fit.problem.recordings]
     lines = [f"law {result.fit.problem.approach.law_name}, coefficients with 95 % intervals:"]
     lines += [_interval_line(result, interval) for interval in result.intervals]
-    errors = iter(result.fit.standard_errors)
-    lines += [_effect_line(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in result.fit.effects]
+    lines += [
+        f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
+        for effect, errors in effects_with_errors(result.fit)
+    ]
     lines += clock_lines(names, result.clocks) if clocks else []
     wander = f", wandering {truth.random_walk * 1e3:.2g} mm per sqrt(s)" if truth.random_walk else ""
     heading = f"{degrees(truth.yaw_rad):.2g} deg" if result.fit.problem.headings else "no headings"
@@ -42,24 +41,14 @@ def fit_text(result: RobotFit, *, clocks: bool = True) -> str:
 
 def _interval_line(result: RobotFit, interval: Interval) -> str:
     name, value = interval.name, interval.value
-    heading = name.startswith("rot_")
-    scale, unit = (degrees(1.0), "deg") if heading else (1e3, "mm")
-    sense = (
-        f"{unit} after one {'metre' if _AFTER[name] == 'm' else 'radian'}" if _plain(result) else "as the law has it"
-    )
+    scale, unit = (degrees(1.0), "deg") if name.startswith("rot_") else (1e3, "mm")
     ends = f"[{interval.low:.2g}, {interval.high:.2g}]"
     if not interval.identifiable:
         return f"  {name:<13}{'-':<10} {ends:<22}  not identifiable from this drive"
-    human = f"  = {value * scale:.3g} {sense}" if _plain(result) else f"  {sense}"
-    return f"  {name:<13}{value:<10.4g} {ends:<22}{human}"
-
-
-def _plain(result: RobotFit) -> bool:
-    return result.fit.problem.approach.law_name == "diffusion"
-
-
-def _effect_line(effect: Effect, errors: Sequence[float]) -> str:
-    return f"  {effect.name}{words_text(effect)}: {', '.join(numbers_text(effect, errors))}"
+    human = "as the law has it"
+    if result.fit.problem.approach.law_name == "diffusion":
+        human = f"= {value * scale:.3g} {unit} after one {'metre' if name.endswith('_trans') else 'radian'}"
+    return f"  {name:<13}{value:<10.4g} {ends:<22}  {human}"
 
 
 def _event_lines(found: Sequence[Event]) -> list[str]:

@@ -11,16 +11,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.lack_of_fit import Failure
     from odomcorrupt.study.validate.reproduction import Reproduction
 
-__all__ = [
-    "MOST",
-    "SIGNS",
-    "judgement_sentence",
-    "rejection",
-    "reproduction_sentence",
-    "sentence",
-    "size",
-    "within",
-]
+__all__ = ["MOST", "SIGNS", "judgement_sentence", "rejection", "reproduction_sentence", "sentence", "size", "within"]
 
 MOST = 8
 """Sentences printed for a model; JSON has all of them."""
@@ -49,12 +40,8 @@ def _figures(value: float, digits: int, *, signed: bool) -> str:
     """Return a number with so many figures, never as a power of ten."""
     if value == 0.0:
         return "0"
-    places = max(digits - 1 - _magnitude(value), 0)
-    return f"{value:{'+' if signed else ''}.{places}f}"
-
-
-def _magnitude(value: float) -> int:
-    return int(f"{abs(value):e}".split("e")[1])
+    magnitude = int(f"{abs(value):e}".split("e")[1])
+    return f"{value:{'+' if signed else ''}.{max(digits - 1 - magnitude, 0)}f}"
 
 
 def sentence(failure: Failure) -> str:

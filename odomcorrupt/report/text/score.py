@@ -77,23 +77,21 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     verdicts : of the gate's rules
     following : words of the command to type next
     """
-    counts = Counter(run.status for run in report.runs)
-    failed = sum(report.failed(run) for run in report.runs)
-    parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
-    said = f"{failed} of {len(report.counted)} counted runs failed{f' ({parts})' if parts else ''}"
-    gate = [verdict for verdict in verdicts if verdict.failed]
+    failed, parts = _failed(report)
+    said, gate = f"{failed} of {len(report.counted)} counted runs failed{parts}", any(one.failed for one in verdicts)
     lines = [Line("FAILED" if failed or gate else "HELD", said, "bad" if gate else "warning" if failed else "good")]
     # a gate's verdict is what a script is asked for: failed rules come first
-    lines += [
-        Line("gate", verdict.sentence, "bad" if verdict.failed else "good")
-        for verdict in sorted(verdicts, key=lambda verdict: not verdict.failed)
-    ]
+    ranked = sorted(verdicts, key=lambda verdict: not verdict.failed)
+    lines += [Line("gate", one.sentence, "bad" if one.failed else "good") for one in ranked]
     for name, label in (("ate_m", "ATE"), ("rpe_m", "RPE")):
         s = report.summary(name)
         if s.n:
             values = (metric_text(name, value) for value in (s.median.value, s.p90.value, s.max))
             lines.append(Line(label, "median {}, p90 {}, max {}".format(*values)))
-    lines.append(Line("breaks", _breakdown_brief(report)))
+    drifts, point = _drifts(report), report.breakdown.drift
+    span = f"drifts {drifts} per 10 m"
+    breaks = f"5 % fail at a drift of {_percent(point)}; {span}" if point is not None else f"no point; {span}"
+    lines.append(Line("breaks", breaks if drifts else "unknown: the drift of these runs is not known"))
     nees = report.summary("nees")
     if nees.n:
         lines.append(Line("NEES", f"{nees.median.value:.3g} per degree of freedom (1 is calibrated)"))
@@ -101,25 +99,23 @@ def score_brief(report: ScoreReport, verdicts: Sequence[Verdict], *, following: 
     return Summary((*lines, command_line(following)))
 
 
-def _breakdown_brief(report: ScoreReport) -> str:
-    found = report.breakdown
+def _failed(report: ScoreReport) -> tuple[int, str]:
+    """Return how many runs failed, and in which ways, as " (2 lost, 1 missing)"; "" where all went well."""
+    counts = Counter(run.status for run in report.runs)
+    parts = ", ".join(f"{counts[status]} {status}" for status in _STATUSES if counts[status])
+    return sum(report.failed(run) for run in report.runs), f" ({parts})" if parts else ""
+
+
+def _drifts(report: ScoreReport) -> str:
+    """Return the smallest and the largest drift of the runs that count; "" where none is known."""
     drifts = [run.drift for run in report.counted if isfinite(run.drift)]
-    if not drifts:
-        return "unknown: the drift of these runs is not known"
-    span = f"drifts {_percent(min(drifts))} to {_percent(max(drifts))} per 10 m"
-    return f"5 % fail at a drift of {_percent(found.drift)}; {span}" if found.drift is not None else f"no point; {span}"
+    return f"{_percent(min(drifts))} to {_percent(max(drifts))}" if drifts else ""
 
 
 def sentences(report: ScoreReport) -> list[str]:
     """Return what there is to say of all runs, a sentence each, the most important first."""
-    counts = Counter(run.status for run in report.runs)
-    failed = sum(report.failed(run) for run in report.runs)
-    parts = [f"{counts[status]} {status}" for status in _STATUSES if counts[status]]
-    lines = [
-        f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed"
-        + (f" ({', '.join(parts)})" if parts else "")
-        + "."
-    ]
+    failed, parts = _failed(report)
+    lines = [f"{len(report.runs)} runs, {failed} of {len(report.counted)} counted ones failed{parts}."]
     left = len(report.runs) - len(report.counted)
     if left:
         lines.append(f"Not counted, without a whole output: {left}; --count-missing makes them failures.")
@@ -153,11 +149,10 @@ def _percent(part: float) -> str:
 
 
 def _breakdown_sentence(report: ScoreReport) -> str:
-    found = report.breakdown
-    drifts = [run.drift for run in report.counted if isfinite(run.drift)]
+    found, drifts = report.breakdown, _drifts(report)
     if not drifts:
         return "The drift of these runs is not known, and so no break-down point."
-    span = f"runs drift by {_percent(min(drifts))} to {_percent(max(drifts))} of the way, rms over 10 m"
+    span = f"runs drift by {drifts} of the way, rms over 10 m"
     failed = sum(report.failed(run) for run in report.counted)
     if found.drift is None and not failed:
         low = f"; it lies above {_percent(found.low)} (95 %)" if found.low > 0.0 else ""

@@ -46,23 +46,9 @@ class Summary:
     lines: tuple[Line, ...]
     most: int = MOST_LINES
 
-    def text(self, width: int = WIDTH, *, colour: bool = False) -> str:
-        """Return the summary as text.
-
-        Parameters
-        ----------
-        width : int
-            Columns; a command is folded with backslashes, so that it can be pasted.
-        colour : bool
-            Whether labels have the ANSI colour of their tone.
-
-        Returns
-        -------
-        str
-            At most `most` lines; where findings are left out, one says so.
-
-        """
-        return "\n".join(part for part in self.parts(width, colour=colour) if part)
+    def text(self, width: int = WIDTH) -> str:
+        """Return the summary in so many columns and at most `most` lines; where findings are left out, one says so."""
+        return "\n".join(part for part in self.parts(width) if part)
 
     def parts(self, width: int = WIDTH, *, colour: bool = False) -> tuple[str, str]:
         """Return the findings and the command to type next as two texts, for lines that are printed between them.
@@ -80,8 +66,8 @@ class Summary:
             Together at most `most` lines. The second one is empty where there is no command.
 
         """
-        indent = max((len(line.label) for line in self.lines), default=0) + 2
-        blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self.lines]
+        indent = max((len(line.label) for line in self._shown), default=0) + 2
+        blocks = [(line, _folded(line.tone, visible(line.text), max(width - indent, 24))) for line in self._shown]
         findings: list[str] = []
         commands: list[str] = []
         for line, parts in _within(blocks, self.most):
@@ -98,9 +84,13 @@ class Summary:
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(line.label)}</th>"
             f"<td style='text-align:left'>{html.escape(line.text)}</td></tr>"
-            for line in self.lines
+            for line in self._shown
         )
         return f"<table>{rows}</table>"
+
+    @property
+    def _shown(self) -> list[Line]:
+        return [line for line in self.lines if line.text or line.tone != "command"]
 
     @property
     def headline(self) -> str:
@@ -134,6 +124,6 @@ def _within(blocks: Sequence[tuple[Line, list[str]]], most: int) -> list[tuple[L
     return [*kept, (more, [more.text]), *commands]
 
 
-def command_line(words: Sequence[object]) -> Line:
-    """Return the line with the command to type next."""
-    return Line("next", shlex.join(map(str, words)), "command")
+def command_line(words: Sequence[object] | str) -> Line:
+    """Return the line with the command to type next, as words or as it is typed; of "" nothing is shown."""
+    return Line("next", words if isinstance(words, str) else shlex.join(map(str, words)), "command")

@@ -1,0 +1,165 @@
+"""Numbers of findings in words: values with errors in common units, confidences, clocks and fitted dependences."""
+
+from __future__ import annotations
+
+from math import degrees
+from typing import TYPE_CHECKING, NamedTuple
+
+from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, held_out_limit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.clocks import Clocks
+    from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.estimate.returns import ReturnsFit
+    from odomcorrupt.study.select.dependence import Dependence
+    from odomcorrupt.study.select.random_effects import RandomCoefficient
+    from odomcorrupt.study.select.stepwise import Learned, Step
+
+__all__ = ["clock_lines", "clocks_found", "confidence_words", "effects_with_errors", "fitted_expression", "law_numbers",
+           "noise_confidence", "noise_text", "numbers_text", "step_confidence", "value_text", "words_text"]  # fmt: skip
+
+
+def effects_with_errors(fit: Fit | ReturnsFit) -> list[tuple[Effect, list[float]]]:
+    """Return the effects of a fit, each with the standard errors of its amplitudes."""
+    errors = iter(fit.standard_errors)
+    return [(effect, [float(next(errors)) for _ in amplitudes(effect)]) for effect in fit.effects]
+
+
+_COMMON = {"m": (1e3, "mm"), "s": (1e3, "ms"), "": (1e2, "%")}
+
+
+def value_text(value: float, error: float | None, unit: str) -> str:
+    """Return a value with its error in common units."""
+    scale, shown = _COMMON.get(unit, (1.0, unit))
+    if unit.startswith("rad"):
+        scale, shown = degrees(1.0), "deg" + unit[3:]
+    elif unit == "s" and abs(value) >= 1.0:
+        scale, shown = 1.0, unit
+    return f"{value * scale:.4g}{'' if error is None else f' +- {error * scale:.2g}'} {shown}"
+
+
+def numbers_text(effect: Effect, errors: Sequence[float]) -> list[str]:
+    """Return an effect's numbers in words: amplitudes with their errors, then its shape, places in metres."""
+    own = amplitudes(effect)
+    shown = zip(own, errors, strict=True)
+    sizes = [f"{p.name} {value_text(getattr(effect, p.name), error, p.unit)}" for p, error in shown]
+    shapes = [p for p in parameters(effect) if not p.amplitude]
+    return sizes + [f"{p.name} {_shape_text(getattr(effect, p.name), p.unit)}" for p in shapes]
+
+
+def noise_text(effect: Effect) -> list[str]:
+    """Return a random effect's numbers in words; a time of zero is none."""
+    shown = [p for p in parameters(effect) if p.amplitude or getattr(effect, p.name)]
+    return [f"{p.name} {value_text(getattr(effect, p.name), None, p.unit)}" for p in shown]
+
+
+def _shape_text(value: float, unit: str) -> str:
+    """Return a number of a shape; of a place all that lies before the millimetres, however far away the map begins."""
+    return f"{round(value, 3):.10g} m" if unit == "m" else value_text(value, None, unit)
+
+
+def clock_lines(names: Sequence[str], clocks: Clocks) -> list[str]:
+    """Return a line for every recording whose clock is off, with its confidence."""
+    parts: dict[int, list[str]] = {}
+    for one in clocks_found(clocks):
+        said = f"{one.name.rpartition('_')[2]} {one.text} ({confidence_words(one.sure)})"
+        parts.setdefault(one.recording, []).append(said)
+    return [f"{names[i]}: the odometry's clock is off: {', '.join(parts[i])}" for i in sorted(parts)]
+
+
+def words_text(effect: Effect) -> str:
+    """Return those parameters of an effect that are words, and not the usual ones: " (heading gyro)", or ""."""
+    said = [
+        f"{word} {getattr(effect, word)}"
+        for word, (usual, *_) in choices(effect).items()
+        if getattr(effect, word) != usual
+    ]
+    return f" ({', '.join(said)})" if said else ""
+
+
+_CLOCKS = ("time_offset", "clock_skew")
+_LIKE_PLAY_S = 0.015
+"""An offset as small as this may be the time in which a wheel's play is crossed: 5 mm at 0.3 to 0.5 m/s."""
+_REAL = 3.9
+"""Standard errors from which on a clock is off, and has not only been left free."""
+
+
+class ClockFound(NamedTuple):
+    """A clock that is off: as which effect, of which recording, its value, its standard error and confidence."""
+
+    name: str
+    recording: int
+    value: float
+    error: float
+    sure: float
+
+    @property
+    def text(self) -> str:
+        """Its value and standard error: ms of an offset, ppm of a skew."""
+        if self.name == "time_offset":
+            return value_text(self.value, self.error, "s")
+        return f"{self.value * 1e6:.0f} +- {self.error * 1e6:.2g} ppm"
+
+
+class LawNumber(NamedTuple):
+    """A number of a law, with its standard error and unit."""
+
+    value: float
+    error: float
+    unit: str
+
+
+def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
+    """Yield what is really there: a skew makes an offset free, too, which need not be."""
+    for position, name in enumerate(_CLOCKS):
+        for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
+            value, error = (clock.offset_s, clock.rate)[position], errors[position]
+            if free[position] and abs(value) > _REAL * error:
+                own = 0.5 * (value / error) ** 2
+                # what could not be tried, play in gears of which no track is known, may do as much
+                alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
+                rivals = tuple(min(nats, own) for nats in clocks.rival_nats) if name == "time_offset" else ()
+                sure = confidence(Evidence(own, (*alike, *rivals)))
+                yield ClockFound(name, i, float(value), float(error), sure)
+
+
+def step_confidence(step: Step, learned: Learned) -> float:
+    """Return the confidence in the name of the effect that a step added."""
+    return confidence(evidence_of(step, learned))
+
+
+def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
+    """Return the confidence in the name of a random effect; any dependence resembles a slow gain, or heavy tails."""
+    left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
+    return confidence(Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left))
+
+
+def confidence_words(sure: float) -> str:
+    """Return "confidence 0.99", rounded down: 0.999 is not certain."""
+    return f"confidence {int(100.0 * sure) / 100.0:.2f}"
+
+
+def law_numbers(unknown: Dependence, learned: Learned, fit: Fit | None = None) -> dict[str, LawNumber]:
+    """Return the coefficients of a fitted dependence by name, from the final fit; none for one that is not fitted.
+
+    fit : the fit that is reported, where it is not the search's own
+    """
+    fit = fit or learned.fit
+    if unknown not in learned.laws or unknown.best is None:
+        return {}
+    for effect, errors in effects_with_errors(fit):
+        if effect.name == unknown.name:
+            own = zip(amplitudes(effect), errors, strict=True)
+            return {p.name: LawNumber(getattr(effect, p.name), error, p.unit) for p, error in own}
+    return {}
+
+
+def fitted_expression(unknown: Dependence, numbers: Mapping[str, LawNumber]) -> str:
+    """Return the expression of an unknown dependence: with these coefficients, where it is fitted."""
+    if unknown.best is None or not numbers:
+        return unknown.expression
+    return unknown.best.term.expression([number.value for number in numbers.values()])
