@@ -127,6 +127,10 @@ def reproduction_sentence(one: Reproduction) -> str:
         why = f"{carry} (slip_burst or push)" if one.by_outliers else "something that makes it drift is not in it"
         return f"{drifts}: {why}"
     if one.too_large:
+        if one.long is not None and one.long.too_large:
+            after, drawn, measured = f"{one.long.after_s:.0f} s", one.long.drawn_m, one.long.measured_m
+            drifts = f"corrupted with this model {after} err by {size('along', drawn)}, recorded by "
+            drifts += size("along", measured)
         return f"{drifts}: its noise is too large, that of the truth may be in it"
     return carry if one.by_outliers else ""
 
