@@ -63,7 +63,8 @@ def _follow(steps_m: Array, expected_m: Array) -> bool:
     """Return whether deviations of steps (n,) may be half of what is expected of them (n,), or more."""
     square = float(expected_m @ expected_m)
     share = float(expected_m @ steps_m) / square
-    return share + _PLAINLY * float(np.std(steps_m - share * expected_m)) / np.sqrt(square) >= _SHARE
+    error = float(np.std(steps_m - share * expected_m)) / float(np.sqrt(square))
+    return share + _PLAINLY * error >= _SHARE
 
 
 def _around(values: Array) -> Array:

@@ -315,6 +315,7 @@ def recordings_of(
             localised=truth.localised,
             of_base=truth.localised and truth.child != "" and truth.child == plain(odometry.child),
             pulled_per_s=max(pull_of(calm, real)),
+            odometry_topic=odometry.name if odometry.name.startswith("/") else "",
         )
         for r in recordings
     ]

@@ -12,6 +12,7 @@ over a quarter of the drive it shows whether these were taken for noise.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -146,8 +147,8 @@ def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recordin
     if after_s < _LEAST_S or not drawn:
         return None
     each = [_mean_square(one, after_s) for one in drawn]
-    measured_m, drawn_m, least_m = np.sqrt([_mean_square(measured, after_s), np.mean(each), min(each)]).tolist()
-    return LongDrift(after_s, measured_m, drawn_m, least_m)
+    squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))
+    return LongDrift(after_s, *(sqrt(square) for square in squares))
 
 
 def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> float:
