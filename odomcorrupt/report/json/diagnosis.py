@@ -64,7 +64,7 @@ def learned_json(
             held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
             found.append(entry | held_out | _matters(step.added, learned))
     found += [_noise(gain, learned) for gain in learned.noise]
-    missing = any(not one["negligible"] for one in found)
+    missing = bool(learned.lacking or learned.noise)
     return finite(
         {
             "schema": SCHEMA,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
+from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of, readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -102,6 +102,17 @@ class Learned:
     def matters(self) -> tuple[str, ...]:
         """Names of the included effects of the library that matter, in order."""
         return tuple(name for name in self.added if not self.is_negligible(name))
+
+    @property
+    def of_setup(self) -> tuple[str, ...]:
+        """Names of included effects that belong to the recording, and to no robot: where the tracked point sits."""
+        setup = [effect for effect in self.fit.effects if effect.kind == "setup"]
+        return tuple(effect.name for effect in setup if not readings_of(effect, self.drive_type))
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the included effects of the robot that matter, in order."""
+        return tuple(name for name in self.matters if name not in self.of_setup)
 
     @property
     def unexplained(self) -> tuple[Dependence, ...]:
