@@ -31,7 +31,7 @@ from odomcorrupt.study.validate.parameter_uncertainty import ParameterUncertaint
 
 PLANTED = Coefficients(0.05, 0.02, 0.05, 0.01)
 RIGHT = MotionModel(Noise("diffusion", PLANTED), setup=Setup(truth=TruthNoise(0.003, 0.003, 0.0)))
-SURE = ParameterUncertainty(np.zeros(0), np.zeros((0, 0)))
+SURE = ParameterUncertainty(np.zeros(0), np.zeros((0, 0)), np.zeros(3))
 
 
 def judged(seed: int, seconds: float, model: MotionModel = RIGHT):
@@ -96,9 +96,9 @@ def test_chance_alone_leaves_the_bounds_in_one_of_twenty_and_a_wrong_scale_in_mo
 def test_bounds_widen_by_what_the_model_does_not_know_of_itself():
     errors = gaussian_windows(0, 400)
     sure = horizon_of(1.0, [(errors, SURE)])
-    unsure = horizon_of(1.0, [(errors, ParameterUncertainty(np.array([0.2]), np.zeros((0, 0))))])
+    unsure = horizon_of(1.0, [(errors, replace(SURE, scale=np.array([0.2])))])
     assert np.ptp(unsure.nees_bounds) > 3.0 * np.ptp(sure.nees_bounds)
-    shifted = horizon_of(1.0, [(errors, ParameterUncertainty(np.zeros(0), np.array([[0.3]])))])
+    shifted = horizon_of(1.0, [(errors, replace(SURE, gram=np.array([[0.3]])))])
     assert shifted.nees_bounds[1] > sure.nees_bounds[1] + 0.5
     assert shifted.nees_bounds[0] > 0.95 * sure.nees_bounds[0]
 

@@ -11,6 +11,7 @@ from hidden import as_recording
 from odomcorrupt.cli import run as command
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.geometry.se2 import between
+from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.simulation import Segment, simulate, write_mcap
 from odomcorrupt.study.estimate.calibrate import fit_robot
 from odomcorrupt.study.estimate.intervals import lay_nodes
@@ -71,7 +72,7 @@ def test_a_run_with_resets_is_halved_as_one(tmp_path, office, resets_s, pieces):
     found = judged(recordings)
     told = [name.removeprefix("run.mcap ") for name in names(found)]
     assert told == pieces
-    assert found.judgements[0].refitted
+    assert found.judgements[0].judged_on == "halves"
     whole = judged(read(tmp_path, office))
     # windows of 10 s begin elsewhere, and there are a dozen
     assert found.judgements[0].ten_second_error_m < 1.6 * whole.judgements[0].ten_second_error_m
@@ -130,8 +131,19 @@ def test_what_is_too_short_to_be_halved_is_left_out_and_said_so(office):
     assert [run.names for run in cutting.pieces([long, short])] == [{"long"}]
     (note,) = cutting.notes
     assert note.startswith("short: too short to be fitted on one half and judged on the other")
-    with pytest.raises(RecordingError, match=r"short: too short .* record longer"):
-        cutting_of([short], ["short"], 0.5)
+    alone = cutting_of([short], ["short"], 0.5)
+    assert "record longer" in alone.notes[-1]
+    assert [run.names for run in alone.pieces([short])] == [{"short"}]
+    assert not alone.pieces([short])[0].second
+
+
+def test_a_model_of_a_drive_too_short_for_halves_is_judged_on_the_fitted_data_and_says_so(office):
+    whole = as_recording(office, "short")
+    short = replace(whole, truth=Trajectory(whole.truth.stamps_ns[:1500], whole.truth.xyt[:1500]))
+    found = judged([short])
+    assert found.judged_on == "fitted data"
+    assert "on the fitted data" in comparison_text(found)
+    assert any("too short to be fitted on one half" in note for note in found.judgements[0].notes)
 
 
 def test_a_recording_without_any_time_in_common_is_named(office):

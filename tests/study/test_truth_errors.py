@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.geometry.increments import Increments, accumulate
-from odomcorrupt.model.motion_model import TruthNoise
+from odomcorrupt.model.motion_model import MotionModel, Noise, Setup, TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
 from odomcorrupt.study.estimate.clocks import nuisance_of
 from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
@@ -23,6 +23,9 @@ from odomcorrupt.study.estimate.variance_components import VarianceComponents
 from odomcorrupt.study.estimate.whitener import dense_covariance, interval_covariance, map_axes, whitener
 from odomcorrupt.study.io.recording import Trajectory, TruthField
 from odomcorrupt.study.terms.drive_type import MOUNTING, library_families
+from odomcorrupt.study.validate.calibration import HORIZONS_M
+from odomcorrupt.study.validate.evaluation import evaluate_stretch, horizons_of
+from odomcorrupt.study.validate.goodness_of_fit import verdict_of
 
 QUIET = Coefficients(0.002, 0.0024, 0.0005, 0.0, 0.0005)
 TRUTH = TruthNoise(0.02, 0.008, 0.0)
@@ -105,9 +108,12 @@ def test_the_slope_of_the_likelihood_is_its_difference():
     )
     at, every = likelihood.initial_guess(), np.arange(len(pieces.active) + 2)
     moves = 1e-4 * np.eye(len(at))[every]
-    measured = [
-        (likelihood.evaluate(at + m).log_likelihood - likelihood.evaluate(at - m).log_likelihood) / 2e-4 for m in moves
-    ]
+
+    def nats(free):
+        return likelihood.posterior(likelihood.evaluate(free))
+
+    assert nats(at) < likelihood.evaluate(at).log_likelihood
+    measured = [(nats(at + m) - nats(at - m)) / 2e-4 for m in moves]
     np.testing.assert_allclose(likelihood.slope(likelihood.evaluate(at), every), measured, rtol=1e-5, atol=1e-4)
 
 
@@ -130,6 +136,18 @@ def test_noise_of_a_robot_that_is_larger_than_the_truths_is_still_its_own():
     found = fit([run], approach=approach).noise.coefficients
     assert found.trans_trans == pytest.approx(strong.trans_trans, rel=0.35)
     assert found.rot_trans == pytest.approx(strong.rot_trans, rel=0.35)
+
+
+def test_a_model_beside_a_localisation_is_rejected_for_errors_that_are_larger_not_for_smaller_ones():
+    run = replace(localised(alike_over(1.5), seconds=200.0), truth_correlation_m=1.5)
+    right = MotionModel(Noise("diffusion", QUIET), setup=Setup(truth=TRUTH))
+    bound = replace(right, noise=Noise("diffusion", Coefficients(0.01, 0.02, 0.03, 0.0, 0.03)))
+    wide = replace(run, odometry=Trajectory(run.odometry.stamps_ns, run.odometry.xyt * (1.03, 1.03, 1.0)))
+    found = [
+        verdict_of(horizons_of([evaluate_stretch(one, model, Approach(spacing_s=4.0))], HORIZONS_M), {}, {})
+        for one, model in ((run, right), (run, bound), (wide, right))
+    ]
+    assert [verdict.fails for verdict in found] == [False, False, True]
 
 
 def test_errors_that_belong_to_places_are_told_from_those_that_do_not():
@@ -156,7 +174,7 @@ def test_windows_know_what_their_places_add():
     assert np.allclose(same[:, 2, 2], 2.0 * 0.004**2, rtol=1e-3)
 
 
-def test_the_truth_of_the_base_itself_has_no_mounting():
+def test_a_truth_has_the_mounting_that_it_can_show():
     run = localised(by_place, seconds=60.0)
     motions = pose_problem([run], approach=Approach()).motions
 
@@ -165,5 +183,8 @@ def test_the_truth_of_the_base_itself_has_no_mounting():
 
     assert set(MOUNTING) <= set(nuisance_of([run]))
     assert set(MOUNTING) <= tested(run)
-    base = replace(run, of_base=True)
-    assert not set(MOUNTING) & (set(nuisance_of([base])) | tested(base))
+    base, gyro = replace(run, of_base=True), replace(run, positioned=False)
+    for one in (base, gyro):
+        assert not set(MOUNTING) & (set(nuisance_of([one])) | tested(one))
+    positions = replace(run, heading_error_rad=0.1)
+    assert set(MOUNTING) & set(nuisance_of([positions])) == set(MOUNTING) & tested(positions) == {"lever_arm"}

@@ -40,7 +40,9 @@ def report_html(comparison: Comparison, *, version: str) -> str:
 
 def _models_line(comparison: Comparison) -> str:
     names = ", ".join(j.name for j in comparison.judgements)
-    if any(j.refitted for j in comparison.judgements):
+    if comparison.judged_on == "fitted data":
+        return f"Models: {names}. Evaluation on the data that they were fitted on, too short for halves."
+    if comparison.judged_on == "halves":
         return (
             f"Models: {names}. Fitted on these recordings: refitted on one half and evaluated on the other, both ways."
         )

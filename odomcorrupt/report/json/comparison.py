@@ -43,7 +43,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 def _judgement(j: Judgement) -> dict[str, Any]:
     return {
         "name": j.name,
-        "held_out": "halves" if j.refitted else "recordings",
+        "held_out": j.judged_on,
         "ten_second_error_m": j.ten_second_error_m,
         "nats_per_m": j.nats.per_m,
         "nats_per_m_error": j.nats.error,

@@ -209,7 +209,9 @@ def _matters(name: str, learned: Learned) -> dict[str, Any]:
     }
 
 
-def _held_out(before: Judgement, after: Judgement) -> dict[str, Any]:
+def _held_out(before: Judgement, after: Judgement) -> dict[str, Any] | None:
+    if after.judged_on == "fitted data":
+        return None
     return {
         "nats_per_m": [before.nats.per_m, after.nats.per_m],
         "rmse_10m": [position_error(before, 10.0), position_error(after, 10.0)],

@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
-from odomcorrupt.report.text.comparison import measures_words
+from odomcorrupt.report.text.comparison import HELD, measures_words
 from odomcorrupt.report.text.design import inseparable_sentence
 from odomcorrupt.report.text.diagnosis import contradiction, dependence
 from odomcorrupt.report.text.lack_of_fit import reproduction_sentence, sentence, size, within
@@ -90,7 +90,7 @@ def findings_brief(
     lines = [Line(verdict, first, tone), *lines[named:]]
     lines += _hidden_noise(robot) if robot is not None else []
     lines += [*_track_lines(search, failed=comparison.judgements[-1].verdict.fails), *negligible]
-    held = "cross-validated" if any(j.refitted for j in comparison.judgements) else "held out"
+    held = HELD[comparison.judged_on]
     if len(comparison.judgements) > 1:
         agreement = agreement_of(comparison)
         mixed: Tone = {"better": "good", "mixed": "warning", "worse": "bad"}.get(agreement.verdict, "plain")  # type: ignore[assignment]
@@ -249,14 +249,17 @@ def comparison_brief(comparison: Comparison, following: str = "") -> Summary:
 
 def _hidden_noise(result: RobotFit) -> list[Line]:
     """Return a line on noise of which a localisation shows no more than an upper bound."""
-    if not any(r.localised for r in result.fit.problem.recordings):
-        return []
-    hidden = [i for i in result.intervals if i.name in _PER_METRE and i.low == 0.0 and i.identifiable]
+    hidden = [i for i in result.noise_at_most if i.name in _PER_METRE]
     if not hidden:
         return []
     bounds = [f"{degrees(i.high):.2g} deg" if i.name == "rot_trans" else f"{i.high * 1e3:.2g} mm" for i in hidden]
     most = ", ".join(f"{bound} {_PER_METRE[i.name]}" for bound, i in zip(bounds, hidden, strict=True))
-    return [Line("noise", f"at most {most} after a metre: the truth's own noise hides it; the model has the estimate")]
+    return [
+        Line(
+            "noise",
+            f"at most {most} after a metre (95 %): the localisation's own errors hide it; the model has the estimate",
+        )
+    ]
 
 
 def fit_brief(result: RobotFit, following: str = "") -> Summary:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from odomcorrupt.study.validate.calibration import Horizon
-    from odomcorrupt.study.validate.compare import Comparison, Judgement
+    from odomcorrupt.study.validate.compare import Comparison, JudgedOn, Judgement
     from odomcorrupt.study.validate.trajectory_error import TrajectoryError
 
 __all__ = ["comparison_text", "falls_sentence", "measures_words", "sequence_steps", "share_of_worst"]
@@ -21,16 +21,20 @@ _BAR = 30
 _NAME = 24
 """Columns for a model's name; a longer one has a line of its own, so that bars begin below each other."""
 
+HELD: dict[JudgedOn, str] = {"recordings": "held out", "halves": "cross-validated", "fitted data": "on the fitted data"}
+"""What errors and likelihoods of a comparison are, in words."""
+_HOW: dict[JudgedOn, str] = {
+    "recordings": "not fitted here",
+    "halves": "refitted on the other half of each recording it was fitted on",
+    "fitted data": "on the data it was fitted on",
+}
+
 
 def comparison_text(comparison: Comparison) -> str:
     """Return horizons and verdict of every model, the sequence, and where each model fails."""
     lines: list[str] = []
     for judgement in comparison.judgements:
-        how = "refitted on the other half of each recording it was fitted on"
-        lines += [
-            f"{judgement.name} ({how if judgement.refitted else 'not fitted here'})",
-            *_horizon_lines(judgement.horizons),
-        ]
+        lines += [f"{judgement.name} ({_HOW[judgement.judged_on]})", *_horizon_lines(judgement.horizons)]
         lines += [f"  note: {note}" for note in judgement.notes]
         lines.append("")
     lines += [*_sequence_lines(comparison), "", *_trajectory_lines(comparison)]
@@ -94,7 +98,7 @@ def share_of_worst(steps: Sequence[tuple[str, float, Judgement | None]], error: 
 
 def _sequence_lines(comparison: Comparison) -> list[str]:
     steps = sequence_steps(comparison)
-    lines = [f"{_held(comparison)} position error (RMS) after 10 s, and log likelihood:"]
+    lines = [f"{HELD[comparison.judged_on]} position error (RMS) after 10 s, and log likelihood:"]
     for name, error, judgement in steps:
         bar = "#" * round(_BAR * share_of_worst(steps, error))
         nats = "" if judgement is None else _nats(comparison, judgement)
@@ -112,17 +116,13 @@ def _nats(comparison: Comparison, judgement: Judgement) -> str:
     return f"{text}  ({n.gain_per_m:+.2f} +- {n.gain_error:.2f} over {comparison.judgements[0].name})"
 
 
-def _held(comparison: Comparison) -> str:
-    return "cross-validated" if any(j.refitted for j in comparison.judgements) else "held-out"
-
-
 def falls_sentence(comparison: Comparison) -> str:
     """Return by how much the error falls where no other measure contradicts, or that the measures disagree.
 
     "" where the error does not change, and where the data were fitted.
     """
     first, last = comparison.judgements[0], comparison.judgements[-1]
-    if len(comparison.judgements) < 2 or any(j.refitted for j in comparison.judgements):
+    if len(comparison.judgements) < 2 or comparison.judged_on != "recordings":
         return ""
     verdict = agreement_of(comparison).verdict
     if verdict == "mixed":

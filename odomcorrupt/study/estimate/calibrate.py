@@ -48,6 +48,12 @@ class RobotFit:
     ten_second_error_m: float
 
     @property
+    def noise_at_most(self) -> list[Interval]:
+        """Coefficients that are no more than bounded, because the truth of all recordings is a localisation's."""
+        localised = all(r.localised for r in self.fit.problem.recordings)
+        return [i for i in self.intervals if localised and i.identifiable]
+
+    @property
     def information_nats(self) -> float:
         """Log likelihood less half the logarithm of the data for each noise coefficient (Schwarz)."""
         nodes = len(self.fit.problem.nodes)
@@ -113,7 +119,12 @@ def fit_robot(
         correlation=fit_correlation(fitted, columns, own | errors.keys()),
         source=dict(model.source) | {"ten_second_error_on_the_fitted_data_m": error},
     )
-    return RobotFit(model=model, fit=fitted, clocks=clocks, intervals=tuple(intervals), ten_second_error_m=error)
+    robot = RobotFit(model=model, fit=fitted, clocks=clocks, intervals=tuple(intervals), ten_second_error_m=error)
+    most = ", ".join(f"{i.name} {i.high:.2g}" for i in robot.noise_at_most)
+    if not most:
+        return robot
+    noise = f"errors of the localisation cannot be separated from it; at most (95 %): {most}"
+    return replace(robot, model=replace(model, source=dict(model.source) | {"noise": noise}))
 
 
 def fit_every_law(

@@ -14,7 +14,7 @@ from odomcorrupt.study.estimate.gauss_newton import carried, fit
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.windows import phased_rmse
 from odomcorrupt.study.io.clock import Clock, aligned, clock_leaders, coarse_clock
-from odomcorrupt.study.terms.drive_type import MOUNTING, drive_type_of
+from odomcorrupt.study.terms.drive_type import MOUNTING, drive_type_of, mountings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,8 +83,8 @@ class _Found:
 
 def nuisance_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """Return what is free beside clocks: the usual systematic effects, and where the tracked point may sit."""
-    of_base = any(r.of_base for r in recordings)
-    return tuple(name for name in _NUISANCE if not (of_base and name in MOUNTING))
+    possible = mountings(recordings)
+    return tuple(name for name in _NUISANCE if name in possible or name not in MOUNTING)
 
 
 def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, LOWEST, NoiseLikelihood
-from odomcorrupt.study.estimate.truth_field import has_field
 from odomcorrupt.study.estimate.variance_components import NAMES
 
 if TYPE_CHECKING:
@@ -59,8 +58,9 @@ def coefficient_intervals(fitted: Fit, columns: Array) -> list[Interval]:
         headings=fitted.problem.headings,
     )
     free = fitted.noise.free
-    # the noise was fitted without the field of a localisation, and its profile is compared with that fit
-    top = likelihood.evaluate(free).log_likelihood if has_field(fitted.problem) else fitted.log_likelihood
+    # the noise was fitted without a localisation's field and with a prior, and its profile is compared with that fit
+    localised = any(r.localised for r in fitted.problem.recordings)
+    top = likelihood.posterior(likelihood.evaluate(free)) if localised else fitted.log_likelihood
     found = []
     for position, index in enumerate(fitted.components.active):
         best = float(free[position])
@@ -81,7 +81,7 @@ def _edge(likelihood: NoiseLikelihood, fitted: Fit, position: int, best: float, 
             return 0.0
         free[position] = outside
         profiled = likelihood.maximise(free, fixed=position)
-        drop = top - likelihood.evaluate(profiled).log_likelihood
+        drop = top - likelihood.posterior(likelihood.evaluate(profiled))
         if drop >= _DROP:
             # a parabola in the logarithm between the two points
             share = (np.sqrt(_DROP) - np.sqrt(max(inside_drop, 0.0))) / (np.sqrt(drop) - np.sqrt(max(inside_drop, 0.0)))

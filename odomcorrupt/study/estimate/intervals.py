@@ -89,6 +89,7 @@ class Intervals:
     memory : (K,) correlation of the truth's errors at both ends of an interval, 0 where they are independent
     field : (K, 5) errors of the truth where some belong to places: independent and by place (m, rad each), and how much
         alike the latter are at both ends; 0 where none do
+    localised : (K,) whether the truth is a localisation's
     random_walk_level : (K,) factor on the deviation of the truth's random_walk
     start_unseen, end_unseen : (K, 3, 3) what is added at both ends along axes on which the truth knows nothing, m^2
     """
@@ -112,6 +113,7 @@ class Intervals:
     way_m: Array
     memory: Array
     field: Array
+    localised: NDArray[np.bool_]
     random_walk_level: Array
     start_unseen: Array
     end_unseen: Array
@@ -284,6 +286,7 @@ def intervals(recording: Recording, picked: NDArray[np.int64], kept: NDArray[np.
         way_m=way_m,
         field=_field_over(recording.truth_field, truth_step),
         memory=memory_over(way_m, recording.truth_correlation_m or 0.0),
+        localised=np.full(len(kept), recording.localised),
         random_walk_level=np.full(len(kept), in_position),
         start_unseen=unseen[kept],
         end_unseen=unseen[kept + 1],

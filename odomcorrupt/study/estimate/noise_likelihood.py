@@ -47,6 +47,11 @@ HIGHEST = 10.0
 _LOW, _HIGH = np.log(LOWEST), np.log(HIGHEST)
 _TRUTH_LOW = np.log(np.array([2e-5, 2e-5, 1e-6]))
 _TRUTH_HIGH = np.log(np.array([1.0, 1.0, 0.3]))
+_USUAL, _SPREAD = np.log(np.array([0.02, 0.01])), 0.7
+"""Errors of a localisation, m and rad: their usual size, and the standard deviation of its logarithm. Particle filters
+with likelihood fields (as nav2_amcl) in two simulated rooms, cells of 2.5 to 10 cm, 500 to 2000 particles, alphas of
+0.05 to 0.2 and updates after 0.1 or 0.25 m, erred by 1.3 to 4 cm and 0.4 to 1.4 deg; slam_toolbox errs by 1 cm (the
+ordinary laboratory's protocol). Without it a perfect localisation on a noisy robot may be as likely as the reverse."""
 _NO_RANDOM_WALK = 2e-6
 _STEP = 1e-4
 _NATS, _PROFILE_NATS = 1e-4, 1e-3
@@ -121,6 +126,7 @@ class NoiseLikelihood:
         self._bands = np.stack([band.T for band in bands]).reshape(len(bands), -1)
         self._floor = np.asfortranarray(fixed_band(nodes))
         self._rho = rho_of(nodes)
+        self._localised = bool(nodes.localised.all())
 
     def initial_guess(self) -> Array:
         """Return noise (m,) where truth and odometry each explain a fair part of the residual."""
@@ -149,6 +155,18 @@ class NoiseLikelihood:
         )
         return estimated(blank, white, self._stacked)
 
+    def posterior(self, noise: NoiseFit) -> float:
+        """Return the log likelihood of a fit with the prior of a localisation's errors, nats; others have none."""
+        apart = (noise.free - self._usual(noise.free)) / _SPREAD
+        return noise.log_likelihood - 0.5 * float(apart @ apart)
+
+    def _usual(self, free: Array) -> Array:
+        """Return noise (m,) that the prior prefers; where it says nothing, the noise itself."""
+        usual = free.copy()
+        if self._localised:
+            usual[-3:-1] = _USUAL
+        return usual
+
     def maximise(self, free: Array, *, fixed: int | None = None) -> Array:
         """Return the noise (m,) of largest likelihood from a start; with one number held, nearly so (for a profile)."""
         active = len(self._components.active)
@@ -156,7 +174,7 @@ class NoiseLikelihood:
         high = np.concatenate((np.full(active, _HIGH), _TRUTH_HIGH))
         if not self._headings:
             low[active + 1] = high[active + 1] = np.log(UNKNOWN_RAD)
-        if self._rho is not None:  # errors that come back do not accumulate
+        if self._rho is not None or self._localised:  # errors that come back do not accumulate
             high[-1] = low[-1]
         if fixed is not None:
             low[fixed] = high[fixed] = free[fixed]
@@ -173,7 +191,7 @@ class NoiseLikelihood:
         other = self.revived(free)
         other[-1] = _TRUTH_LOW[-1]
         other = self.maximise(other)
-        return other if self.evaluate(other).log_likelihood > self.evaluate(free).log_likelihood else free
+        return other if self.posterior(self.evaluate(other)) > self.posterior(self.evaluate(free)) else free
 
     def revived(self, free: Array) -> Array:
         """Return noise (m,) of which nothing is nearly zero: there the likelihood has no slope to be found again by."""
@@ -196,7 +214,8 @@ class NoiseLikelihood:
         # what lies below the diagonal stands for what lies above it, too
         lever[0] *= 0.5
         by_band = self._bands @ np.ascontiguousarray(lever.T).ravel()
-        return np.array([by_band @ self._share_slope(done.free, i) for i in movable])
+        prior = (self._usual(done.free) - done.free) / _SPREAD**2
+        return np.array([by_band @ self._share_slope(done.free, i) + prior[i] for i in movable])
 
     def information(self, done: NoiseFit, movable: NDArray[np.int64]) -> Array:
         """Return the average information (m, m) of the numbers that may move.
@@ -212,6 +231,9 @@ class NoiseLikelihood:
             pushes[:, i] = blas.dsbmv(BAND, 1.0, change.reshape(rows).T, pull, lower=1)
         pushes = white.solved(pushes)
         information: Array = 0.5 * pushes.T @ pushes
+        if self._localised:
+            sizes = np.isin(movable, len(done.free) - np.array([3, 2]))
+            information += np.diag(sizes / _SPREAD**2)
         return information
 
     def _ascend(self, begin: Array, box: _Box, enough: float) -> Array:
@@ -230,7 +252,7 @@ class NoiseLikelihood:
             free = done.free.copy()
             free[movable] += step
             new = self.evaluate(np.clip(free, box.low, box.high))
-            gain = new.log_likelihood - done.log_likelihood
+            gain = self.posterior(new) - self.posterior(done)
             if gain > 0.0:
                 done, before, slope = new, slope, self.slope(new, movable)
                 reach = min(2.0 * reach, _FAR)

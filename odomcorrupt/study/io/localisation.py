@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.geometry.se2 import between, wrap
+from odomcorrupt.study.io.address import plain
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["CORRECTIONS", "REPEATED", "ahead_s", "corrections_alone"]
+__all__ = ["CORRECTIONS", "REPEATED", "SPARSE_HZ", "ahead_s", "corrections_alone", "is_of_base"]
 
 REPEATED, CORRECTIONS = 0.3, 20
 """A localisation repeats itself in at least this part of its messages while the robot moves.
@@ -30,12 +31,18 @@ It takes so many corrections to learn from.
 """
 _NAMES = re.compile(r"amcl|slam|locali[sz]|cartographer|rtabmap|hector")
 """Topics on which a localisation publishes its own poses."""
-_SPARSE_HZ = 5.0
+SPARSE_HZ = 5.0
 """Rate below which such poses are corrections; above it a tracker of scans or images says where it is all the time."""
+_UNEVEN = 0.3
+"""Spread of times between corrections (10 to 90 %) over their median: updates every 0.5 m or 0.5 rad are uneven."""
+_BASES = frozenset({"base_link", "base_footprint"})
+"""REP 105 and 120: one point of the robot, and what lies below it on the floor."""
 _SAME, _MOVES = 1e-6, 1e-4
 """Metres and radians: steps that differ by less are the same, and a robot that moves by less stands."""
 _CORRECTS = 5e-4
 """Metres or radians of a usual correction at least: less is a simulator's rounding, or the odometry itself."""
+_LEAST_MOTION = 0.05
+"""Metres or radians of odometry between corrections that come after motion, at least."""
 _BACK = 4
 """Poses may be asked for up to so many samples of the odometry late, and be stamped with the time of asking."""
 
@@ -47,8 +54,9 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
     """
     if not (truth.headed and odometry.headed):
         return truth
-    sparse = len(truth) < _SPARSE_HZ * truth.span_s
-    truth = replace(truth, localised=truth.localised or (sparse and bool(_NAMES.search(truth.name.lower()))))
+    if len(truth) < SPARSE_HZ * truth.span_s:
+        named = bool(_NAMES.search(truth.name.lower())) or _is_by_motion(odometry, truth)
+        truth = replace(truth, localised=truth.localised or named)
     inside = np.flatnonzero((truth.stamps_ns >= odometry.stamps_ns[0]) & (truth.stamps_ns <= odometry.stamps_ns[-1]))
     if len(inside) < CORRECTIONS:
         return truth
@@ -76,6 +84,28 @@ def corrections_alone(odometry: Samples, truth: Samples) -> Samples:
         f"a localisation on top of {odometry.name}; the truth is taken at its {len(rows)} corrections alone: between "
         "them it repeats the odometry",
     )
+
+
+def is_of_base(truth: Samples, odometry: Samples) -> bool:
+    """Tell whether a localisation gives poses of the odometry's own frame: it has neither lever arm nor mounting yaw.
+
+    Messages without a child frame (nav2's /amcl_pose, slam_toolbox's /pose) are of the base frame by definition; what
+    is wrong with them is the localisation's bias.
+    """
+    if not (truth.localised and truth.frame):
+        return False
+    child, own = (plain(path.child).rpartition("/")[2] for path in (truth, odometry))
+    return child in ("", own) or {child, own} <= _BASES
+
+
+def _is_by_motion(odometry: Samples, truth: Samples) -> bool:
+    """Tell whether poses in the map come after so much motion, as slam_toolbox's /pose, and not at a rate of time."""
+    if plain(truth.frame).rpartition("/")[2] != "map" or truth.child or len(truth) < CORRECTIONS:
+        return False
+    low, usual, high = np.quantile(np.diff(truth.stamps_ns), (0.1, 0.5, 0.9))
+    own = _readings(odometry, truth.stamps_ns)[0]
+    moved = np.abs(between(own[:-1], own[1:])).max(axis=1) > _LEAST_MOTION
+    return bool(high - low > _UNEVEN * usual and moved.mean() > 1.0 - REPEATED)
 
 
 def ahead_s(

@@ -11,7 +11,7 @@ import numpy as np
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.drive_types import STEERED
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.study.io.address import parse_address, plain
+from odomcorrupt.study.io.address import parse_address
 from odomcorrupt.study.io.bag import read_bag
 from odomcorrupt.study.io.excursions import without_excursions
 from odomcorrupt.study.io.feedback import pull_of
@@ -19,7 +19,7 @@ from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
 from odomcorrupt.study.io.laser_truth import laser_run, only_scan, truth_of
-from odomcorrupt.study.io.localisation import corrections_alone
+from odomcorrupt.study.io.localisation import corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
 from odomcorrupt.study.io.segments import independent_parts, without_frozen, without_gaps
@@ -28,7 +28,13 @@ from odomcorrupt.study.io.stamps import between_steps, even_stamps, stamp_resolu
 from odomcorrupt.study.io.text import is_text, read_text
 from odomcorrupt.study.io.time_order import in_order
 from odomcorrupt.study.io.topic_selection import FLAGS, has_truth
-from odomcorrupt.study.io.warnings import check_identity, filter_signs, heading_signs, without_constant_heading
+from odomcorrupt.study.io.warnings import (
+    check_identity,
+    filter_signs,
+    heading_signs,
+    without_constant_heading,
+    without_course,
+)
 from odomcorrupt.study.io.wheel_ticks import odometry_of_wheels, read_wheels, wheels_of
 
 if TYPE_CHECKING:
@@ -293,7 +299,7 @@ def recordings_of(
         truth = truth.stamped(truth.stamps_ns + shift).noted(f"stamps shifted by {truth_shift_s:g} s")
     if not odometry.headed:
         raise RecordingError(f"{odometry.place}: has positions without headings; odometry needs both")
-    truth = without_constant_heading(odometry, truth)
+    truth = without_course(odometry, without_constant_heading(odometry, truth))
     if not truth.relative:
         truth = without_excursions(odometry, corrections_alone(odometry, truth))
     calm, real = without_outliers(odometry), without_outliers(truth)
@@ -313,7 +319,7 @@ def recordings_of(
             notes=(opening, *r.notes, *said),
             stamp_error_s=rounded_s / math.sqrt(12.0),
             localised=truth.localised,
-            of_base=truth.localised and truth.child != "" and truth.child == plain(odometry.child),
+            of_base=is_of_base(truth, odometry),
             pulled_per_s=max(pull_of(calm, real)),
             odometry_topic=odometry.name if odometry.name.startswith("/") else "",
         )

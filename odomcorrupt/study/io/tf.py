@@ -19,7 +19,7 @@ import numpy as np
 from odomcorrupt.bags.messages import gather, gather_stamps_ns, locate
 from odomcorrupt.errors import RecordingError
 from odomcorrupt.study.io.address import plain
-from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, ahead_s
+from odomcorrupt.study.io.localisation import CORRECTIONS, REPEATED, SPARSE_HZ, ahead_s
 from odomcorrupt.study.io.raw_trajectory import Samples
 from odomcorrupt.study.io.se3 import Transforms, composed, headings, interpolated, inverted, unit
 from odomcorrupt.study.io.tf_tree import Edge
@@ -39,6 +39,8 @@ __all__ = ["EdgeReader"]
 _FAR_M = 1e9
 _MOVES = np.array([1e-4, 1e-4])
 """Metres, radians: the others have to move by so much for a repeated correction to mean that there was no new one."""
+_SLOWER = 5.0
+"""A localisation that sends no more than its corrections sends so many times less often than the odometry."""
 _AHEAD_S = (0.02, 5.0)
 """By how much a localisation stamps its corrections ahead of the time at which they are sent."""
 
@@ -154,13 +156,17 @@ class EdgeReader:
 def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | None:
     """Return the edge of a localisation and its corrections, each once and when it was sent; None where there is none.
 
-    It is the edge that repeats itself while the others move.
+    It is the edge that repeats itself while the others move, or comes seldom beside them: between two of its messages
+    it is not to be interpolated.
     """
     for edge, own in moving.items():
         others = [other for e, other in moving.items() if e != edge]
         new = np.any(np.diff(np.concatenate(own.poses, axis=1), axis=0) != 0.0, axis=1)
-        if not others or not CORRECTIONS <= new.sum() < (1.0 - REPEATED) * len(new):
+        if not others or new.sum() < CORRECTIONS:
             continue
+        fastest = max(others, key=lambda other: len(other.stamps_ns))
+        span_s = float(own.stamps_ns[-1] - own.stamps_ns[0]) * 1e-9
+        seldom = len(new) < min(SPARSE_HZ * span_s, len(fastest.stamps_ns) / _SLOWER)
         went = np.zeros((len(new), 2))
         for other in others:
             there = other.between(own.stamps_ns)
@@ -168,18 +174,17 @@ def _localisation(moving: Mapping[Edge, _Ordered]) -> tuple[Edge, _Ordered] | No
             went[:, 0] += np.linalg.norm(np.diff(there.xyz, axis=0), axis=1)
             went[:, 1] += 2.0 * np.arccos(np.minimum(turned, 1.0))
         moves = (went > _MOVES).any(axis=1)
-        if np.mean(~new[moves]) < REPEATED if moves.any() else True:
+        if not seldom and (np.mean(~new[moves]) < REPEATED if moves.any() else True):
             continue
         rows = np.flatnonzero(np.concatenate(([True], new)))
         stamps, said = own.stamps_ns[rows], ""
-        fastest = max(others, key=lambda other: len(other.stamps_ns))
         ahead = ahead_s(own.stamps_ns, own.logs_ns, (fastest.stamps_ns, fastest.logs_ns))
         if _AHEAD_S[0] < ahead < _AHEAD_S[1]:
             stamps = stamps - round(ahead * 1e9)
             said = f", their stamps {ahead:.2g} s ahead of when they were sent put back"
         note = (
             f"a localisation on top of the odometry; the truth is taken at its {len(rows)} corrections alone{said}: "
-            "between them it repeats the odometry"
+            "between them it is the odometry"
         )
         return edge, _Ordered(stamps, stamps, Transforms(own.poses.xyz[rows], own.poses.quat_xyzw[rows]), (note,))
     return None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.raw_trajectory import Samples
 
-__all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_heading"]
+__all__ = ["check_identity", "filter_signs", "heading_signs", "without_constant_heading", "without_course"]
 
 _FUSED = re.compile(r"filter|fused|ekf|ukf|amcl|slam|locali[sz]ation|global")
 _WORLD = frozenset({"map", "world", "earth", "utm"})
@@ -25,6 +25,10 @@ _MOVES = 1e-4
 _FEW = 10
 _SHRINKS = 0.7
 _CORRECTIONS = 5
+_STRIDE_S, _BACKS_M, _BACKINGS = 0.5, 0.05, 6
+"""Backing up shows in steps so long in time and way, and so many of them have to."""
+_MOSTLY, _NEARLY_ALL = 0.6, 0.9
+"""Parts of the steps back, and of those ahead, that go where such headings point; of another drive, half do."""
 
 
 def check_identity(odometry: Samples, truth: Samples) -> list[str]:
@@ -78,6 +82,29 @@ def without_constant_heading(odometry: Samples, truth: Samples) -> Samples:
         return truth
     return truth.without_headings().noted(
         "its headings never change while the odometry turns: taken as positions alone"
+    )
+
+
+def without_course(odometry: Samples, truth: Samples) -> Samples:
+    """Return the truth as positions alone where its headings are the direction in which its positions move.
+
+    A receiver with one antenna gives the course over ground for a heading: backing up, it points to where the robot
+    goes, and at rest anywhere.
+    """
+    if not truth.headed or truth.relative or truth.span_s < _FEW * _STRIDE_S:
+        return truth
+    t_s = truth.seconds_since(int(truth.stamps_ns[0]))
+    rows = np.unique(np.searchsorted(t_s, np.arange(0.0, t_s[-1], _STRIDE_S)))
+    step, own = _steps(odometry, truth.only(rows))
+    straight = np.abs(own[:, 0]) > np.maximum(_BACKS_M, 2.0 * np.abs(own[:, 1]))
+    ahead, back = straight & (own[:, 0] > 0.0), straight & (own[:, 0] < 0.0)
+    forwards = step[:, 0] > 0.5 * np.abs(own[:, 0])
+    if min(back.sum(), ahead.sum()) < _BACKINGS or not (
+        np.mean(forwards[back]) > _MOSTLY and np.mean(forwards[ahead]) > _NEARLY_ALL
+    ):
+        return truth
+    return truth.without_headings().noted(
+        "its headings point to where it moves, also when the robot backs up: taken as positions alone"
     )
 
 

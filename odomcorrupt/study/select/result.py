@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions
-from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of, readings_of
+from odomcorrupt.study.terms.drive_type import drive_type_of, readings_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

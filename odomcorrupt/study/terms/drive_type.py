@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["MOUNTING", "DriveType", "drive_type_of", "library_families", "readings_of"]
+__all__ = ["MOUNTING", "DriveType", "drive_type_of", "library_families", "mountings", "readings_of"]
 
 MOUNTING = ("lever_arm", "mount_yaw")
-"""Where on the robot sits what the truth follows; a truth of the odometry's own frame has none of it."""
+"""Where on the robot sits what the truth follows, see `mountings`."""
 
 _FAST, _SLOW, _STILL = 0.6, 0.4, 0.03
 """Parts of the usual speed: the largest curvature is seen above one, tested below one; and those of a robot at rest."""
@@ -172,7 +172,7 @@ def library_families(
     for name, kind in registry().items():
         wanted = kind.kind not in ("noise", "event") and not kind.clock and name not in have and _leads(kind, drive)
         possible = (sideways or not kind.needs_sideways) and (track or not kind.needs_track or brings_track(kind))
-        if name in MOUNTING and any(r.of_base for r in recordings):
+        if name in MOUNTING and name not in mountings(recordings):
             continue
         if wanted and possible:
             family = with_known_heading(LibraryTerm.family(kind, motions), drive.heading_source)
@@ -180,6 +180,17 @@ def library_families(
                 family = tuple(t for t in family if not (getattr(t.start, "track", 0.0) or kind.needs_track))
             families.append(family)
     return [family for family in families if family]
+
+
+def mountings(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return which of `MOUNTING` can exist.
+
+    None of it where a truth is of the odometry's own frame, or of a gyro, which has no place; and no mounting yaw where
+    there are positions alone, of which it changes nothing.
+    """
+    if any(r.of_base or not r.positioned for r in recordings):
+        return ()
+    return MOUNTING if any(r.headed for r in recordings) else MOUNTING[:1]
 
 
 def _leads(kind: type[Effect], drive: DriveType) -> bool:

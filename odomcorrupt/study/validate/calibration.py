@@ -37,7 +37,8 @@ class Horizon:
     excess_p : (3,) probability that chance makes so much more (or less) than expected of a channel
     position_measured, position_expected : root mean square of the position error, m
     nees : mean normalised squared error per degree of freedom, 1 where the model is right
-    nees_bounds : where 95 % of such means lie by chance; the model's own standard errors widen them
+    nees_bounds : where 95 % of such means lie by chance; the model's own standard errors widen them, and beside a
+        localisation the lower one is 0
     nees_p : probability of a mean as far out
     coverage_50, coverage_90 : (3,) part of the errors inside the model's 50 and 90 % intervals
     crps : (3,) mean continuous ranked probability score, m and rad
@@ -71,8 +72,12 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
     nees = float(both.nees.mean() / count)
     means = np.sort(_chance_means(parts, count))
     low, high = np.quantile(means, [0.025, 0.975])
-    below = np.searchsorted(means, nees, side="right")
-    tail = min(below, len(means) - np.searchsorted(means, nees, side="left"))
+    below = int(np.searchsorted(means, nees, side="right"))
+    above = len(means) - int(np.searchsorted(means, nees, side="left"))
+    if any(doubt.truth.any() for _, doubt in parts):
+        # beside a localisation a robot's noise is no more than bounded: errors that are smaller contradict nothing
+        low, below = 0.0, len(means)
+    tail = min(below, above)
     position = np.hypot(both.measured[0], both.measured[1]), np.hypot(both.expected[0], both.expected[1])
     return Horizon(
         distance_m=distance_m,
@@ -80,7 +85,7 @@ def horizon_of(distance_m: float, parts: Sequence[tuple[WindowErrors, ParameterU
         measured=_three(both.measured),
         expected=_three(both.expected),
         bias=_three(both.error.mean(axis=0)),
-        excess_p=_three(_excess(both, [errors for errors, _ in parts])),
+        excess_p=_three(_excess(both, parts)),
         position_measured=float(position[0]),
         position_expected=float(position[1]),
         nees=nees,
@@ -117,16 +122,19 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
     return total
 
 
-def _excess(errors: WindowErrors, parts: Sequence[WindowErrors]) -> Array:
+def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
     """Return, per channel, the two-sided probability of the sum of squares over what is expected."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
-    if any(part.shared is not None for part in parts):
+    if any(part.shared is not None or doubt.truth.any() for part, doubt in parts):
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):
-            drawn = sum(_draws(part.channel(i), rng) for part in parts)
+            drawn = sum(
+                _draws(part.channel(i), rng) * doubt.drawn_truth(rng, _DRAWS, doubt.truth[i]) for part, doubt in parts
+            )
             above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
-        return np.minimum(1.0, 2.0 * np.minimum(above, 1.0 - above + 1.0 / _DRAWS))
+        below = 1.0 if any(doubt.truth.any() for _, doubt in parts) else 1.0 - above + 1.0 / _DRAWS
+        return np.minimum(1.0, 2.0 * np.minimum(above, below))
     tail: Array = np.minimum(chi2.sf(square, len(errors)), chi2.cdf(square, len(errors)))
     return np.minimum(1.0, 2.0 * tail)
 

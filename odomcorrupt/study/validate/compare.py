@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import degrees
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.study.estimate.clocks import Clocks, find_clocks
 from odomcorrupt.study.estimate.config import choose_approach
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.validate.cross_validation import Pieces
     from odomcorrupt.study.validate.goodness_of_fit import Pit, Whiteness
 
-__all__ = ["Comparison", "Judgement", "clocks_beside", "compare"]
+__all__ = ["Comparison", "JudgedOn", "Judgement", "clocks_beside", "compare"]
+
+JudgedOn = Literal["recordings", "halves", "fitted data"]
 
 _CLOSER = 0.97
 """A clock that was found with a model applied has to leave this part of the 10 s error, to be taken."""
@@ -50,7 +52,8 @@ _CLOSER = 0.97
 class Judgement:
     """One model against the recordings.
 
-    refitted : whether it had been fitted on them, so that it was refitted on halves to be judged on the others
+    judged_on : "recordings" that it was not fitted on; "halves": refitted on one half and judged on the other;
+        "fitted data" where those are too short to be halved
     ten_second_error_m : root mean square position error after 10 s
     nats : log likelihood per metre driven, with its error, and what it gains over the first model
     horizons : for the table; curve : more of them, for the picture
@@ -62,7 +65,7 @@ class Judgement:
     """
 
     name: str
-    refitted: bool
+    judged_on: JudgedOn
     ten_second_error_m: float
     nats: LogScore
     horizons: tuple[Horizon, ...]
@@ -91,6 +94,11 @@ class Comparison:
     clock_error_m: float
     clock_trajectory: TrajectoryError
     judgements: tuple[Judgement, ...]
+
+    @property
+    def judged_on(self) -> JudgedOn:
+        """What the models were judged on: the fitted data or their halves, where any of them was fitted on them."""
+        return next((j.judged_on for j in self.judgements if j.judged_on != "recordings"), "recordings")
 
 
 def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
@@ -178,21 +186,30 @@ def _judgement(
     axes = min((piece.recording.axes for piece in pieces), key=len)
     chains = [chain[:, : len(axes)] for piece in pieces for chain in piece.chains()]
     pits, whiteness = pits_of(chains, axes), whiteness_of(chains, axes)
+    # from pose to pose nearly all is the localisation's own error, of which only an approximate law is known
+    localised = any(piece.recording.localised for piece in pieces)
     return Judgement(
         name=name,
-        refitted=any(piece.refitted for piece in pieces),
+        judged_on=_judged_on(model, pieces),
         ten_second_error_m=_ten_seconds([piece.left for piece in pieces]),
         nats=log_score_of(pieces, first),
         horizons=horizons,
         curve=tuple(h for h in every if h.distance_m in CURVE_M),
         pits=pits,
         whiteness=whiteness,
-        verdict=verdict_of(horizons, pits, whiteness),
+        verdict=verdict_of(horizons, *(({}, {}) if localised else (pits, whiteness))),
         failures=(*drift_failures(horizons), *_patterns(pieces)),
         trajectory=trajectory_error([piece.left for piece in pieces]),
         notes=(*notes, *_notes(model, pieces)),
         pieces=tuple(pieces),
     )
+
+
+def _judged_on(model: MotionModel, pieces: Sequence[Evaluation]) -> JudgedOn:
+    if any(piece.refitted for piece in pieces):
+        return "halves"
+    fitted = _fitted_on(model)
+    return "fitted data" if any(piece.recording.name in fitted for piece in pieces) else "recordings"
 
 
 def _patterns(pieces: Sequence[Evaluation]) -> list[Failure]:

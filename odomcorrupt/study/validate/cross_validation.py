@@ -77,11 +77,7 @@ class Cutting:
 def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing_s: float) -> Cutting:
     """Return how to cut recordings, clocks set right: those whose names are among the fitted ones in halves.
 
-    Raises
-    ------
-    RecordingError
-        Where nothing is long enough to be judged.
-
+    Where none of them is long enough, they are judged as a whole, on what the model was fitted to.
     """
     runs = _runs(recordings)
     middles = tuple(_middle(run) if any(r.name in fitted for r in run) else None for run in runs)
@@ -97,7 +93,11 @@ def cutting_of(recordings: Sequence[Recording], fitted: Collection[str], spacing
                 f"{LEAST_NODES} stretches of {spacing_s:g} s with both odometry and truth"
             )
     if not kept:
-        raise RecordingError(f"{notes[-1]}; record longer, or judge on another recording")
+        notes[-1] += (
+            ". Errors and likelihood are those on the fitted data, which every model explains best: record longer, or "
+            "judge on another recording"
+        )
+        return Cutting((None,) * len(runs), tuple(range(len(runs))), spacing_s, tuple(notes))
     return Cutting(middles, tuple(kept), spacing_s, tuple(notes))
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.errors import FitError, RecordingError
+from odomcorrupt.errors import FitError
 from odomcorrupt.study.estimate.calibrate import model_of
 from odomcorrupt.study.estimate.drift_error import Drift, ten_second_error
 from odomcorrupt.study.estimate.gauss_newton import fit
@@ -155,11 +155,10 @@ def _folds(fitted: Fit, others: Sequence[Recording], clocks: Sequence[Clock]) ->
         return [_Fold((), tuple(aligned(r, c) for r, c in zip(others, clocks, strict=True)))]
     problem = fitted.problem
     on_time = [aligned(r, c) for r, c in zip(problem.recordings, problem.clocks, strict=True)]
-    try:
-        cutting = cutting_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
-    except RecordingError:  # too short to be halved
-        return []
+    cutting = cutting_of(on_time, {r.name for r in on_time}, problem.approach.spacing_s)
     pieces = [run for run in cutting.pieces(on_time) if run.second]
+    if not pieces:  # too short to be halved
+        return []
     first = tuple(r for run in pieces for r in run.first)
     second = tuple(r for run in pieces for r in run.second)
     return [_Fold(first, second), _Fold(second, first)]

@@ -268,3 +268,18 @@ def test_odometry_that_jumps_towards_the_truth_is_warned_of(read):
 def test_wheel_odometry_that_drifts_is_not_warned_of(read):
     (recording,) = read(odometry(scale=1.05, drift=0.01, noise=0.002), odom={"variance": np.linspace(0.0, 5.0, 600)})
     assert not [note for note in recording.notes if "filter" in note]
+
+
+@pytest.mark.parametrize("course", [True, False])
+def test_headings_that_point_to_where_a_robot_backs_up_are_none(read, course):
+    """As those of a receiver with one antenna; a robot that really backs up keeps its headings."""
+    t_s = np.arange(0.0, 60.0, 0.05)
+    speed = np.where(np.sin(2.0 * np.pi * t_s / 12.0) > -0.5, 0.4, -0.4)
+    yaw = 1.5 * np.sin(0.21 * t_s)
+    xy = np.cumsum(0.05 * speed[:, None] * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), axis=0)
+    moved = Rows(START_NS + np.round(t_s * 1e9).astype(np.int64), np.column_stack((1.01 * xy, 0.0 * yaw)), yaw)
+    said = np.unwrap(yaw + np.pi * (speed < 0.0)) if course else yaw
+    noise = 0.002 * np.random.default_rng(1).standard_normal((len(t_s), 2))
+    (recording,) = read(moved, Rows(moved.stamps_ns, np.column_stack((xy + noise, 0.0 * yaw)), said))
+    assert recording.headed != course
+    assert any("also when the robot backs up" in note for note in recording.notes) == course

@@ -29,16 +29,22 @@ def flat(stamps_ns, xyt):
 
 
 @pytest.mark.parametrize(
-    ("start_ns", "pace", "delay_s"),
-    [(START_NS, 1.0, 0.0), (START_NS, 1.0, 0.02), (100 * 10**9, 1.0, 0.0), (100 * 10**9, 0.4, 0.0)],
-    ids=["real time", "late logs", "simulated time", "a simulation slower than time"],
+    ("start_ns", "pace", "delay_s", "every"),
+    [
+        (START_NS, 1.0, 0.0, 4),
+        (START_NS, 1.0, 0.02, 4),
+        (START_NS, 1.0, 0.0, EVERY),
+        (100 * 10**9, 1.0, 0.0, 4),
+        (100 * 10**9, 0.4, 0.0, 4),
+    ],
+    ids=["real time", "late logs", "corrections alone", "simulated time", "a simulation slower than time"],
 )
-def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, pace, delay_s):
+def test_over_tf_corrections_are_taken_when_they_were_sent(tmp_path, start_ns, pace, delay_s, every):
     """Between corrections map -> base is the odometry composed with the last one, sent again 1 s ahead of its time."""
     moved, base, offsets = drive()
     moved = moved.having(stamps_ns=moved.stamps_ns - START_NS + start_ns)
     logs = START_NS + ((moved.stamps_ns - start_ns) / pace + delay_s * 1e9).astype(np.int64)
-    corrected, sent = np.arange(0, len(base), EVERY), np.arange(0, len(base), 4)
+    corrected, sent = np.arange(0, len(base), EVERY), np.arange(0, len(base), every)
     last = corrected[np.searchsorted(corrected, sent, side="right") - 1]
     bag = write(
         tmp_path / "run.mcap",
@@ -93,4 +99,18 @@ def test_sparse_poses_of_a_localisation_are_known_by_their_name(tmp_path, name, 
     poses = topic(name, "PoseStamped", flat(moved.stamps_ns[::every], base[::every]))
     (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
     assert recording.localised == localised
+    # without a child frame they are of the base itself
+    assert recording.of_base == localised
     assert len(recording.truth) == len(base[::every])
+
+
+@pytest.mark.parametrize(("by_motion", "frame"), [(True, "map"), (True, "world"), (False, "map")])
+def test_poses_in_the_map_that_come_after_so_much_motion_are_a_localisations(tmp_path, by_motion, frame):
+    """As slam_toolbox's /pose; those of an antenna come at a rate of time."""
+    moved, base, _ = drive(60.0)
+    turned = 0.6 * np.abs(np.diff(base[:, 2], prepend=base[0, 2]))
+    gone = np.cumsum(np.hypot(*np.diff(base[:, :2], axis=0, prepend=base[:1, :2]).T) + turned)
+    rows = np.searchsorted(gone, np.arange(0.0, gone[-1], 0.4)) if by_motion else np.arange(0, len(base), EVERY)
+    poses = topic("/pose", "PoseWithCovarianceStamped", flat(moved.stamps_ns[rows], base[rows]), frame=frame)
+    (recording,) = read_runs(Source(write(tmp_path / "run.mcap", topic("/odom", "Odometry", moved), poses)))
+    assert recording.localised == (by_motion and frame == "map")
