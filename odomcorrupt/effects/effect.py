@@ -162,6 +162,11 @@ class Effect:
         """Bound on the part of its error that no correction can undo, metres."""
         return 0.0
 
+    @property
+    def rest(self) -> tuple[float, float]:
+        """Bounds (m/s, rad/s) on what f, a mean, leaves of its error at any moment: the odometry does not show it."""
+        return 0.0, 0.0
+
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - for effects with shapes
         """Return the effect at its identity for each candidate value of its shape parameters on these motions.
@@ -172,6 +177,10 @@ class Effect:
 
     def plain(self) -> Self:
         """Return the same effect in its usual parametrisation, where there are several."""
+        return self
+
+    def whole(self) -> Self:
+        """Return the effect with the part of its f that it leaves to others, lest it imitate them; itself if none."""
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -42,11 +42,11 @@ class _Turned(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlatSpot(Effect):
-    """f of one wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207), or with form = eccentric -depth u cos(q).
+    """f of one wheel = -depth u (exp(4 (cos(q) - 1)) - 0.207 (1 - mean)), or with form = eccentric -depth u cos(q).
 
-    q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported. The mean over a turn is
-    taken off (0.207: exp(-4) I0(4), I0 the modified Bessel function): what a wheel loses on average is a smaller
-    radius, `wheel_scale` and `unequal_wheels`, and a spot of any circumference would otherwise imitate these.
+    q = 2 pi s / circumference - phase, s the way of the wheel so far as it is reported. Unless `mean` is 1, the mean
+    over a turn is taken off (0.207: exp(-4) I0(4), I0 the modified Bessel function): what a wheel loses on average is a
+    smaller radius, `wheel_scale` and `unequal_wheels`, and a spot of any circumference would otherwise imitate these.
     """
 
     name = "flat_spot"
@@ -69,6 +69,10 @@ class FlatSpot(Effect):
     phase: float = parameter(
         "rad", "turn from the first pose to the spot", low=-6.3, high=6.3, typical=1.0, amplitude=False
     )
+    mean: float = parameter(
+        "", "part of what a flat side loses on average that counts", low=0.0, high=1.0, typical=1.0, amplitude=False,
+        optional=True,
+    )  # fmt: skip
     wheel: str = choice("which wheel it is", "right", "left")
     form: str = choice("a flat side, or a wheel that does not turn about its middle", "flat", "eccentric")
     track: float = track_parameter()
@@ -77,6 +81,10 @@ class FlatSpot(Effect):
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - of no use here
         """Return nothing: a line in the spectrum over the way shows the circumference, see `study.select.periodic`."""
         return ()
+
+    def whole(self) -> Self:
+        """Return the same spot with all that it loses: a flat side makes the radius smaller, too."""
+        return replace(self, mean=1.0) if self.form == "flat" else self
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return wheels that have not turned."""
@@ -121,4 +129,4 @@ class FlatSpot(Effect):
     def _at(self, way: Any) -> Any:
         """Return the part of the depth that a wheel loses after its way, of one number or of many."""
         near = np.cos(2.0 * np.pi * way / self.circumference - self.phase)
-        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0)) - _MEAN
+        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0)) - _MEAN * (1.0 - self.mean)

@@ -52,7 +52,12 @@ class TruncatedVelocity(Effect):
     @property
     def lost_m(self) -> float:
         """What was cut off lies between nothing and a step; the odometry does not show how much it was."""
-        return 0.5 * (self.step + self.turn) * _LONG_S
+        return sum(self.rest) * _LONG_S
+
+    @property
+    def rest(self) -> tuple[float, float]:
+        """Half a step: what was cut off less its mean."""
+        return 0.5 * self.step, 0.5 * self.turn
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: half a step in the direction of the motion."""

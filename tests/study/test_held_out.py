@@ -10,6 +10,7 @@ import pytest
 from wandering import noisy_path, recording, wander
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
@@ -42,13 +43,16 @@ def with_truth(pair, seed):
     return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
 
 
-def believed(run, *effects):
-    """Return what a search would have left that included these effects."""
-    fitted = fit([run], [effect_from_values(name, {}) for name in effects], approach=Approach())
+def believed(run, *effects, over_time=""):
+    """Return what a search would have left that included these effects, and an expression over time."""
+    laws = [user_effect("late", over_time, {"k": 0.0})] if over_time else []
+    fitted = fit([run], [*(effect_from_values(name, {}) for name in effects), *laws], approach=Approach())
+    plain = (SimpleNamespace(gain=40.0, refused=""),)
     return Learned(
         clocks=Clocks((Clock(),), ((False, False),), ((0.0, 0.0),)),
-        rounds=tuple(Step(before=fitted, candidates=(), added=name) for name in effects),
-        noise=(), unknown=(), laws=(), margins={}, fit=fitted, error_m=0.0,
+        rounds=tuple(Step(before=fitted, candidates=plain, added=name) for name in effects),
+        noise=(), unknown=(), margins={}, fit=fitted, error_m=0.0,
+        laws=tuple(SimpleNamespace(name=law.name, regressor="time") for law in laws),
     )  # fmt: skip
 
 
@@ -71,6 +75,25 @@ def test_other_recordings_of_the_robot_decide_where_there_are_any():
     same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
     assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
     assert not keep_what_holds(learned, [replace(other, name="other")])[0].fit.effects
+
+
+def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_supports_it():
+    law = "along += v * (k * where(t > 60, 1, 0))"
+    learned = believed(with_truth(drive(4, scale=1.03), 5), over_time=law)
+    kept, said = keep_what_holds(learned)
+    assert (kept.laws, kept.fit.effects) == ((), ())
+    assert "this one drive" in said[0].remark
+    same = with_truth(drive(6, scale=1.03), 7)
+    assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
+
+
+def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_it():
+    learned = believed(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
+    doubted = replace(learned, margins={"wheelbase": -30.0, "wheel_scale": -30.0})
+    assert [effect.name for effect in keep_what_holds(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]
+    kept, said = keep_what_holds(doubted)
+    assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
+    assert ["confidence 0.00" in one.harm for one in said] == [True, False]
 
 
 @pytest.mark.slow
@@ -105,6 +128,25 @@ def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
     open_ = replace(learned, clocks=replace(learned.clocks, ambiguous_nats=38.0))
     assert clear > 0.9
     assert confidence(evidence_of(step, open_)) < 0.9
+
+
+def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
+    learned = believed(with_truth(drive(4), 5), "channel_lag", "accel_slip")
+    lag, slip = learned.rounds
+    for gain, sure in ((480.0, False), (90.0, True)):
+        plainer = replace(lag, candidates=(SimpleNamespace(gain=gain, refused=""),))
+        beside = replace(learned, rounds=(plainer, slip))
+        assert (confidence(evidence_of(slip, beside)) > 0.9) == sure
+        assert confidence(evidence_of(plainer, beside)) > 0.9
+
+
+def test_what_truncated_velocities_may_leave_is_no_sure_scale():
+    learned = believed(with_truth(drive(4, scale=1.02), 5), "wheel_scale")
+    for step, sure in ((0.002, True), (0.1, False)):
+        cut = effect_from_values("truncated_velocity", {"step": step, "turn": step})
+        problem = replace(learned.fit.problem, effects=(*learned.fit.effects, cut))
+        beside = replace(learned, fit=replace(learned.fit, problem=problem))
+        assert (confidence(evidence_of(learned.rounds[0], beside)) > 0.9) == sure
 
 
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():

@@ -6,7 +6,7 @@ from math import degrees
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
-from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, held_out_limit
+from odomcorrupt.study.select.confidence import Evidence, confidence, evidence_of, noise_evidence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -133,9 +133,8 @@ def step_confidence(step: Step, learned: Learned) -> float:
 
 
 def noise_confidence(gain: RandomCoefficient, learned: Learned) -> float:
-    """Return the confidence in the name of a random effect; any dependence resembles a slow gain, or heavy tails."""
-    left = 0.0 if gain.effect.layer == "record" else max((u.nats for u in learned.unknown), default=0.0)
-    return confidence(Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left))
+    """Return the confidence in the name of a random effect."""
+    return confidence(noise_evidence(gain, learned))
 
 
 def confidence_words(sure: float) -> str:

@@ -108,6 +108,7 @@ class Decisions:
         bends such curves by 5 to 24 nats where nothing is wrong
     exact_nats : by how much a basis function must exceed its penalty in the screening to be scored exactly
 
+    least_confidence : a name that is less likely right is left out, unless the held-out error grows without it
     heterogeneity_level : probability of reporting that recordings of one robot disagree about any parameter
     prior : of the reported probabilities
     practical : what matters
@@ -153,6 +154,7 @@ class Decisions:
     curve_nats: float = 4.0
     curve_of_turns_nats: float = 25.0
     exact_nats: float = 3.0
+    least_confidence: float = 0.1
     heterogeneity_level: float = 1e-3
     prior: PriorOdds = field(default_factory=PriorOdds)
     practical: Practical = field(default_factory=Practical)

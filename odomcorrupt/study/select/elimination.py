@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.select.random_effects import remeasured
+from odomcorrupt.study.select.random_effects import is_rest, remeasured
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.heading_source import heading_source_of
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -23,7 +23,15 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.random_effects import RandomCoefficient
 
-__all__ = ["backward_eliminate", "drop_term", "eliminate_random", "eliminate_untested", "iterate", "one_heading"]
+__all__ = [
+    "absorb",
+    "backward_eliminate",
+    "drop_term",
+    "eliminate_random",
+    "eliminate_untested",
+    "iterate",
+    "one_heading",
+]
 
 _ITERATIONS, _ALIKE = 6, 0.03
 """Most iterations of a random coefficient beside the rest of the noise, and the relative change that ends them."""
@@ -54,6 +62,19 @@ def backward_eliminate(fit: Fit, keep: Container[str], decisions: Decisions) -> 
     return fit
 
 
+def absorb(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit whose effects act as a whole, without what that makes redundant; the same if nothing is.
+
+    Of a wheel with a flat side, a smaller radius is a part, and no cause beside it.
+    """
+    whole = [effect.whole() for effect in fit.effects]
+    if whole == list(fit.effects):
+        return fit
+    fewer = backward_eliminate(fit.refit(whole), keep, decisions)
+    lost = len(fit.effects) - len(fewer.effects)
+    return fewer if fit.log_likelihood - fewer.log_likelihood < decisions.drop_nats * lost else fit
+
+
 def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
     """Return the fit whose effects of the library each explain more than their penalty beside all of the rest.
 
@@ -81,6 +102,9 @@ def eliminate_random(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
     """Return named random effects and the fit without random coefficients, where a later term made them redundant."""
+    if rests := [e for e in fit.random if is_rest(fit, e)]:
+        named = [one for one in named if one.effect not in rests]
+        fit = fit.refit(random=[e for e in fit.random if e not in rests])
     if not fit.random:
         return named, fit
     calm = fit.refit(random=())

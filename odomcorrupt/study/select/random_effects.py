@@ -14,6 +14,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from odomcorrupt.effects.effect import parameters
+from odomcorrupt.study.estimate.gauss_newton import orthonormal
 from odomcorrupt.study.estimate.outliers import set_apart, slip_bursts
 from odomcorrupt.study.estimate.random_process import (
     CORRELATED_NOISE,
@@ -27,11 +28,13 @@ from odomcorrupt.study.estimate.random_process import (
     without_random,
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.select.score import project_out
+from odomcorrupt.study.select.rest import within_rest
 from odomcorrupt.study.terms.drive_type import drive_type_of
 from odomcorrupt.study.terms.heading_source import sees_travel
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from odomcorrupt.effects.effect import Effect
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -42,6 +45,7 @@ __all__ = [
     "RandomCoefficient",
     "beside_bursts",
     "gain_in_refit",
+    "is_rest",
     "outlier_effects",
     "random_coefficients",
     "remeasured",
@@ -49,6 +53,8 @@ __all__ = [
 
 _LEAST_SCALE = 1e-6
 """Smallest standard deviation of a gain that is tried; the largest is the effect's bound."""
+_FEW, _BESIDE = 0.05, 2
+"""Part of the intervals that outliers are at most where they are events, and how far these reach, in intervals."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +96,40 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
     named = [one for key, (one, least) in found.items() if one.nats > least and key not in have]
+    named = [one for one in named if not is_rest(fit, one.effect) and _in_both_halves(fit, one.effect)]
     return sorted(named, key=lambda one: one.nats, reverse=True)
+
+
+def is_rest(fit: Fit, effect: Effect) -> bool:
+    """Return whether a random coefficient may be what the mean of an effect in the model does not take out."""
+    (process,) = processes_like(effect)
+    spread = getattr(effect, process.scale) * np.sqrt(process.variance)
+    usual = np.concatenate([process.unit(m) for m in fit.problem.motions])[:, [0, 2]]
+    return within_rest(fit, spread * usual)
+
+
+def _in_both_halves(fit: Fit, effect: Effect) -> bool:
+    """Return whether either half of the intervals shows a random coefficient that explains the other half, too.
+
+    Events are no process: the few intervals that stand out, and those beside them, are left out.
+    """
+    count = len(fit.problem.nodes)
+    outliers = fit.noise.weights > 1.0
+    event = np.convolve(outliers, np.ones(2 * _BESIDE + 1), "same") > 0.0
+    usual = ~event if outliers.mean() < _FEW else np.ones(count, dtype=bool)
+    early = np.cumsum(usual) <= usual.sum() // 2
+    family = [
+        p for p in processes() if p.kind is type(effect) and p.fixed.get("channel") == getattr(effect, "channel", None)
+    ]
+    gains = []
+    for process in family:
+        basis, white = _whitened(fit, rooted(fit.problem, process), process)
+        halves = [
+            _spectrum(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)
+        ]
+        gains.append([_gains(*half, _scales(process)) for half in halves])
+    first, second = np.swapaxes(gains, 0, 1)
+    return bool(min(second.flat[np.argmax(first)], first.flat[np.argmax(second)]) > 0.0)
 
 
 def _matched(fit: Fit) -> bool:
@@ -149,19 +188,44 @@ def beside_bursts(
 
 def _evidence(fit: Fit, design: Array, process: Process) -> tuple[float, float]:
     """Return the nats that the best scale of a process gains, and that scale."""
-    # about what a bias varies, and where a walk starts, is not its business
-    mean = (unit_column(fit.problem, process)[:, :, None],) if process.unit is bias_of else ()
-    rest = project_out(fit, *mean)
-    white, r = rest.of(fit.noise.whitener.whiten(design)), rest.residual
-    strength, vectors = eigh(white.T @ white)
-    strength = np.maximum(strength, 0.0)
-    score = (vectors.T @ (white.T @ r)) ** 2
-    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
-    scales = np.geomspace(_LEAST_SCALE, most, 121)
+    every = np.ones(3 * len(fit.problem.nodes), dtype=bool)
+    spectrum = _spectrum(*_whitened(fit, design, process), fit.noise.innovations, every)
+    scales = _scales(process)
     for _ in range(2):
-        q = scales[:, None] ** 2
-        gains = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
+        gains = _gains(*spectrum, scales)
         best = int(np.argmax(gains))
         nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, min(1.1 * scale, most), 21)
+        scales = np.geomspace(0.9 * scale, min(1.1 * scale, _scales(process)[-1]), 21)
     return nats, scale
+
+
+def _scales(process: Process) -> Array:
+    """Return the scales (121,) of a process that are tried."""
+    (most,) = (p.high for p in parameters(process.kind) if p.name == process.scale)
+    return np.geomspace(_LEAST_SCALE, most, 121)
+
+
+def _whitened(fit: Fit, design: Array, process: Process) -> tuple[Array, Array]:
+    """Return what is free beside a process (3 K, q) and its own columns (3 K, m), both whitened.
+
+    About what a bias varies, and where a walk starts, is not its business.
+    """
+    whiten, beside = fit.noise.whitener.whiten, [fit.design_matrix]
+    if process.unit is bias_of:
+        beside.append(unit_column(fit.problem, process)[:, :, None])
+    return whiten(np.concatenate(beside, axis=2)), whiten(design)
+
+
+def _spectrum(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the strengths (m,) of a process in some rows of the data, and the squared scores (m,) along them."""
+    basis, white, r = orthonormal(beside[rows]), white[rows], innovations[rows]
+    white, r = (part - basis @ (basis.T @ part) for part in (white, r))
+    strength, vectors = eigh(white.T @ white)
+    return np.maximum(strength, 0.0), (vectors.T @ (white.T @ r)) ** 2
+
+
+def _gains(strength: Array, score: Array, scales: Array) -> Array:
+    """Return the nats (s,) that a process gains at these scales."""
+    q = scales[:, None] ** 2
+    gains: Array = 0.5 * np.sum(q * score / (1.0 + q * strength) - np.log1p(q * strength), axis=1)
+    return gains

@@ -11,14 +11,17 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
 from odomcorrupt.study.estimate.extrinsics import mounting_of
-from odomcorrupt.study.estimate.gauss_newton import Fit, fit
+from odomcorrupt.study.estimate.gauss_newton import Fit, carried, fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
+from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import (
     FORBIDDEN,
@@ -31,6 +34,7 @@ from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
+    absorb,
     backward_eliminate,
     eliminate_random,
     eliminate_untested,
@@ -61,9 +65,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from odomcorrupt.effects.effect import Effect
+    from odomcorrupt.study.estimate.clocks import Clocks
     from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Learned", "Step", "learn"]
+
+_LIKE_SKIDS_S = 0.02
+"""An offset of a clock up to which what wheels do at changes of speed may be mistaken for it."""
+_LIKE_CLOCKS = ("accel_slip", "backlash")
+"""What wheels do at changes of speed."""
 
 
 def learn(
@@ -108,6 +118,7 @@ def learn(
     found = _Selection(fitted, noise, given, decisions).run()
     if (other := _dependence_first(found, noise)) is not None and _explains_more(other, found):
         found = other
+    found, clocks = _with_other_clock(found, clocks, noise)
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
@@ -190,7 +201,7 @@ class _Selection:
 
     def _continue_from(self, fit: Fit) -> None:
         """Take a model with one more term, without what the term makes redundant."""
-        fit = backward_eliminate(fit, self.given, self.decisions)
+        fit = absorb(backward_eliminate(fit, self.given, self.decisions), self.given, self.decisions)
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
@@ -295,7 +306,8 @@ class _Selection:
         """Nats that its effects must gain."""
         forms = {one.name: one.best.score.penalty for one in self.included if one.best is not None}
         motions, count = self.fit.problem.motions, len(self.fit.problem.nodes)
-        return sum(
+        clocks = 0.5 * float(np.log(count) * np.sum(self.fit.free_clocks))
+        return clocks + sum(
             forms[e.name] if e.name in forms else penalty(LibraryTerm.of(e, motions), count, self.decisions)
             for e in self.fit.effects
         )
@@ -319,14 +331,63 @@ def _dependence_first(found: _Selection, noise: list[RandomCoefficient]) -> _Sel
     return other.run()
 
 
+def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoefficient]) -> tuple[_Selection, Clocks]:
+    """Return the selection with a clock or that without, whichever explains more, and the clocks, the other a rival.
+
+    Clocks come before everything else, and a small offset does about what a wheel does that skids, or whose play is
+    crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is no
+    clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded to.
+    """
+    late = any(one.regressor.endswith("acceleration") for one in (*found.included, *found.open))
+    offset_s = max(abs(clock.offset_s) for clock in clocks.clocks)
+    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
+    alike = bool(rivals) and not np.any(clocks.free)
+    if not alike and not (late and 0.0 < offset_s < _LIKE_SKIDS_S):
+        return found, clocks
+    other = replace(
+        clocks, clocks=(Clock(),) * len(clocks.clocks), free=((alike, False),) * len(clocks.free), ambiguous_nats=0.0
+    )
+    problem, first = found.fit.problem, found.steps[0].before
+    begin = fit(
+        problem.recordings,
+        first.effects,
+        clocks=other.clocks,
+        free_clocks=other.free,
+        approach=problem.approach,
+        start=first.noise.free,
+        random=[e for e in first.random if e.name in found.given],
+    )
+    second = _Selection(begin, noise, found.given, found.decisions).run()
+    more = _more_nats(second, found)
+    if more > 0.0:
+        found, clocks = second, other
+    if np.any(found.fit.free_clocks):
+        return found, replace(clocks, rival_nats=(*clocks.rival_nats, _clock_nats(found.fit) - abs(more)))
+    rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
+    nats = max(rivals, default=0.0) - abs(more)
+    return found, replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
+
+
+def _clock_nats(fitted: Fit) -> float:
+    """Return what the plainest offset of a fit's clocks gains, nats."""
+    pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
+    return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
+
+
 def _explains_more(one: _Selection, other: _Selection) -> bool:
-    """Return whether one model explains plainly more than another, whichever stretches are set apart as outliers.
+    """Return whether one model explains plainly more than another.
 
     Known effects are the likelier a priori; not where the other model needed a basis function besides.
     """
-    worth = other.penalty - one.penalty
-    same = other.fit.refit(weights=one.fit.noise.weights)
-    turned = one.fit.refit(weights=other.fit.noise.weights)
-    gains = (one.fit.log_likelihood - same.log_likelihood, turned.log_likelihood - other.fit.log_likelihood)
     decisions = other.decisions
-    return min(gains) + worth > (decisions.alternative_nats if other.included else decisions.replacement_nats)
+    least = decisions.alternative_nats if other.included else decisions.replacement_nats
+    return _more_nats(one, other) > least
+
+
+def _more_nats(one: _Selection, other: _Selection) -> float:
+    """Return by how much one model explains more than another, whichever stretches are set apart as outliers."""
+    here, there = one.fit, other.fit
+    same = there.refit(weights=carried(here.noise.weights, here.problem, there.problem))
+    turned = here.refit(weights=carried(there.noise.weights, there.problem, here.problem))
+    gains = (here.log_likelihood - same.log_likelihood, turned.log_likelihood - there.log_likelihood)
+    return min(gains) + other.penalty - one.penalty

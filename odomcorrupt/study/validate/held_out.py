@@ -1,8 +1,10 @@
 """Whether each part of a learned model holds on data that it was not fitted on; what does plainly worse is dropped.
 
-Every effect, law and random gain of the model is taken out in turn, the rest refitted, and both judged on the same
-windows and intervals of held-out data: other recordings of the robot, or else the two halves of the fitted ones, each
-judged by a fit of the other. Differences are paired, so that what is hard for both counts for neither.
+So is what is hardly likely, unless the error grows without it, and a law over the time of one recording, which says
+what happened then and nothing of another drive. Every effect, law and random gain of the model is taken out in turn,
+the rest refitted, and both judged on the same windows and intervals of held-out data: other recordings of the robot, or
+else the two halves of the fitted ones, each judged by a fit of the other. Differences are paired, so that what is hard
+for both counts for neither.
 """
 
 from __future__ import annotations
@@ -19,7 +21,8 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.estimate.windows import phased_misses
-from odomcorrupt.study.io.clock import aligned
+from odomcorrupt.study.io.clock import aligned, clock_leaders
+from odomcorrupt.study.select.confidence import confidence, evidence_of, noise_evidence
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.cross_validation import cutting_of
 from odomcorrupt.study.validate.evaluation import evaluate_stretch
@@ -51,7 +54,8 @@ class HeldOut:
 
     nats, error : log likelihood that the part gains on them, and its standard error from blocks of the drive
     ten_second_error_m : without it, and with it
-    harm : what it makes plainly worse, in words; "" where nothing
+    harm : why it is not in the model, in words; "" where it is
+    needed : whether the 10 s error is plainly larger without it
     """
 
     name: str
@@ -59,11 +63,12 @@ class HeldOut:
     error: float
     ten_second_error_m: tuple[float, float]
     harm: str
+    needed: bool
 
     @property
     def remark(self) -> str:
         """Why the part is not in the model, in a sentence."""
-        return f"{self.name} was found, but is not in the model: on held-out data {self.harm}"
+        return f"{self.name} was found, but is not in the model: {self.harm}"
 
 
 def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple[Learned, tuple[HeldOut, ...]]:
@@ -77,17 +82,22 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
     """
     fitted, said = learned.fit, list[HeldOut]()
     clocks = clocks_beside(others, fitted.problem.approach, model_of(fitted)).clocks if others else ()
+    once = {law.name for law in learned.laws if law.regressor == "time"} if len(_runs(fitted)) == 1 else set()
     while parts := [(part,) for part in _parts(fitted)]:
         # all parts together, too: each may make good what another one spoils, and all of them be worse than none
         together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
         found = _test(fitted, [*parts, *together], others, clocks)
+        found = [(own, _of_that_day(one, supported=bool(others)) if one.name in once else one) for own, one in found]
         worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
         if worst is None:
-            said += [one for left_out, one in found if len(left_out) == 1]
+            each = [(own, one) for own, one in found if len(own) == 1]
+            learned = replace(learned, held_out={one.name: (one.nats, one.error) for _, one in each})
+            worst = _least_likely(each, replace(learned, fit=fitted))
+        if worst is None:
+            said += [one for _, one in each]
             break
         said.append(worst[1])
         fitted = _without(fitted, worst[0])
-    learned = replace(learned, held_out={one.name: (one.nats, one.error) for one in said})
     if fitted is learned.fit:
         return learned, tuple(said)
     kept = {effect.name for effect in (*fitted.effects, *fitted.random)}
@@ -97,6 +107,36 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
         gain for gain in learned.noise if gain.effect.name not in CORRELATED_NOISE or gain.effect.name in kept
     )
     return replace(learned, fit=fitted, laws=laws, noise=noise, error_m=ten_second_error(fitted)), tuple(said)
+
+
+def _runs(fitted: Fit) -> set[int]:
+    return set(clock_leaders(fitted.problem.recordings))
+
+
+def _of_that_day(one: HeldOut, *, supported: bool) -> HeldOut:
+    """Return the verdict on a law over the time of one recording, which another one has to support."""
+    if one.harm or (supported and one.nats > _PLAIN * one.error):
+        return one
+    return replace(one, harm="it says when this one drive went wrong; a second one would show whether it happens again")
+
+
+def _least_likely(
+    found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
+) -> tuple[tuple[Effect, ...], HeldOut] | None:
+    """Return the named part that is least likely right, if it hardly is and the error does not grow without it."""
+    evidence = {step.added: evidence_of(step, learned) for step in learned.steps if step.added is not None}
+    evidence |= {gain.effect.name: noise_evidence(gain, learned) for gain in learned.noise}
+    sure = [
+        (confidence(evidence[one.name], learned.decisions.prior), parts, one)
+        for parts, one in found
+        if one.name in evidence and not one.needed
+    ]
+    least, parts, one = min(sure, key=lambda each: each[0], default=(1.0, (), None))
+    if one is None or least >= learned.decisions.least_confidence:
+        return None
+    return parts, replace(
+        one, harm=f"other causes are likelier by far (confidence {least:.2f}), and the error does not grow"
+    )
 
 
 def _parts(fitted: Fit) -> list[Effect]:
@@ -174,7 +214,9 @@ def _verdict(parts: Sequence[Effect], whole: Sequence[Evaluation], without: Sequ
     closer = base.worse_than(with_it, **_WORSE)
     harm = ""
     if farther:
-        harm = f"the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
+        harm = (
+            f"on held-out data the 10 s error is {1e3 * with_it.rmse:.1f} mm with it, {1e3 * base.rmse:.1f} mm without"
+        )
     elif unlikelier and not closer:
-        harm = f"the model is {-nats:.0f} nats less likely with it"
-    return HeldOut(" with ".join(part.name for part in parts), nats, error, (base.rmse, with_it.rmse), harm)
+        harm = f"on held-out data the model is {-nats:.0f} nats less likely with it"
+    return HeldOut(" with ".join(part.name for part in parts), nats, error, (base.rmse, with_it.rmse), harm, closer)

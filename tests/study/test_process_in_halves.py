@@ -1,0 +1,65 @@
+"""A random process is one that both halves of a drive show: no event, and not what an effect's mean leaves over."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from wandering import RATE_HZ, noisy_path, recording, wander
+
+from odomcorrupt.effects import effect_from_values
+from odomcorrupt.geometry.increments import Increments, accumulate
+from odomcorrupt.model.noise_laws import Coefficients
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import is_rest, random_coefficients
+
+QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
+
+
+def processes_of(run):
+    """Return the random coefficients that a recording shows, and the fit."""
+    fitted = fit([run], approach=choose_approach([run]))
+    return [one.effect for one in random_coefficients(fitted, DECISIONS)], fitted
+
+
+def turned(yaw_rate, seed=3):
+    """Return a recording of a robot that turned at this rate (n,) rad/s besides, unknown to its odometry."""
+    steps = wander(seed, len(yaw_rate) / RATE_HZ)
+    run = recording(steps, noisy_path(steps, QUIET, seed), seed=seed)
+    true = accumulate(np.zeros(3), Increments(steps.ds_m, steps.dl_m, steps.dtheta_rad + yaw_rate / RATE_HZ))
+    noise = np.random.default_rng(seed).normal(0.0, [0.002, 0.002, 0.003], true.shape)
+    return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
+
+
+@pytest.mark.parametrize(("begin_s", "end_s", "rate"), [(144.0, 146.4, 0.5), (72.0, 86.4, 0.04)])
+def test_what_happened_once_is_no_bias_that_walks(begin_s, end_s, rate):
+    """A lift that takes 2 s, or a bend of 14 s: one half of the drive knows nothing of it."""
+    t_s = np.arange(12_000) / RATE_HZ
+    rate = np.where((t_s > begin_s) & (t_s < end_s), rate, 0.0)
+    assert processes_of(turned(rate))[0] == []
+
+
+def test_a_bias_that_walks_all_the_time_is_found():
+    walk = np.cumsum(np.random.default_rng(4).normal(0.0, 2e-3 / np.sqrt(RATE_HZ), 12_000))
+    assert [found.name for found in processes_of(turned(walk))[0]] == ["gyro_bias_walk"]
+
+
+@pytest.mark.slow
+def test_what_truncated_velocities_leave_is_no_gain_that_wanders():
+    """A gain of 2 % that wanders moves a robot of 1 m/s less than steps of 5 cm/s may; one of 10 % moves it more."""
+    rng, keep = np.random.default_rng(5), float(np.exp(-1.0 / RATE_HZ / 5.0))
+    steps = wander(5, 240.0)
+    unit = lfilter([np.sqrt(1.0 - keep**2)], [1.0, -keep], rng.standard_normal(len(steps)))
+    cut = effect_from_values("truncated_velocity", {"step": 0.05, "turn": 0.05})
+    for sigma, small in ((0.02, True), (0.1, False)):
+        gained = Increments(steps.ds_m * (1.0 + sigma * unit), steps.dl_m, steps.dtheta_rad)
+        (found,), fitted = processes_of(recording(steps, noisy_path(gained, QUIET, 5), seed=5))
+        assert not is_rest(fitted, found)
+        beside = replace(fitted, problem=replace(fitted.problem, effects=(cut,)))
+        assert is_rest(beside, found) == small
+        assert bool(random_coefficients(beside, DECISIONS)) != small
