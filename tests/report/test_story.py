@@ -189,7 +189,7 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     text = found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
-    assert "an effect that is not in the library remains" in text
+    assert "an effect that is not in the model remains" in text
     assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
