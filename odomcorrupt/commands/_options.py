@@ -86,6 +86,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     """A pose, "x,y,heading" in metres and radians; the heading may be in degrees, as in 30deg."""
 
     name = "X,Y,THETA"
+    _else = ""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats."""
@@ -100,7 +101,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
         except ModelError:
             pose = ()
         if len(pose) != 3 or "deg" in parts[0] + parts[1]:
-            self.fail(f"{value!r} is no pose; write x,y,heading as in 0.2,0.35,10deg", param, ctx)
+            self.fail(f"{value!r} is no pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
         return pose
 
 
@@ -108,6 +109,7 @@ class _Start(_Pose):
     """A pose, or "odom" for the origin of the odometry's own frame."""
 
     name = "X,Y,THETA|odom"
+    _else = ", or odom"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats, or the word."""
