@@ -63,9 +63,10 @@ class Robot:
 
 
 COMMANDS = (
-    "Its odometry is the velocity that was commanded, and no wheel was asked: what lies between the two (the motors' "
-    "delay and slow answer, speeds that the drive rounds or cannot reach) differs from command to command and is no "
-    "effect of this library. Encoders would show it; a law of the command, as named above, stands in for it."
+    "Its odometry is the velocity that was commanded, and no wheel was measured: what lies between the two (the "
+    "motors' delay and slow answer, speeds that the drive rounds or cannot reach) differs from command to command "
+    "and is no effect of this library. Encoders would show it; a law of the command, as named above, approximates "
+    "it."
 )
 
 ROBOTS = (

@@ -79,7 +79,8 @@ def install() -> None:
                 os.close(opened)
     if sys.stdin is None:
         sys.stdin = io.TextIOWrapper(io.BufferedReader(io.FileIO(0, closefd=False)))
-    sys.stdout = _text_stream(sys.stdout, 1)
+    # shutil.get_terminal_size asks sys.__stdout__ for the width
+    sys.stdout = sys.__stdout__ = _text_stream(sys.stdout, 1)  # type: ignore[misc]
     sys.stderr = _text_stream(sys.stderr, 2)
 
 

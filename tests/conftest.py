@@ -5,6 +5,7 @@ takes milliseconds then takes minutes. The variable has to be there before numpy
 """
 
 import os
+import signal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -17,3 +18,11 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip a test that needs the recordings of others where they are absent."""
     if item.get_closest_marker("recordings") and not RECORDINGS.is_dir():
         pytest.skip(f"no recordings of others in {RECORDINGS}")
+
+
+@pytest.fixture
+def interruptible():
+    """Hear SIGINT, which a shell's background jobs, and all that they begin, ignore."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

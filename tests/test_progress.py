@@ -8,6 +8,7 @@ import pty
 import re
 import subprocess
 import sys
+import termios
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +43,15 @@ def test_what_is_no_terminal_gets_nothing(monkeypatch, capsys):
 
 
 def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
-    """Run under a pseudo-terminal: the last thing on it is the folded summary."""
+    """Run under a pseudo-terminal of 60 columns: the last thing on it is the folded summary."""
     master, slave = pty.openpty()
+    termios.tcsetwinsize(slave, (24, 60))
     streams = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
     done = subprocess.run(
-        [sys.executable, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1"], **streams, check=False
-    )
+        [sys.executable, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1"],
+        **streams, check=False,
+        env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
+    )  # fmt: skip
     os.close(slave)
     said = b""
     with contextlib.suppress(OSError):
@@ -59,4 +63,4 @@ def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
     lines = said.rsplit(b"\x1b[K", 1)[1].decode().splitlines()
     assert lines[0].startswith("\x1b[32mMOVED")
     plain = [re.sub(r"\x1b\[\d+m", "", line) for line in lines if str(tmp_path) not in line]
-    assert max(map(len, plain)) <= 80
+    assert 50 < max(map(len, plain)) <= 60

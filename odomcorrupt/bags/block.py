@@ -35,7 +35,9 @@ __all__ = [
     "PartContents",
     "PartFraming",
     "Unframed",
+    "own_framing",
     "require_all",
+    "without",
 ]
 
 Kind = Literal["ros1", "mcap", "sqlite3"]
@@ -104,6 +106,15 @@ class Framing:
 
     __slots__ = ()
 
+    def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
+        """Return the offsets (n,) of the records of a block's messages, bytes, headers included."""
+        offsets: NDArray[np.int64] = table["offset"]
+        return offsets
+
+    def kept(self, begins: NDArray[np.int64]) -> Framing:  # noqa: ARG002 - overridden where they are part of it
+        """Return the framing of some of the messages, whose records begin at these offsets (n,)."""
+        return self
+
     def goes_on_with(self, other: object) -> bool:  # noqa: ARG002 - overridden where blocks can be joined
         """Return whether this and another block are chunks with the same framing, so that they can be joined."""
         return False
@@ -111,6 +122,41 @@ class Framing:
     def joined(self, behind: list[Any], begins: list[int]) -> Framing:  # noqa: ARG002 - as above
         """Return the framing of this block joined with those after it, which begin at these offsets of the data."""
         return self
+
+
+def own_framing(block: Block) -> Framing:
+    """Return the framing of a block in its file, of one of several files, too."""
+    framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
+    return framing if isinstance(framing, Framing) else Framing()
+
+
+def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
+    """Return a block of records without some of its messages (n,); other records are kept, empty chunks are not."""
+    if not left_out.any():
+        return block
+    own = block.raw.own if isinstance(block.raw, PartFraming) else block
+    every = own_framing(block).begins(block.table)
+    order = np.argsort(every[left_out], kind="stable")
+    ends = np.maximum.accumulate((block.table["offset"] + block.table["length"])[left_out][order])
+    befores = np.concatenate(([0], ends))
+    begins = np.maximum(every[left_out][order], befores[:-1])  # records of a damaged bag may overlap
+    gaps = zip(befores.tolist(), [*begins.tolist(), block.data.size], strict=True)
+    data = np.concatenate([block.data[begin:end] for begin, end in gaps])
+    sizes = np.concatenate(([0], np.cumsum(ends - begins)))
+
+    def moved(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+        passed = np.searchsorted(begins, offsets)
+        return offsets - sizes[passed] + np.maximum(befores[passed] - offsets, 0)
+
+    framing = own.raw.kept(moved(every[~left_out])) if isinstance(own.raw, Framing) else own.raw
+    chunk_ends = np.unique(moved(np.array(own.ends, dtype=np.int64))).tolist()
+    left = Block(data, own.table[~left_out], framing, ends=tuple(end for end in chunk_ends if end > 0))
+    left.table["offset"] = moved(left.table["offset"])
+    if own is block:
+        return left
+    table = block.table[~left_out]
+    table["offset"] = left.table["offset"]
+    return Block(data, table, PartFraming(block.raw.part, left))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,9 +10,9 @@ import ctypes
 import errno
 import glob
 import os
+import platform
 import re
 import shutil
-import socket
 import stat
 import sys
 import zlib
@@ -129,7 +129,7 @@ def _stem(path: Path) -> str:
 
 
 def _host() -> str:
-    return f"{zlib.crc32(socket.gethostname().encode()):08x}"
+    return f"{zlib.crc32(platform.node().encode()):08x}"
 
 
 def _alive(pid: int) -> bool:

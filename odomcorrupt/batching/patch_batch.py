@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, PartFraming
+from odomcorrupt.bags.block import TABLE, Block, own_framing
 from odomcorrupt.bags.gaps import windows
-from odomcorrupt.bags.mcap.chunk import McapFraming
-from odomcorrupt.bags.mcap.records import MESSAGE_HEADER_BYTES
 from odomcorrupt.bags.messages import Layout
-from odomcorrupt.bags.ros1.chunk import Ros1Framing
 from odomcorrupt.corruption.odometry_source import ENCODINGS, ODOMETRY, TRANSFORMS
 from odomcorrupt.corruption.patch import Target
 
@@ -171,7 +168,7 @@ class _Gatherer:
     def _gather(self, block: Block, rows: NDArray[np.int64]) -> Place:
         """Append the records of some rows to the portion."""
         offsets = block.table["offset"][rows]
-        begins, ends = record_begins(block, rows), offsets + block.table["length"][rows]
+        begins, ends = own_framing(block).begins(block.table)[rows], offsets + block.table["length"][rows]
         lengths = ends - begins
         after = np.cumsum(lengths)
         table = block.table[rows].copy()
@@ -215,15 +212,6 @@ class _Gatherer:
             portion.table, portion.data = np.concatenate(self._tables), np.concatenate(self._pieces)
         self._begin()
         return portion
-
-
-def record_begins(block: Block, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the offsets (n,) of message records in the block's data, bytes, headers included."""
-    framing = block.raw.own.raw if isinstance(block.raw, PartFraming) else block.raw
-    if isinstance(framing, Ros1Framing):
-        return framing.starts[rows]
-    offsets: NDArray[np.int64] = block.table["offset"][rows]
-    return offsets - MESSAGE_HEADER_BYTES if isinstance(framing, McapFraming) else offsets
 
 
 def _alike(one: Target, other: Target) -> bool:

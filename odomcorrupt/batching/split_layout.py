@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from odomcorrupt.bags.block import TABLE, Block, PartFraming
+from odomcorrupt.bags.block import TABLE, Block, PartFraming, without
 from odomcorrupt.bags.checksum import crc32
 from odomcorrupt.bags.codecs import compress_for_ros1
-from odomcorrupt.bags.gaps import gaps_between
 from odomcorrupt.bags.mcap.chunk import McapFraming
 from odomcorrupt.bags.mcap.records import METADATA, RECORD_HEADER_BYTES
 from odomcorrupt.bags.mcap.writer import McapWriter, Packed, packed
@@ -54,7 +53,7 @@ class Rests:
             self._portion = portion
             self._packed.clear()
             self._blocks = [
-                block if place is None else _without(block, place)
+                block if place is None else _rest(block, place)
                 for block, place in zip(portion.blocks, portion.places, strict=True)
             ]
         return self._blocks
@@ -82,44 +81,11 @@ class Rests:
         return chunk
 
 
-def _without(block: Block, place: Place) -> Block:
-    """Return a block without some of its messages; other records are kept."""
-    order = np.argsort(place.begins, kind="stable")
-    begins, ends = place.begins[order], place.ends[order]
-    gaps = gaps_between(begins, ends, block.data.size)
-    if gaps is None:
-        # overlapping records: mark byte by byte
-        gone = np.zeros(block.data.size, dtype=bool)
-        for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-            gone[begin:end] = True
-        data, gone_before = block.data[~gone], np.concatenate(([0], np.cumsum(gone)))
-    else:
-        data = np.concatenate([block.data[:0], *(block.data[begin:end] for begin, end in gaps)])
-        gone_before = None
-    sizes = np.concatenate(([0], np.cumsum(ends - begins)))
-
-    def moved(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
-        if gone_before is not None:
-            return offsets - gone_before[offsets]
-        return offsets - sizes[np.searchsorted(begins, offsets)]
-
-    rest = np.ones(len(block.table), dtype=bool)
-    rest[place.rows] = False
-    own = block.raw.own if isinstance(block.raw, PartFraming) else block
-    table = own.table[rest].copy()
-    table["offset"] = moved(table["offset"])
-    framing = own.raw
-    if isinstance(framing, Ros1Framing):
-        framing = Ros1Framing(framing.codec, moved(framing.starts[rest]))
-    # an empty chunk is omitted
-    chunk_ends = tuple(np.unique(moved(np.array(own.ends, dtype=np.int64)))) if own.ends else ()
-    chunk_ends = tuple(int(end) for end in chunk_ends if end > 0)
-    left = Block(data, table, framing, ends=chunk_ends)
-    if not isinstance(block.raw, PartFraming):
-        return left
-    whole = block.table[rest].copy()
-    whole["offset"] = table["offset"]
-    return Block(data, whole, PartFraming(block.raw.part, left))
+def _rest(block: Block, place: Place) -> Block:
+    """Return a block without the messages that change."""
+    changing = np.zeros(len(block.table), dtype=bool)
+    changing[place.rows] = True
+    return without(block, changing)
 
 
 class SplitSink(BagSink):

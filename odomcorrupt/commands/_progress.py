@@ -80,11 +80,11 @@ class Progress(_Line):
 
 
 class Stages(_Line):
-    """Says which stage of a study is under way, the share that is done and the time left."""
+    """Says which stage of the work is under way, the share that is done and the time left."""
 
-    def __init__(self, *, quiet: bool = False) -> None:
+    def __init__(self, stage: str = "reading", *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
-        self._stage, self._share = "reading", 0.0
+        self._stage, self._share = stage, 0.0
         self._ended = threading.Event()
         self._ticker = threading.Thread(target=self._tick, daemon=True)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import click
+from click.core import ParameterSource
 
 from odomcorrupt import commands
 from odomcorrupt.commands._options import added
@@ -112,9 +113,11 @@ def standard_options(command: Callable[..., Any]) -> Callable[..., Any]:
         if quiet and verbose:
             raise click.UsageError("--quiet and --verbose: say nothing, and all; give one of them")
         voice = Voice(verbose, quiet, as_json)
-        file, names = click.get_current_context().meta.get(_DEFAULTS, ("", ()))
-        if file:
-            voice.note(f"defaults from {file}: {', '.join(names)}")
+        ctx = click.get_current_context()
+        file, names = ctx.meta.get(_DEFAULTS, ("", ()))
+        used = [name for name in names if ctx.get_parameter_source(name) is ParameterSource.DEFAULT_MAP]
+        if used:
+            voice.note(f"defaults from {file}: {', '.join(used)}")
         return command(*args, voice=voice, **given)
 
     return added(

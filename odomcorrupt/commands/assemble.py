@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._bag import bag_words, container_options
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ def command(
                 f"{original}: is not what the batch was made from any more; name the original with --input"
             )
     container = split_options(bag_words(given))[1]
-    count = assemble(run, original, target, container)
+    with Stages("assembling", quiet=voice.quiet):
+        count = assemble(run, original, target, container)
     sentence = f"{target}: {count} messages of {run} in the place of those of {original}."
     values = {"schema": 2, "output": str(target), "messages": count, "run": str(run), "input": str(original)}
     found = Line("ASSEMBLED", f"{count} messages of {run.name} in the place of those of {original.name}", "good")

@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
-from odomcorrupt.commands._progress import part_done
+from odomcorrupt.commands._progress import Stages, part_done
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.text.summary import Line, Summary, command_line
@@ -77,7 +77,8 @@ def command(bag: Path, output: Path | None, *, voice: Voice, **given: Any) -> No
         refuse_existing(path, overwrite=given["overwrite"])
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
-    notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
+    with Stages("drawing maps", quiet=voice.quiet):
+        notes, surveys = _surveys(bag, chosen.motion_model, seed, given)
     origin = f" ({chosen.origin})" if chosen.origin else ""
     noise = f"noise: {law_words(chosen.motion_model.noise)}{origin}, seed {seed}, run {given['run']}"
     text = "\n".join([noise, *notes, _table(surveys)])

@@ -9,6 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import FILE, Number, check_picture, need_pictures, one_of, save_picture
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import overwrite_option, standard_options, written
 from odomcorrupt.files import read_input, refuse_existing, write_text
 
@@ -67,11 +68,12 @@ def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
     for rule in given["rules"]:
         parse_rule(rule)
     baseline = None if given["baseline"] is None else _baseline(given["baseline"])
-    report = score(
-        list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"], outputs=given["outputs"],
-        align=given["align"], limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
-        count_missing=given["count_missing"],
-    )  # fmt: skip
+    with Stages("scoring", quiet=voice.quiet):
+        report = score(
+            list(runs), given["estimate"], truth=given["truth"], truth_file=given["truth_file"],
+            outputs=given["outputs"], align=given["align"], count_missing=given["count_missing"],
+            limits=Limits(given["lost_m"], given["lost_s"], given["jump_m"]),
+        )  # fmt: skip
     verdicts: list[Verdict] = []
     if given["rules"]:
         from odomcorrupt.report.json.score import score_json

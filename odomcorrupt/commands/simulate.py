@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from odomcorrupt.commands._options import FILE, Number
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import chosen_output, output_option, overwrite_option, standard_options
 from odomcorrupt.errors import EffectError
 
@@ -116,7 +117,8 @@ def command(
         raise click.UsageError("a bag on a pipe needs a name for its answer; give --answer FILE")
     names, parameters = _faults(effects)
     try:
-        done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
+        with Stages("simulation", quiet=voice.quiet):
+            done = simulate(None if piped else target, effects=names, parameters=parameters, size=_size(size), **given)
     except EffectError as error:
         raise click.UsageError(f"--effect {error}") from error
     if piped:

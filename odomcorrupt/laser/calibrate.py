@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.errors import RecordingError
-from odomcorrupt.geometry.se2 import between, compose, inverse, wrap
+from odomcorrupt.geometry.se2 import between, wrap
 from odomcorrupt.laser.deskewing import Deskewing, Motion
 from odomcorrupt.laser.icp import best_guess, match, surface_of
 from odomcorrupt.laser.surface import lines_of
@@ -305,8 +305,3 @@ def hand_eye(own: Array, seen: Array) -> Array | None:
     if not 0.5 < length < 2.0 or np.hypot(solution[0], solution[1]) > 3.0:
         return None
     return np.array([solution[0], solution[1], np.arctan2(solution[3], solution[2])])
-
-
-def back_to_robot(laser: Array, mount: Array) -> Array:
-    """Return the robot's poses (n, 3) from its laser's."""
-    return compose(laser, inverse(mount))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from odomcorrupt.geometry.se2 import between, rotate, wrap
+from odomcorrupt.geometry.se2 import between, wrap
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,13 +89,3 @@ def optimise(poses: Array, edges: Edges, rounds: int = _ROUNDS) -> tuple[Array, 
 def _eye(size: int) -> coo_array:
     index = np.arange(size)
     return coo_array((np.ones(size), (index, index)), shape=(size, size)).tocsc()
-
-
-def rotated_information(information: Array, angle_rad: Array) -> Array:
-    """Return information (e, 3, 3) given in axes that are turned by an angle (e,) against those wanted."""
-    unit = np.broadcast_to(np.eye(2), (len(information), 2, 2))
-    turn = np.zeros((len(information), 3, 3))
-    turn[:, :2, :2] = np.swapaxes(rotate(unit, np.repeat(angle_rad[:, None], 2, axis=1)), 1, 2)
-    turn[:, 2, 2] = 1.0
-    out: Array = turn @ information @ np.swapaxes(turn, 1, 2)
-    return out

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["Lines", "lines_of", "lines_through"]
+__all__ = ["Lines", "lines_of"]
 
 _REACH_M = 0.3
 """Neighbours of a return lie at most this far away."""
@@ -43,15 +42,6 @@ def lines_of(xy: Array) -> Lines:
     near = xy[np.clip(index, 0, count - 1)] - xy[:, None, :]
     weight = (inside & (np.einsum("ijk,ijk->ij", near, near) < _REACH_M**2)).astype(np.float64)
     return _fitted(xy, near, weight)
-
-
-def lines_through(points: Array, neighbours: int = 16) -> Lines:
-    """Return the lines through the nearest neighbours of points (n, 2) in any order."""
-    tree = cKDTree(points)
-    distance, index = tree.query(points, k=min(neighbours, len(points)), distance_upper_bound=_REACH_M)
-    weight = np.isfinite(distance).astype(np.float64)
-    near = points[np.minimum(index, len(points) - 1)] - points[:, None, :]
-    return _fitted(points, near * weight[:, :, None], weight)
 
 
 def _fitted(xy: Array, near: Array, weight: Array) -> Lines:

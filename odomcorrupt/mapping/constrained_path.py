@@ -20,6 +20,7 @@ import numpy as np
 
 from odomcorrupt.corruption.drift import DriftMeter
 from odomcorrupt.corruption.path import NoisyPath, PathSamples
+from odomcorrupt.errors import MapError
 from odomcorrupt.mapping.conditioned_runs import MAX_TRIES, FreeRuns
 from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
@@ -46,6 +47,8 @@ PARTICLES = 64
 _BLOCK = 1024
 _TOO_FAR = 6.0
 """A drift at the end of more than so many of its standard deviations is the map's doing and not the noise's."""
+_ASTRAY = 0.25
+"""Odometry of which more lies where the map is not free was recorded elsewhere, or the map is elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +127,17 @@ def whole_path(
     Raises
     ------
     MapError
-        Where the map and the drive do not fit: no path is free, or the only free ones are far from what noise does.
+        Where the map and the drive do not fit: much of the odometry is not free itself, no path is free, or the only
+        free ones are far from what noise does.
 
     """
+    must_be_free(space, clean_xyt[0])
+    astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
+    if astray > _ASTRAY:
+        raise MapError(
+            f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
+            "--map-pose, --robot-radius and --unknown, or leave out --map"
+        )
     try:
         samples = FreePath(model, space, seed=seed, run=run, check=check, tries=tries).feed(stamps_ns, clean_xyt)
         _refuse_held_back(samples)
@@ -196,10 +207,10 @@ class FreePath:
         """Return what it took, in one or two sentences."""
         said = f"Map: {self.redrawn} of {self.increments} increments were drawn again"
         if self._plan is not None:
-            said += f"; the whole path is one of {self._plan.particles}, resampled {self._plan.resampled} times"
-        if self.astray:
-            said += f". The odometry itself is where the map is not free at {self.astray} poses; is --map-pose right?"
-        return said if self.astray else f"{said}."
+            said += f"; one of {self._plan.particles} paths, resampled {self._plan.resampled} times"
+        return (
+            f"{said}. {self.astray} poses of the odometry are not free: check --map-pose" if self.astray else f"{said}."
+        )
 
     def feed(self, stamps_ns: NDArray[np.int64], clean_xyt: Array) -> PathSamples:
         """Return the path at the next n poses; see `NoisyPath.feed`.

@@ -103,7 +103,7 @@ def learn_robot(
         models["with " + ", ".join(names)] = proof.model
     watch("comparison on held-out data", 0.9)
     judged_on = held_out or recordings
-    comparison = compare(judged_on, models)
+    comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
     parts_do = contributions(search.fit, judged_on, comparison.clocks.clocks)
     return LearnedRobot(
         recordings=recordings,

@@ -148,13 +148,14 @@ VARIANTS = {
 """Kinds of MCAP that the mcap library's writer can be asked for."""
 
 
-def office_variant(path, **options):
-    """Write the office MCAP in another way."""
+def office_variant(path, seconds=60.0, **options):
+    """Write the first seconds of the office MCAP in another way."""
     with OFFICE_MCAP.open("rb") as source, path.open("wb") as stream:
         reader = make_reader(source)
         writer = McapLibraryWriter(stream, **{"chunk_size": 100_000, **options})
         writer.start(profile="ros2", library="a test")
         writer.add_metadata("first", {"a": "1", "b": ""})
+        end_ns = reader.get_summary().statistics.message_start_time + seconds * 1e9
         schemas, channels = {}, {}
         for schema, channel, message in reader.iter_messages(log_time_order=False):
             if channel.id not in channels:
@@ -166,7 +167,9 @@ def office_variant(path, **options):
             writer.add_message(
                 channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
             )
-            if message.sequence == 1000:
+            if message.log_time > end_ns:
+                break
+            if message.sequence == round(seconds * 50.0 / 3.0):
                 writer.add_attachment(7, 8, f"in the middle {channel.topic}", "x/y", b"\1\2" * 1000)
         writer.finish()
     return path

@@ -18,10 +18,10 @@ from oracles import OFFICE_BAG, copy, mcap_messages, mcap_record_places, office_
 from test_recover import recover
 from test_ros1 import packed, rebuilt, records
 
+from odomcorrupt.bags.chunk import record_blocks
 from odomcorrupt.bags.mcap.chunk_messages import record_bytes
 from odomcorrupt.bags.open import open_reader, open_writer
 from odomcorrupt.bags.pipeline import Workers
-from odomcorrupt.bags.record_blocks import record_blocks
 from odomcorrupt.errors import BagError
 
 KINDS = [("mcap", "none"), ("mcap", "zstd"), ("mcap", "lz4"), ("bag", "none"), ("bag", "lz4"), ("bag", "bz2")]
@@ -37,10 +37,9 @@ PACK = {
 @pytest.fixture
 def small(monkeypatch):
     """Let chunks beyond 50 kB be large ones, read in blocks of 20 kB."""
-    monkeypatch.setattr("odomcorrupt.bags.record_blocks._BLOCK_BYTES", 20_000)
+    monkeypatch.setattr("odomcorrupt.bags.chunk._BLOCK_BYTES", 20_000)
     monkeypatch.setattr("odomcorrupt.bags.codec_streams._PIECE_BYTES", 7_000)
-    for kind in ("mcap", "ros1"):
-        monkeypatch.setattr(f"odomcorrupt.bags.{kind}.chunk.LARGE_BYTES", 50_000)
+    monkeypatch.setattr("odomcorrupt.bags.chunk.LARGE_BYTES", 50_000)
 
 
 def record(opcode, *parts):
@@ -172,7 +171,7 @@ def size_of_ros1(data, at):
 
 @pytest.mark.parametrize("sizes", [[10] * 50, [22, 900, 30, 5000, 22], [100], []])
 def test_blocks_are_whole_records_and_the_same_for_any_pieces(sizes, monkeypatch):
-    monkeypatch.setattr("odomcorrupt.bags.record_blocks._BLOCK_BYTES", 400)
+    monkeypatch.setattr("odomcorrupt.bags.chunk._BLOCK_BYTES", 400)
     data = b"".join(record(0x80, bytes(size)) for size in sizes)
     found = set()
     for piece in (1, 7, 400, 10_000):

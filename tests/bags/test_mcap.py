@@ -3,6 +3,7 @@
 import io
 import struct
 import zlib
+from itertools import product
 
 import numpy as np
 import pytest
@@ -37,7 +38,8 @@ def channel_of(reader, topic):
 
 @pytest.fixture(scope="module", params=VARIANTS)
 def variant(request, tmp_path_factory):
-    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", **VARIANTS[request.param])
+    options = {"chunk_size": 25_000, **VARIANTS[request.param]}
+    return office_variant(tmp_path_factory.mktemp("variant") / "in.mcap", 12.0, **options)
 
 
 def test_nothing_patched_keeps_every_message_channel_and_extra(variant, tmp_path):
@@ -218,53 +220,33 @@ def test_records_of_applications_come_through_in_place(tmp_path):
 
 def test_a_bag_cut_anywhere_is_an_error_and_leaves_nothing(variant, tmp_path):
     size = variant.stat().st_size
-    offsets = [*range(12), *np.linspace(20, size - 1, 40).astype(int).tolist(), *range(size - 40, size, 3)]
+    offsets = [*range(0, 12, 3), *np.linspace(20, size - 1, 12).astype(int).tolist(), *range(size - 40, size, 5)]
     assert damaged_copies_fail(variant, tmp_path, offsets, ".mcap") == []
 
 
 def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
     data = OFFICE_MCAP.read_bytes()
-    for offset in [*range(12), *np.linspace(20, len(data) - 1, 60).astype(int).tolist()]:
+    for offset in [*range(0, 12, 3), *np.linspace(20, len(data) - 1, 15).astype(int).tolist()]:
         with pytest.raises(BagError, match="stdin"):
             copy(None, tmp_path / "out.mcap", stdin=io.BytesIO(data[:offset]))
         assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("codec", ["zstd", "lz4", "none"])
-@pytest.mark.parametrize("where", ["record", "size", "crc", "name", "packed"])
-@pytest.mark.parametrize("claim", [0, 1, 2**31 - 1, 2**40, 2**63, 2**64 - 1])
-def test_a_chunk_that_lies_is_an_error_before_memory_is_taken(tmp_path, codec, where, claim):
+def test_a_chunk_that_lies_is_an_error_before_memory_is_taken(tmp_path, codec):
     source = copy(OFFICE_MCAP, tmp_path / "in.mcap", compression=codec)
-    data = bytearray(source.read_bytes())
-    begin = [begin for opcode, begin, _ in mcap_record_places(data) if opcode == CHUNK][1]
-    name = len(codec) if codec != "none" else 0
-    offset, kind = {
-        "record": (1, "<Q"),
-        "size": (25, "<Q"),
-        "crc": (33, "<I"),
-        "name": (37, "<I"),
-        "packed": (41 + name, "<Q"),
-    }[where]
-    struct.pack_into(kind, data, begin + offset, claim % 2 ** (8 * struct.calcsize(kind)) or 1)
-    source.write_bytes(data)
-    for stream in (None, io.BytesIO(data)):
-        with pytest.raises(BagError), open_reader(None if stream else source, stream) as reader:
-            for _ in reader.blocks():
-                pass
-
-
-@pytest.mark.slow
-def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
-    rng = np.random.default_rng(8)
-    data = OFFICE_MCAP.read_bytes()
-    for offset in [*range(8, 400, 3), *rng.integers(0, len(data), 150).tolist()]:
-        damaged = bytearray(data)
-        damaged[offset] ^= int(rng.integers(1, 256))
-        (tmp_path / "in.mcap").write_bytes(damaged)
-        try:
-            copy(tmp_path / "in.mcap", tmp_path / "out.mcap", overwrite=True)
-        except BagError:
-            assert not list(tmp_path.glob(".*"))
+    sound = source.read_bytes()
+    begin = [begin for opcode, begin, _ in mcap_record_places(sound) if opcode == CHUNK][1]
+    packed = 41 + (len(codec) if codec != "none" else 0)
+    numbers = {"record": (1, "<Q"), "size": (25, "<Q"), "crc": (33, "<I"), "name": (37, "<I"), "packed": (packed, "<Q")}
+    for (offset, kind), claim in product(numbers.values(), (0, 1, 2**31 - 1, 2**40, 2**63, 2**64 - 1)):
+        data = bytearray(sound)
+        struct.pack_into(kind, data, begin + offset, claim % 2 ** (8 * struct.calcsize(kind)) or 1)
+        source.write_bytes(data)
+        for stream in (None, io.BytesIO(data)):
+            with pytest.raises(BagError), open_reader(None if stream else source, stream) as reader:
+                for _ in reader.blocks():
+                    pass
 
 
 @pytest.mark.recordings

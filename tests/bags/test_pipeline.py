@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -40,19 +42,6 @@ def test_no_more_is_read_ahead_than_may_be(monkeypatch):
         assert len(made) <= taken + 1 + 10 + 2
     ahead.close()
     assert len(made) < 100
-
-
-def test_what_is_not_worth_it_is_not_read_ahead():
-    before = threading.active_count()
-    ahead = read_ahead(iter_closable(range(10)), lambda _: 1, lambda one: one == 7)
-    for taken in range(8):
-        assert next(ahead) == taken
-        assert threading.active_count() == before
-    assert list(ahead) == [8, 9]
-
-
-def iter_closable(items):
-    yield from items
 
 
 def test_who_stops_asking_ends_the_thread_and_closes_what_it_ran():
@@ -167,3 +156,13 @@ def test_there_are_as_many_threads_as_cores_and_at_most_four(monkeypatch):
     for cores, threads in ((1, 1), (2, 2), (64, 4)):
         monkeypatch.setattr("os.sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False)
         assert default_threads() == threads
+
+
+def test_threads_are_switched_quickly_while_there_are_workers_and_then_as_before():
+    usual = sys.getswitchinterval()
+    with Workers(1):
+        assert sys.getswitchinterval() == usual
+    with suppress(KeyboardInterrupt), Workers(2):
+        assert sys.getswitchinterval() < usual
+        raise KeyboardInterrupt
+    assert sys.getswitchinterval() == usual

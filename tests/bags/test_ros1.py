@@ -15,7 +15,7 @@ from oracles import (
     mcap_messages,
     ros1_messages,
 )
-from rosbags.rosbag1 import Reader
+from rosbags.rosbag1 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from odomcorrupt.bags.block import Message
@@ -76,29 +76,52 @@ def rebuilt(path, changed):
     return path
 
 
+@pytest.fixture(scope="module")
+def office(tmp_path_factory):
+    """The first twelve seconds of the office, by the rosbags library, in a dozen chunks."""
+    path = tmp_path_factory.mktemp("office") / "office.bag"
+    writer = Writer(path)
+    writer.chunk_threshold = 30_000
+    with Reader(OFFICE_BAG) as reader, writer:
+        made = {
+            one.id: writer.add_connection(
+                one.topic,
+                one.msgtype,
+                msgdef=one.msgdef.data,
+                md5sum=one.digest,
+                callerid=one.ext.callerid,
+                latching=one.ext.latching,
+            )
+            for one in reader.connections
+        }
+        for one, log_ns, data in reader.messages(stop=reader.start_time + 12 * 10**9):
+            writer.write(made[one.id], log_ns, data)
+    return path
+
+
 @pytest.fixture(params=CODECS)
-def bag(request, tmp_path):
-    return copy(OFFICE_BAG, tmp_path / "in.bag", compression=request.param)
+def bag(request, office, tmp_path):
+    return copy(office, tmp_path / "in.bag", compression=request.param)
 
 
-def test_nothing_patched_keeps_every_message_and_connection(bag, tmp_path):
-    assert ros1_messages(bag) == ros1_messages(OFFICE_BAG)
+def test_nothing_patched_keeps_every_message_and_connection(office, bag, tmp_path):
+    assert ros1_messages(bag) == ros1_messages(office)
     out = copy(bag, tmp_path / "out.bag")
-    assert ros1_messages(out) == ros1_messages(OFFICE_BAG)
+    assert ros1_messages(out) == ros1_messages(office)
     assert out.read_bytes() == bag.read_bytes()
 
 
-def test_connections_stay_bit_identical_in_index_and_chunks(tmp_path):
-    out = copy(OFFICE_BAG, tmp_path / "out.bag")
+def test_connections_stay_bit_identical_in_index_and_chunks(office, tmp_path):
+    out = copy(office, tmp_path / "out.bag")
 
     def connections(path):
         return [(header, data) for fields, header, data in records(path.read_bytes()) if fields["op"] == b"\x07"]
 
-    assert connections(out) == connections(OFFICE_BAG)
+    assert connections(out) == connections(office)
 
 
-def test_lz4_frames_are_what_real_ros_1_reads(tmp_path):
-    out = copy(OFFICE_BAG, tmp_path / "out.bag", compression="lz4")
+def test_lz4_frames_are_what_real_ros_1_reads(office, tmp_path):
+    out = copy(office, tmp_path / "out.bag", compression="lz4")
     for fields, _, data in records(out.read_bytes()):
         if fields["op"][0] == CHUNK:
             # Version 1, independent blocks, no block checksums, no content size, a content checksum, no dictionary.
@@ -175,9 +198,9 @@ def test_added_messages_and_channels_are_there_latched_as_the_other(bag, tmp_pat
 
 @pytest.mark.parametrize("order", [("op", "conn", "time"), ("time", "conn", "op", "more"), "mixed"])
 @pytest.mark.parametrize("harm", ["none", "missing", "unordered", "wrong", "short"])
-def test_field_order_and_wrong_indexes_do_not_matter(tmp_path, order, harm):
+def test_field_order_and_wrong_indexes_do_not_matter(office, tmp_path, order, harm):
     changed = []
-    data = copy(OFFICE_BAG, tmp_path / "plain.bag", compression="none").read_bytes()
+    data = copy(office, tmp_path / "plain.bag", compression="none").read_bytes()
     places = []
     for number, (fields, header, content) in enumerate(records(data)):
         if fields["op"][0] == CHUNK:
@@ -189,7 +212,7 @@ def test_field_order_and_wrong_indexes_do_not_matter(tmp_path, order, harm):
             changed.append((fields, header, _harmed(content, places, harm if number % 3 else "unordered")))
     source = rebuilt(tmp_path / "in.bag", changed)
     out = copy(source, tmp_path / "out.bag")
-    assert ros1_messages(out) == ros1_messages(OFFICE_BAG)
+    assert ros1_messages(out) == ros1_messages(office)
 
 
 def _harmed(index, places, harm):
@@ -220,36 +243,22 @@ def test_a_bag_cut_anywhere_is_an_error_and_leaves_nothing(bag, tmp_path):
     source = tmp_path.parent / f"{tmp_path.name}.bag"
     bag.rename(source)
     size = source.stat().st_size
-    offsets = [*range(0, 4200, 97), *np.linspace(4200, size - 1, 40).astype(int).tolist(), *range(size - 40, size, 3)]
+    offsets = [*range(0, 4200, 470), *np.linspace(4200, size - 1, 12).astype(int).tolist(), *range(size - 40, size, 5)]
     assert damaged_copies_fail(source, tmp_path, offsets, ".bag") == []
 
 
-def test_a_pipe_cut_anywhere_is_an_error(tmp_path):
-    data = OFFICE_BAG.read_bytes()
-    for offset in [*range(0, 4200, 97), *np.linspace(4200, len(data) - 1, 60).astype(int).tolist()]:
+def test_a_pipe_cut_anywhere_is_an_error(office, tmp_path):
+    data = office.read_bytes()
+    for offset in [*range(0, 4200, 470), *np.linspace(4200, len(data) - 1, 15).astype(int).tolist()]:
         with pytest.raises(BagError, match="stdin"):
             copy(None, tmp_path / "out.mcap", stdin=io.BytesIO(data[:offset]))
         assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_any_damaged_byte_is_an_error_or_harmless(tmp_path):
-    rng = np.random.default_rng(8)
-    data = OFFICE_BAG.read_bytes()
-    for offset in [*range(13, 90), *range(4110, 4400, 3), *rng.integers(0, len(data), 150).tolist()]:
-        damaged = bytearray(data)
-        damaged[offset] ^= int(rng.integers(1, 256))
-        (tmp_path / "in.bag").write_bytes(damaged)
-        try:
-            copy(tmp_path / "in.bag", tmp_path / "out.bag", overwrite=True)
-        except BagError:
-            assert not list(tmp_path.glob(".*"))
-
-
 @pytest.mark.parametrize("codec", CODECS)
 @pytest.mark.parametrize("claim", [0, 1, 2**31, 2**32 - 1])
-def test_a_chunk_that_lies_about_its_size_is_an_error(tmp_path, codec, claim):
-    source = copy(OFFICE_BAG, tmp_path / "in.bag", compression=codec)
+def test_a_chunk_that_lies_about_its_size_is_an_error(office, tmp_path, codec, claim):
+    source = copy(office, tmp_path / "in.bag", compression=codec)
     changed = records(source.read_bytes())
     place = next(n for n, (fields, _, _) in enumerate(changed) if fields["op"][0] == CHUNK)
     fields, _, content = changed[place]
@@ -259,8 +268,8 @@ def test_a_chunk_that_lies_about_its_size_is_an_error(tmp_path, codec, claim):
         list(reader.blocks())
 
 
-def test_an_unindexed_bag_is_named_so_with_the_way_out(tmp_path):
-    changed = records(OFFICE_BAG.read_bytes())
+def test_an_unindexed_bag_is_named_so_with_the_way_out(office, tmp_path):
+    changed = records(office.read_bytes())
     fields = dict(changed[0][0], index_pos=bytes(8))
     source = tmp_path / "in.bag"
     source.write_bytes(b"#ROSBAG V2.0\n" + packed(fields, changed[0][2]))
@@ -268,8 +277,8 @@ def test_an_unindexed_bag_is_named_so_with_the_way_out(tmp_path):
         open_reader(source)
 
 
-def test_an_encrypted_bag_is_refused(tmp_path):
-    changed = records(OFFICE_BAG.read_bytes())
+def test_an_encrypted_bag_is_refused(office, tmp_path):
+    changed = records(office.read_bytes())
     changed[0] = (dict(changed[0][0], encryptor=b"rosbag/AesCbcEncryptor"), *changed[0][1:])
     with pytest.raises(BagError, match="encrypted"):
         open_reader(rebuilt(tmp_path / "in.bag", changed))
@@ -281,23 +290,23 @@ def test_cdr_messages_do_not_become_a_ros1_bag(tmp_path):
     assert not any(tmp_path.iterdir())
 
 
-def test_real_ros_1_reads_what_is_written(bag, tmp_path):
+def test_real_ros_1_reads_what_is_written(office, tmp_path):
     python = shutil.which("python3", path="/usr/bin")
     if python is None or subprocess.run([python, "-c", "import rosbag"], capture_output=True, check=False).returncode:
         pytest.skip("no ROS 1 rosbag installed")
     program = (
         "import rosbag, sys\n"
-        "for topic, message, time in rosbag.Bag(sys.argv[1]).read_messages():\n"
-        "    print(topic, message._md5sum, time.to_nsec(), hash(str(message)))"
+        "for path in sys.argv[1:]:\n"
+        "    seen = [(t, m._md5sum, at.to_nsec(), str(m)) for t, m, at in rosbag.Bag(path).read_messages()]\n"
+        "    print(len(seen), hash(str(seen)))"
     )
-    outs = [copy(bag, tmp_path / "out.bag"), OFFICE_BAG]
-    environment = {"PYTHONHASHSEED": "0"}
-    seen = [
-        subprocess.run([python, "-c", program, out], capture_output=True, check=True, env=environment).stdout
-        for out in outs
-    ]
-    assert seen[0] == seen[1]
-    assert seen[0].count(b"\n") == 9325
+    bags = [office, *(copy(office, tmp_path / f"{codec}.bag", compression=codec) for codec in CODECS)]
+    seen = subprocess.run(
+        [python, "-c", program, *bags], capture_output=True, check=True, text=True
+    ).stdout.splitlines()
+    assert len(seen) == len(bags)
+    assert set(seen) == {seen[0]}
+    assert int(seen[0].split()[0]) == len(ros1_messages(office)) > 1000
 
 
 @pytest.mark.recordings

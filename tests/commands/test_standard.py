@@ -81,6 +81,7 @@ def test_defaults_come_from_a_file_and_what_is_typed_wins(tmp_path, monkeypatch,
     assert "seed      5" in said
     assert run([OFFICE, "b.mcap", "--preset", "article", "--seed", "6"]) == 0
     said = capsys.readouterr().err
+    assert "defaults from odomcorrupt.toml: alpha\n" in said
     assert "preset article" in said
     assert "seed      6" in said
     Path("other.toml").write_text("seed = 9\n")

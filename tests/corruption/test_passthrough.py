@@ -4,18 +4,27 @@ import shutil
 import sqlite3
 import subprocess
 import sys
-from contextlib import closing
+from contextlib import closing, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
+
+from odomcorrupt import cli
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 ZERO = ("--alpha", "0", "0", "0", "0")
 
 
 def run(*args, stdin=None):
-    command = [sys.executable, "-m", "odomcorrupt", *map(str, args), *ZERO]
-    return subprocess.run(command, input=stdin, capture_output=True, check=False)
+    """Run the program, in a process of its own where a pipe is asked for."""
+    words = [*map(str, args), *ZERO]
+    if "-" in words:
+        command = [sys.executable, "-m", "odomcorrupt", *words]
+        return subprocess.run(command, input=stdin, capture_output=True, check=False)
+    with redirect_stderr(StringIO()) as said, redirect_stdout(StringIO()):
+        code = cli.run(words)
+    return subprocess.CompletedProcess(words, code, b"", said.getvalue().encode())
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -103,6 +104,7 @@ def amcl_ends(alphas, delta, updates, samples=6000):
     return pose
 
 
+@cache
 def model_ends(noise, speed, yaw_rate, seconds, runs=1500):
     t_s = np.arange(round(seconds * DRIVE.rate_hz) + 1) / DRIVE.rate_hz
     n = len(t_s) - 1

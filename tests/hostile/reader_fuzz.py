@@ -43,16 +43,15 @@ from smallbags import Small, make_small_bags
 
 from odomcorrupt.bags.block import TABLE, Block, Channel
 from odomcorrupt.bags.buffer_pool import BufferPool
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.codec_streams import PackedInMemory, beginning
 from odomcorrupt.bags.codecs import decompress
 from odomcorrupt.bags.mcap import chunk_messages as of_mcap
-from odomcorrupt.bags.mcap.chunk import Chunk as McapChunk
 from odomcorrupt.bags.mcap.records import ChannelRecord, SchemaRecord
 from odomcorrupt.bags.mcap.summary import read_summary
 from odomcorrupt.bags.messages import READABLE, gather, gather_stamps_ns, locate, scatter, scatter_stamps_ns
 from odomcorrupt.bags.open import open_reader
 from odomcorrupt.bags.ros1 import chunk_messages as of_ros1
-from odomcorrupt.bags.ros1.chunk import Chunk as Ros1Chunk
 from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import OdomCorruptError
 
@@ -89,7 +88,7 @@ class Inputs:
         by_channel: dict[int, list[bytes]] = {}
         with open_reader(None, io.BytesIO(data)) as reader:
             parts = list(reader._parts(reader._source)) if kind.startswith("mcap") else []
-            self.contents["mcap"] += [(p.data.tobytes(), list(p.indexes)) for p in parts if isinstance(p, McapChunk)]
+            self.contents["mcap"] += [(p.data.tobytes(), list(p.indexes)) for p in parts if isinstance(p, Chunk)]
         with open_reader(None, io.BytesIO(data)) as reader:
             for block in reader.blocks():
                 for number, _, offset, length in block.table.tolist():
@@ -106,7 +105,7 @@ class Inputs:
     def _take_ros1(self, data: bytes) -> None:
         with open_reader(None, io.BytesIO(data)) as reader:
             for part in reader._parts(reader._source):
-                if isinstance(part, Ros1Chunk):
+                if isinstance(part, Chunk):
                     self.contents["ros1"].append((part.data.tobytes(), list(part.indexes)))
 
 

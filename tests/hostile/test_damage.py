@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import resource
 import shutil
@@ -34,24 +35,16 @@ def bags(tmp_path_factory):
     return make_small_bags(tmp_path_factory.mktemp("bags"))
 
 
-@pytest.fixture
-def interruptible():
-    """Hear SIGINT, which a shell's background jobs, and all that they begin, ignore."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-def call(*words, stdin=None, **options):
-    """Run the program as a user does; return exit code and what was said."""
+def call(*words, preexec_fn=None):
+    """Run the program, in a process of its own where its limits are changed; return exit code and what was said."""
+    if preexec_fn is None:
+        with contextlib.redirect_stderr(io.StringIO()) as said:
+            code = run([str(word) for word in words])
+        return code, said.getvalue()
     done = subprocess.run(
         [*OURS, *map(str, words)],
-        stdin=stdin or subprocess.DEVNULL,
-        capture_output=True,
-        timeout=60,
-        check=False,
-        **options,
-    )
+        stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False, preexec_fn=preexec_fn,
+    )  # fmt: skip
     return done.returncode, done.stderr.decode()
 
 

@@ -13,6 +13,11 @@ def test_every_reader_that_is_installed_opens_every_output_it_has_a_format_for()
     assert foreign.main() == 0
 
 
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    return make_small_bags(tmp_path_factory.mktemp("in"))
+
+
 @pytest.mark.parametrize(
     ("source", "name", "kind", "reader"),
     [
@@ -24,12 +29,10 @@ def test_every_reader_that_is_installed_opens_every_output_it_has_a_format_for()
         ("sqlite3 file", "out.db3", "sqlite3", "sqlite3 integrity"),
     ],
 )
-def test_a_reader_sees_what_was_written(source, name, kind, reader, tmp_path):
+def test_a_reader_sees_what_was_written(source, name, kind, reader, bags, tmp_path):
     (one,) = (each for each in READERS if each.name == reader)
     if said := missing(one):
         pytest.skip(f"{reader}: {said}")
-    (tmp_path / "in").mkdir()
-    bags = make_small_bags(tmp_path / "in")
     ours(str(bags[source].path), str(tmp_path / name), "--seed", "7")
     output = Output(source, tmp_path / name, kind)
     assert opens(one, output)

@@ -12,7 +12,7 @@ KINDS = (
     "mcap zstd", "mcap lz4", "mcap none", "mcap unchunked", "mcap of ros1", "mcap directory", "ros1 bz2", "ros1 lz4",
     "ros1 none", "sqlite3 file", "sqlite3 directory", "model file", "map .yaml", "map .pgm", "CSV", "TUM",
 )  # fmt: skip
-CASES = 150
+CASES = 75
 SECONDS = 8
 
 

@@ -80,7 +80,7 @@ def test_path_through_a_pocket_is_drawn_as_a_whole_and_free():
         path = whole_path(stamps, xyt, MODEL, space, seed=1, run=run, check="path", tries=5)
         noisy = xyt + path.feed(stamps, xyt).error_xyt
         assert space.allows(noisy[:-1, :2], noisy[1:, :2], "path").all()
-        assert ("the whole path is one of 64" in path.account()) is (run in stuck)
+        assert ("one of 64 paths" in path.account()) is (run in stuck)
         ends.append(noisy[-1])
     assert min(end[0] for end in ends) > 3.5
     assert len({tuple(end) for end in ends}) == 20
@@ -101,6 +101,15 @@ def test_drive_through_a_wall_is_refused():
         FreePath(MODEL, space, seed=1, check="path", tries=20).feed(stamps, xyt)
     with pytest.raises(MapError, match="the map and the drive do not fit"):
         whole_path(stamps, xyt, MODEL, space, seed=1, check="path", tries=20)
+
+
+def test_odometry_that_is_not_free_itself_is_refused():
+    stamps, xyt = drive()
+    space = free_space(room((2.0, -0.5, 4.0, 0.5)), 0.0)
+    share = 1.0 - np.mean(space.free(xyt[:, :2]))
+    assert share > 0.25
+    with pytest.raises(MapError, match=f"{share:.0%} of the odometry's own poses are not free; check --map-pose"):
+        whole_path(stamps, xyt, MODEL, space, seed=1)
 
 
 def test_robot_whose_pose_was_set_into_a_wall_is_let_out_of_it():

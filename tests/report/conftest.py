@@ -16,6 +16,7 @@ from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.html.comparison import report_html
 from odomcorrupt.simulation import simulate, write_mcap
 from odomcorrupt.study.io.recording import Recording, Trajectory
+from odomcorrupt.study.pipeline import diagnose_model
 from odomcorrupt.study.validate.compare import compare
 
 BASE = MotionModel(
@@ -75,3 +76,9 @@ def comparison(case):
 @pytest.fixture(scope="session")
 def page(comparison):
     return report_html(comparison, version="0")
+
+
+@pytest.fixture(scope="session")
+def diagnosed(case):
+    """What a search finds in the drive: made once, because nothing here takes longer."""
+    return diagnose_model([case.recording])

@@ -86,7 +86,8 @@ def test_third_model_has_tick_labels_and_a_legend_of_its_own(comparison):
 @pytest.mark.slow
 def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, case, base_model, tab, tmp_path):
     long = "a_recording_with_a_name_that_has_no_place_to_break_020120212354_run1_of_many_more.mcap"
-    found = compare([replace(case.recording, name=long)], {"base.toml": base_model, long: base_model, "c": base_model})
+    two = [case.recording, replace(case.recording, name=long)]
+    found = compare(two, {"base.toml": base_model, long: base_model, "c": base_model})
     (tmp_path / "long.html").write_text(report_html(found, version="0"))
     (tmp_path / "page.html").write_text(page)
     for name, width, phone, dark in (

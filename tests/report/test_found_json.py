@@ -17,7 +17,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8
 
 
 @pytest.fixture(scope="module")
-def told(case, tmp_path_factory):
+def told(case, diagnosed, tmp_path_factory):
     """What `diagnose --json` prints of a short office drive with one wheel larger, and what it writes beside it."""
     folder = tmp_path_factory.mktemp("told")
     files = {"drive": folder / "next.mcap", "report": folder / "found.html"}
@@ -25,6 +25,8 @@ def told(case, tmp_path_factory):
     out = folder / "out.json"
     with pytest.MonkeyPatch.context() as patch, out.open("w") as stream:
         patch.setattr("sys.stdout", stream)
+        patch.setattr("odomcorrupt.study.pipeline.learn", lambda *_args, **_named: diagnosed.search)
+        patch.setattr("odomcorrupt.study.pipeline.sequence_comparison", lambda *_args: diagnosed.sequence)
         assert run(["diagnose", str(case.bag), "--track", str(case.recording.track_m), "--json", *words]) == 0
     return json.loads(out.read_text(), parse_constant=pytest.fail), files
 

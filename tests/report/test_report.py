@@ -135,6 +135,7 @@ def test_a_truth_of_positions_alone_gets_its_page_without_a_word_on_yaw(case, ba
     assert "nan" not in unescape(re.sub(r'src="[^"]*"', "", shown)).lower().split()
 
 
+@pytest.mark.slow
 def test_a_real_browser_shows_the_page_without_complaint_and_without_a_network(page, tab, tmp_path):
     # a page that does what ours must not: what is looked for can be seen
     (tmp_path / "bad.html").write_text("<img src='http://127.0.0.1:9/x.png'><script>console.error('heard')</script>")

@@ -33,12 +33,10 @@ from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.select.dependence import BasisScore, Dependence
 from odomcorrupt.study.select.random_effects import RandomCoefficient
 from odomcorrupt.study.select.score import Score
-from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
 from odomcorrupt.study.validate.lack_of_fit import Failure
-from odomcorrupt.study.validate.model_sequence import sequence_comparison
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -96,13 +94,13 @@ UNKNOWNS = (
 
 
 @pytest.fixture(scope="session")
-def searched(case):
-    return learn([case.recording])
+def searched(diagnosed):
+    return diagnosed.search
 
 
 @pytest.fixture(scope="session")
-def sequence(searched, case):
-    return sequence_comparison(searched, [case.recording])
+def sequence(diagnosed):
+    return diagnosed.sequence
 
 
 @pytest.fixture(scope="session")
@@ -380,7 +378,9 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
 ):
     asked = []
     monkeypatch.setattr("odomcorrupt.study.pipeline.fit_robot", lambda *_args, **_named: fitted)
-    monkeypatch.setattr("odomcorrupt.study.pipeline.compare", lambda _runs, models: asked.append(models) or sequence)
+    monkeypatch.setattr(
+        "odomcorrupt.study.pipeline.compare", lambda _runs, models, **_named: asked.append(models) or sequence
+    )
     monkeypatch.setattr("odomcorrupt.study.validate.model_sequence.compare", lambda _runs, _models: sequence)
     monkeypatch.setattr("odomcorrupt.report.html.diagnosis.found_html", lambda story, version: f"{version} {story[3]}")
     monkeypatch.chdir(tmp_path)

@@ -13,7 +13,7 @@ from odomcorrupt.study.validate.agreement import agreement_of
 def judged(name, error, nats, ate, gain=0.0, gain_error=0.1):
     return SimpleNamespace(
         name=name,
-        refitted=False,
+        judged_on="recordings",
         ten_second_error_m=error,
         nats=SimpleNamespace(per_m=nats, gain_per_m=gain, gain_error=gain_error),
         trajectory=SimpleNamespace(ate_m=ate),
@@ -22,7 +22,8 @@ def judged(name, error, nats, ate, gain=0.0, gain_error=0.1):
 
 def compared(error, gain, ate):
     first = judged("base", 0.100, 5.0, 0.010)
-    return SimpleNamespace(judgements=(first, judged("robot", error, 5.0 + gain, ate, gain)))
+    judgements = (first, judged("robot", error, 5.0 + gain, ate, gain))
+    return SimpleNamespace(judgements=judgements, judged_on="recordings")
 
 
 @pytest.mark.parametrize(

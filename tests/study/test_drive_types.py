@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,19 +10,13 @@ from wandering import noisy_path, recording, wander
 from wheel_models import AXLES_M, GRID_HZ, HOBBY_TRACK_M, Flaw, car, hobby
 
 from odomcorrupt.api.recordings import Recordings
-from odomcorrupt.effects.accel_slip import AccelSlip
 from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.estimate.calibrate import fit_robot
-from odomcorrupt.study.estimate.config import choose_approach
-from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io import Source
-from odomcorrupt.study.select.candidates import with_shape_refined
-from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.stepwise import learn
 from odomcorrupt.study.terms.drive_type import drive_type_of, library_families, readings_of
 from odomcorrupt.study.terms.regressors import driving_motion
-from odomcorrupt.study.terms.term import LibraryTerm
 
 OFFSET_RAD, BAND_MPS, SAG_PER_S, LIMIT_MPS, PLAY_M = 0.02, 0.03, 2.5e-4, 0.2, 0.008
 QUIET = Coefficients(0.006, 0.006, 0.004, 0.002)
@@ -208,11 +201,3 @@ def test_the_drive_type_goes_with_the_model(tmp_path):
     runs = Recordings((replace(run, drive_type="auto"),), (Source(tmp_path / "run.mcap"),))
     assert runs.of_drive_type("tricycle")[0].drive_type == "tricycle"
     assert runs.of_drive_type("omni").of_drive_type("car")[0].drive_type == "omni"
-
-
-def test_what_single_wheels_do_is_left_out_where_an_effect_of_a_car_is_refined():
-    run = replace(car(1, seconds=60.0), drive_type="car")
-    fitted = fit([run], (AccelSlip(k=0.03),), approach=choose_approach([run]))
-    term = LibraryTerm.of(AccelSlip(), fitted.problem.motions)
-    refined, _ = with_shape_refined(fitted, SimpleNamespace(term=term), DECISIONS)
-    assert [(effect.name, effect.contact) for effect in refined.effects] == [("accel_slip", "body")]

@@ -31,7 +31,7 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     nodes, truth = problem.nodes, TruthNoise(0.002, 0.003, 1e-4)
     q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(nodes), 1, 1))
     white = widened(whitener(nodes, q, truth), problem, RANDOM)
-    roots = np.concatenate([root_of(effect, problem) for effect in RANDOM], axis=2).reshape(3 * len(nodes), -1)
+    roots = np.concatenate([root_of(effect, problem).columns for effect in RANDOM], axis=1)
     whole = dense_covariance(nodes, q, truth) + roots @ roots.T
     if biased:
         travel = [np.stack((m.v, m.vy, 0.0 * m.v), axis=1) * m.dt_s[:, None] for m in problem.motions]
@@ -43,6 +43,23 @@ def test_residuals_are_whitened_by_the_whole_covariance(biased):
     np.testing.assert_allclose(2.0 * white.log_det, np.linalg.slogdet(whole)[1], rtol=1e-8)
     pulled = white.pulled(w[:, 0]).ravel()
     np.testing.assert_allclose(pulled, solved[:, 0], rtol=0.0, atol=1e-6 * np.abs(solved).max())
+
+
+@pytest.mark.parametrize("way_m", [0.0, 2.0])
+def test_knots_that_fade_inform_as_their_columns_written_out_do(way_m):
+    recording = as_recording(simulate(93, "wheel_scale", duration_s=240.0))
+    recording = replace(recording, truth_correlation_m=way_m)
+    problem = pose_problem([recording], approach=choose_approach([recording]))
+    q = np.tile(np.diag([1e-6, 1e-6, 1e-5]), (len(problem.nodes), 1, 1))
+    white = widened(whitener(problem.nodes, q, TruthNoise(0.002, 0.003, 0.0)), problem, RANDOM[1:])
+    spread = root_of(RANDOM[0], problem).spread
+    written_out = white.whitened(spread.toarray())
+    scale = np.sum(written_out**2)
+    np.testing.assert_allclose(white.information(spread), written_out.T @ written_out, rtol=0.0, atol=1e-9 * scale)
+    knots = white.knots(spread)
+    assert sum(values.size for _, _, values in knots.blocks) < 0.8 * spread.shape[0] * spread.shape[1]
+    band = replace(white, shrunk=None).whitened(spread.toarray())
+    np.testing.assert_allclose(knots.products(written_out), band.T @ written_out, rtol=0.0, atol=1e-9 * scale)
 
 
 def test_nothing_is_whitened_without_a_call_of_lapack_which_would_write_where_there_is_nothing(monkeypatch):

@@ -34,7 +34,9 @@ def corrupted(strength, effects=(), seed=10):
     return replace(clean, odometry=Trajectory(stamps, odometry), track_m=TRACK_M)
 
 
-@pytest.mark.parametrize(("strength", "seed"), [("usual", 10), ("usual", 11), ("typical", 10)])
+@pytest.mark.parametrize(
+    ("strength", "seed"), [pytest.param("usual", 10, marks=pytest.mark.slow), ("usual", 11), ("typical", 10)]
+)
 def test_noise_alone_is_noise_alone(strength, seed):
     # breaks where noise of the odometry is in the turns that an error is compared with: laws of it are then believed;
     # and where those who stand, whose error is nothing, make Gaussian noise look heavy-tailed

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from odomcorrupt.bags.block import TABLE, Block, Framing
 from odomcorrupt.bags.checksum import crc32
-from odomcorrupt.bags.codec_streams import PackedInSource, unpacked
-from odomcorrupt.bags.codecs import decompress
-from odomcorrupt.bags.mcap.chunk_messages import record_bytes
-from odomcorrupt.bags.mcap.records import MESSAGE
-from odomcorrupt.bags.record_blocks import LARGE_BYTES, record_blocks
+from odomcorrupt.bags.chunk import ChunkHead
+from odomcorrupt.bags.mcap.records import MESSAGE, MESSAGE_HEADER_BYTES
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
@@ -22,10 +19,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.budget import Budget
     from odomcorrupt.bags.source import Source
 
-__all__ = ["CODECS", "Chunk", "Loose", "McapFraming", "chunks_of", "read_chunk_head", "read_chunks", "read_pieces"]
+__all__ = ["CODECS", "Loose", "McapFraming", "read_chunk_head", "read_pieces"]
 
 _PIECE_BYTES = 1 << 22
 CODECS = ("none", "lz4", "zstd")
@@ -45,23 +41,14 @@ class McapFraming(Framing):
     codec: str = "none"
     opcode: int = 0
 
+    def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:
+        """Return the offsets (n,) of the message records, bytes."""
+        offsets: NDArray[np.int64] = table["offset"]
+        return offsets - MESSAGE_HEADER_BYTES
+
     def goes_on_with(self, other: object) -> bool:
         """Return whether both are chunks of one compression."""
         return self.kind == "chunk" and self == other
-
-
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """A decompressed chunk or a part of one, and the contents of the message indexes that follow it."""
-
-    data: NDArray[np.uint8]
-    codec: str
-    what: str
-    indexes: list[bytes] = field(default_factory=list)
-
-    def append(self, _opcode: int, content: bytes, _what: str) -> None:
-        """Append a message index."""
-        self.indexes.append(content)
 
 
 class Loose:
@@ -89,28 +76,6 @@ class Loose:
         return Block(np.frombuffer(self.data, np.uint8), np.array(self._rows, dtype=TABLE), McapFraming("loose"))
 
 
-class ChunkHead(NamedTuple):
-    """Fields of a chunk record before its compressed bytes.
-
-    size, crc : of the decompressed bytes; no checksum is 0
-    packed : number of compressed bytes
-    behind : number of bytes after them, fields of later versions of the format
-    what : name of the chunk in error messages
-    """
-
-    size: int
-    crc: int
-    codec: str
-    packed: int
-    behind: int
-    what: str
-
-    def require_crc(self, actual: int) -> None:
-        """Raise BagError if the checksum of the decompressed bytes is another one."""
-        if self.crc not in (0, actual):
-            raise BagError(f"{self.what}: its checksum does not match its bytes; --recover saves what is whole")
-
-
 def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:
     """Read a chunk record's content of `length` bytes up to its compressed bytes."""
     named = f"{source.name}: {what}"
@@ -127,60 +92,7 @@ def read_chunk_head(source: Source, length: int, what: str) -> ChunkHead:
     codec = name or "none"
     if codec not in CODECS or name == "none":
         raise BagError(f"{named}: compression {name!r} is not known (none, lz4, zstd); recompress the bag")
-    return ChunkHead(size, crc, codec, packed, behind, named)
-
-
-def read_chunks(source: Source, length: int, what: str, *, verify: bool) -> Iterator[Chunk]:
-    """Yield a chunk record's content decompressed: whole, or a large one as several of whole records.
-
-    verify : whether a large chunk is read twice, so that nothing of a damaged one is yielded
-    """
-    source.require(length, what)
-    head = read_chunk_head(source, length, what)
-    if head.codec == "none" and head.size != head.packed:
-        raise BagError(f"{head.what}: says it holds {head.size} bytes, but has {head.packed}; damaged bag")
-    if head.size <= LARGE_BYTES:
-        yield _read_whole(source, head, what)
-        return
-    budget: Budget | None = source.budget
-    if verify and (head.crc or head.codec != "none"):
-        here = source.position
-        for _ in _pieces(source, head, what, budget):
-            pass
-        source.seek(here)
-        budget = None
-    yield from chunks_of(_pieces(source, head, what, budget), head, source)
-
-
-def chunks_of(pieces: Iterator[bytes | memoryview], head: ChunkHead, source: Source) -> Iterator[Chunk]:
-    """Yield the decompressed pieces of a chunk as chunks of whole records."""
-    begin = 0
-    for data in record_blocks(pieces, head.size, record_bytes, source.shelf.place, head.what):
-        yield Chunk(data, head.codec, f"{head.what}, from byte {begin} of its records" if begin else head.what)
-        begin += data.size
-
-
-def _read_whole(source: Source, head: ChunkHead, what: str) -> Chunk:
-    if head.codec == "none":
-        data, actual = source.read_summed(head.packed, what)
-    else:
-        packed = source.read_scratch(head.packed, what)
-        data = decompress(head.codec, packed, head.size, head.what, source.shelf, source.budget)
-        actual = crc32(data.data) if head.crc else 0
-    source.read(head.behind, what)
-    head.require_crc(actual)
-    return Chunk(data, head.codec, head.what)
-
-
-def _pieces(source: Source, head: ChunkHead, what: str, budget: Budget | None) -> Iterator[bytes | memoryview]:
-    """Yield the decompressed pieces of a chunk, and read its record to the end."""
-    packed, crc = PackedInSource(source, head.packed, what), 0
-    for piece in unpacked(head.codec, packed, head.size, head.what, budget):
-        crc = crc32(piece, crc) if head.crc else 0
-        yield piece
-    packed.skip()
-    source.read(head.behind, what)
-    head.require_crc(crc)
+    return ChunkHead(size, crc, codec, packed, what, behind)
 
 
 def read_pieces(source: Source, opcode: int, length: int, what: str, summed: int = 0) -> Iterator[Block]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
-from contextlib import closing
-from typing import TYPE_CHECKING, Self
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.mcap.chunk import Chunk, Loose, read_chunks, read_pieces
+from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
+from odomcorrupt.bags.mcap.chunk import Loose, read_chunk_head, read_pieces
+from odomcorrupt.bags.mcap.chunk_messages import record_bytes
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     CHANNEL,
@@ -24,12 +26,11 @@ from odomcorrupt.bags.mcap.records import (
     string,
 )
 from odomcorrupt.bags.mcap.resync import (
-    beginning_of_chunk,
     loss_of_cut_chunk,
     next_record,
     stands_behind,
     stands_here,
-    without,
+    whole_records,
 )
 from odomcorrupt.bags.mcap.schema_registry import Known
 from odomcorrupt.bags.mcap.section_checksums import (
@@ -39,19 +40,17 @@ from odomcorrupt.bags.mcap.section_checksums import (
     stated_data_crc,
 )
 from odomcorrupt.bags.mcap.summary import Summary, read_summary, require_named
-from odomcorrupt.bags.pipeline import read_ahead
-from odomcorrupt.bags.recovery_report import Undecodable, loss_of
-from odomcorrupt.bags.source import Source
+from odomcorrupt.bags.record_reader import RecordReader
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Generator, Iterator, Mapping
+    from collections.abc import Generator, Iterator, Mapping
     from pathlib import Path
-    from types import TracebackType
 
     from odomcorrupt.bags.block import Channel, Kind
     from odomcorrupt.bags.definition import Definition
     from odomcorrupt.bags.mcap.records import SchemaRecord
+    from odomcorrupt.bags.source import Source
 
 __all__ = ["McapReader"]
 
@@ -64,32 +63,23 @@ _DATA = (CHUNK, MESSAGE, MESSAGE_INDEX, ATTACHMENT, METADATA)
 """Records that have no place behind the end of the data section."""
 
 
-class McapReader:
+class McapReader(RecordReader):
     """An MCAP file or pipe.
 
     header : content of the header record
     schemas : by id
     summary : content of the summary section; on a pipe, after the blocks are read
-    losses : parts that could not be read, one sentence each, with recovery
-    count : number of messages of the last pass
     """
 
     kind: Kind = "mcap"
+    _teller = "statistics tell"
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
-        self.name = source.name
-        self.paths = [] if path is None else [path]
-        self.complete = path is not None and source.size is not None
+        super().__init__(path, source, recover=recover, threads=threads)
         self._known = Known(self.name)
         self.channels: Mapping[int, Channel] = self._known.channels
         self.schemas: Mapping[int, SchemaRecord] = self._known.schemas
         self.summary = Summary()
-        self.losses: list[str] = []
-        self._recover = recover
-        self._threads = threads
-        self._source = self._reading = source
-        self._first_losses = 0
-        self._undecodable = Undecodable()
         try:
             self.header = self._read_header(source)
         except BagError as error:
@@ -104,8 +94,6 @@ class McapReader:
             self._first_losses = 1
             next_record(source, len(MAGIC))
         self._data_start = source.position
-        self._begun = False
-        self.count = 0
         if source.size is not None and (self.complete or recover):
             try:
                 self.summary = read_summary(source, source.size)
@@ -123,54 +111,10 @@ class McapReader:
         """Return the file's definition of a channel's type."""
         return self._known.definition(channel)
 
-    @property
-    def part_read(self) -> float | None:
-        """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
-        return self._reading.position / self._reading.size if self._reading.size else None
-
-    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
-        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
-        del self.losses[self._first_losses :]
-        self._undecodable = Undecodable()
-        self.count = 0
-        if self.complete:
-            with Source.of_file(self.paths[0]) as source:
-                self._reading = source
-                source.seek(self._data_start)
-                yield from self._blocks(source)
-        else:
-            if self._begun:
-                raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
-            self._begun = True
-            yield from self._blocks(self._source)
-        self.losses += self._undecodable.losses(self.name)
-        stated = self.summary.message_count
-        if stated is not None and self.count < stated and not self.losses:
-            self._lose(
-                BagError(
-                    f"{self.name}: its statistics tell of {stated} messages, {self.count} are there: the bag is "
-                    "damaged; --recover saves those"
-                )
-            )
-
-    def _blocks(self, source: Source) -> Iterator[Block]:
-        """Yield the blocks of a source, and register channels on the way."""
-        source.crc = 0
-        source.summing = self.summary.has_data_crc and not self._recover
-        parts: Iterator[Chunk | Loose | Block] = self._parts(source)
-        if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), lambda part: len(part.data), _is_packed)
-        with closing(parts):  # type: ignore[type-var] # both are generators
-            for part in parts:
-                if isinstance(part, Block):
-                    yield part
-                else:
-                    yield from self._finished(part)
-        if not self.complete and not self._recover:
-            self._learn_summary()
-
     def _parts(self, source: Source) -> Generator[Chunk | Loose | Block, None, None]:
         """Yield chunks, collected messages outside chunks, and single records."""
+        source.crc = 0
+        source.summing = self.summary.has_data_crc and not self._recover
         pending: Chunk | Loose | Block | None = None
         for opcode, length, what in self._records(source):
             if pending and not _continues(pending, opcode):
@@ -202,9 +146,11 @@ class McapReader:
             source.read(length, what)
         elif opcode == CHUNK and self._recover and source.position + length > (source.size or 0):
             self.losses.append(loss_of_cut_chunk(source, length, what))
-            yield from beginning_of_chunk(source, length, what)
+            for chunk in beginning_of_chunk(source, read_chunk_head(source, length, what), record_bytes):
+                yield replace(chunk, data=whole_records(chunk.data))
         elif opcode == CHUNK:
-            yield from read_chunks(source, length, what, verify=self._recover)
+            source.require(length, what)
+            yield from read_chunks(source, read_chunk_head(source, length, what), record_bytes, verify=self._recover)
         elif opcode not in _ENDS:
             summed = 0
             if opcode in (ATTACHMENT, METADATA):
@@ -288,22 +234,21 @@ class McapReader:
         except BagError as error:
             self._lose(error)
 
-    def _finished(self, part: Chunk | Loose) -> Iterator[Block]:
-        try:
-            block = self._known.block(part)
-        except BagError as error:
-            self._lose(error)
-            block = self._known.salvaged(part)
-        if self._recover:
-            block = without(block, self._undecodable.find(block, self.channels))
-        self.count += len(block.table)
-        yield block
+    def _taken(self, part: Chunk | Loose | Block) -> Block:
+        return part if isinstance(part, Block) else self._finished(part)
 
-    def _lose(self, error: BagError) -> None:
-        """Record a loss with recovery, else raise the error."""
-        if not self._recover:
-            raise error
-        self.losses.append(loss_of(error))
+    def _block(self, part: Chunk | Loose) -> Block:
+        return self._known.block(part)
+
+    def _salvaged(self, part: Chunk | Loose) -> Block:
+        return self._known.salvaged(part)
+
+    def _read_end(self, source: Source) -> None:  # noqa: ARG002 - it is read with the data section
+        self._learn_summary()
+
+    @property
+    def _stated_count(self) -> int | None:
+        return self.summary.message_count
 
     def _learn_summary(self) -> None:
         """Register the channels of the summary; those without a schema there are read from the data section."""
@@ -327,18 +272,6 @@ class McapReader:
         if opcode != HEADER:
             raise BagError(f"{self.name}: its first record is {opcode:#04x}, not a header; the bag is damaged")
         return source.read(length, "header")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._source.close()
-
-
-def _is_packed(part: Chunk | Loose | Block) -> bool:
-    return isinstance(part, Chunk) and part.codec != "none"
 
 
 def _continues(pending: Chunk | Loose | Block, opcode: int) -> bool:

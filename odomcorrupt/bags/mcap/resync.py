@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codec_streams import PackedInSource, beginning
-from odomcorrupt.bags.mcap.chunk import CODECS, chunks_of, read_chunk_head
-from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS, read_contents
+from odomcorrupt.bags.mcap.chunk import CODECS
+from odomcorrupt.bags.mcap.chunk_messages import MOST_RECORDS
 from odomcorrupt.bags.mcap.records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -21,7 +18,6 @@ from odomcorrupt.bags.mcap.records import (
     DATA_END,
     FOOTER,
     MESSAGE,
-    MESSAGE_HEADER_BYTES,
     MESSAGE_INDEX,
     METADATA,
     METADATA_INDEX,
@@ -37,17 +33,14 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.mcap.chunk import Chunk
     from odomcorrupt.bags.source import Source
 
 __all__ = [
-    "beginning_of_chunk",
     "loss_of_cut_chunk",
     "next_record",
     "stands_behind",
     "stands_here",
     "whole_records",
-    "without",
 ]
 
 _WINDOW_BYTES = 1 << 20
@@ -147,14 +140,6 @@ def loss_of_cut_chunk(source: Source, length: int, what: str) -> str:
     return lost
 
 
-def beginning_of_chunk(source: Source, length: int, what: str) -> Iterator[Chunk]:
-    """Yield the intact records of a chunk that is truncated by the file's end."""
-    head = read_chunk_head(source, length, what)
-    packed = PackedInSource(source, _left(source), what)
-    for chunk in chunks_of(beginning(head.codec, packed, source.budget), head, source):
-        yield replace(chunk, data=whole_records(chunk.data))
-
-
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the bytes (size,) of the intact records before the first damaged one."""
     view, at = data.data, 0
@@ -168,17 +153,6 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
             break
         at += RECORD_HEADER_BYTES + length
     return data[:at]
-
-
-def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
-    """Return a block of records without some of its messages (n,)."""
-    if not left_out.any():
-        return block
-    keep = np.ones(block.data.size, dtype=bool)
-    for offset, length in block.table[["offset", "length"]][left_out].tolist():
-        keep[offset - MESSAGE_HEADER_BYTES : offset + length] = False
-    data = block.data[keep]
-    return Block(data, read_contents(data, [], "").table, block.raw)
 
 
 def _left(source: Source) -> int:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.block import Block, Channel, without
+from odomcorrupt.bags.chunk import Chunk
 from odomcorrupt.bags.definition import Definition
-from odomcorrupt.bags.mcap.chunk import Chunk, Loose, McapFraming
+from odomcorrupt.bags.mcap.chunk import Loose, McapFraming
 from odomcorrupt.bags.mcap.chunk_messages import read_contents
 from odomcorrupt.bags.mcap.records import CHANNEL, SCHEMA, ChannelRecord, SchemaRecord
-from odomcorrupt.bags.mcap.resync import whole_records, without
+from odomcorrupt.bags.mcap.resync import whole_records
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from odomcorrupt.bags.block import Framing
-from odomcorrupt.bags.codec_streams import PackedInSource, unpacked
-from odomcorrupt.bags.codecs import decompress
-from odomcorrupt.bags.record_blocks import LARGE_BYTES, record_blocks
-from odomcorrupt.bags.ros1.chunk_messages import record_bytes
+from odomcorrupt.bags.chunk import ChunkHead
 from odomcorrupt.bags.ros1.records import number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.budget import Budget
     from odomcorrupt.bags.source import Source
 
-__all__ = ["CODECS", "Chunk", "Head", "Ros1Framing", "chunks_of", "codec_and_size", "read_chunks", "read_head"]
+__all__ = ["CODECS", "Head", "Ros1Framing", "chunk_head", "read_head"]
 
 CODECS = ("none", "lz4", "bz2")
 _HEADER_LIMIT = 1 << 24
@@ -40,6 +34,14 @@ class Ros1Framing(Framing):
     codec: str
     starts: NDArray[np.int64]
 
+    def begins(self, table: NDArray[np.void]) -> NDArray[np.int64]:  # noqa: ARG002 - headers differ in length
+        """Return the offsets (n,) of the message records, bytes."""
+        return self.starts
+
+    def kept(self, begins: NDArray[np.int64]) -> Ros1Framing:
+        """Return the framing of some of the messages."""
+        return Ros1Framing(self.codec, begins)
+
     def goes_on_with(self, other: object) -> bool:
         """Return whether both are chunks of one compression."""
         return isinstance(other, Ros1Framing) and self.codec == other.codec
@@ -48,20 +50,6 @@ class Ros1Framing(Framing):
         """Return the framing of this chunk joined with those after it."""
         moved = [one.starts + begin for one, begin in zip(behind, begins, strict=True)]
         return Ros1Framing(self.codec, np.concatenate([self.starts, *moved]))
-
-
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """A decompressed chunk or a part of one, and the index records that follow it.
-
-    open : records of a chunk that was never finished
-    """
-
-    data: NDArray[np.uint8]
-    codec: str
-    what: str
-    indexes: list[bytes] = field(default_factory=list)
-    open: bytearray = field(default_factory=bytearray)
 
 
 class Head(NamedTuple):
@@ -89,53 +77,10 @@ def read_head(source: Source, *, whole: bool = True) -> Head:
     return Head(number(fields, "op", named), header, fields, size, what)
 
 
-def read_chunks(source: Source, head: Head, *, verify: bool) -> Iterator[Chunk]:
-    """Yield a chunk record's data decompressed: whole, or a large one as several of whole records.
-
-    verify : whether a large chunk is read twice, so that nothing of a damaged one is yielded
-    """
+def chunk_head(source: Source, head: Head) -> ChunkHead:
+    """Return what the header of a chunk record says; a ROS 1 bag has no checksums."""
     named = f"{source.name}: {head.what}"
-    codec, size = codec_and_size(head, named)
-    if codec == "none" and size != head.size:
-        raise BagError(f"{named}: says it holds {size} bytes, but has {head.size}; the bag is damaged")
-    if size <= LARGE_BYTES:
-        if codec == "none":
-            data = source.read_array(head.size, head.what)
-        else:
-            packed = source.read_scratch(head.size, head.what)
-            data = decompress(codec, packed, size, named, source.shelf, source.budget)
-        yield Chunk(data, codec, named)
-        return
-    budget: Budget | None = source.budget
-    if verify and codec != "none":
-        here = source.position
-        for _ in _pieces(source, head, named, budget):
-            pass
-        source.seek(here)
-        budget = None
-    yield from chunks_of(_pieces(source, head, named, budget), head, source)
-
-
-def chunks_of(pieces: Iterator[bytes | memoryview], head: Head, source: Source) -> Iterator[Chunk]:
-    """Yield the decompressed pieces of a chunk as chunks of whole records."""
-    named, begin = f"{source.name}: {head.what}", 0
-    codec, size = codec_and_size(head, named)
-    for data in record_blocks(pieces, size, record_bytes, source.shelf.place, named):
-        yield Chunk(data, codec, f"{named}, from byte {begin} of its records" if begin else named)
-        begin += data.size
-
-
-def codec_and_size(head: Head, named: str) -> tuple[str, int]:
-    """Return the compression of a chunk and its decompressed size, bytes, by its header."""
     codec = head.fields.get("compression", b"").decode(errors="replace")
     if codec not in CODECS:
         raise BagError(f"{named}: compression {codec!r} is not known (none, lz4, bz2); recompress the bag")
-    return codec, number(head.fields, "size", named)
-
-
-def _pieces(source: Source, head: Head, named: str, budget: Budget | None) -> Iterator[bytes | memoryview]:
-    """Yield the decompressed pieces of a chunk, and read its record to the end."""
-    codec, size = codec_and_size(head, named)
-    packed = PackedInSource(source, head.size, head.what)
-    yield from unpacked(codec, packed, size, named, budget)
-    packed.skip()
+    return ChunkHead(number(head.fields, "size", named), 0, codec, head.size, head.what)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import closing, suppress
-from typing import TYPE_CHECKING, NamedTuple, Self
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from odomcorrupt.bags.block import Block, Channel
+from odomcorrupt.bags.block import Block, Channel, without
 from odomcorrupt.bags.budget import Budget
+from odomcorrupt.bags.chunk import Chunk, beginning_of_chunk, read_chunks
 from odomcorrupt.bags.definition import Definition
-from odomcorrupt.bags.pipeline import read_ahead
-from odomcorrupt.bags.recovery_report import Undecodable, loss_of
-from odomcorrupt.bags.ros1.chunk import Chunk, Head, Ros1Framing, read_chunks, read_head
-from odomcorrupt.bags.ros1.chunk_messages import read_contents
+from odomcorrupt.bags.record_reader import RecordReader
+from odomcorrupt.bags.ros1.chunk import Head, Ros1Framing, chunk_head, read_head
+from odomcorrupt.bags.ros1.chunk_messages import read_contents, record_bytes
 from odomcorrupt.bags.ros1.records import (
     BAG_HEADER,
     CHUNK,
@@ -27,23 +28,20 @@ from odomcorrupt.bags.ros1.records import (
     pack_record,
 )
 from odomcorrupt.bags.ros1.resync import (
-    beginning_of_chunk,
     loss_of_cut_chunk,
     next_record,
     stands_behind,
     stands_here,
     whole_records,
-    without,
 )
-from odomcorrupt.bags.source import Source
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Generator, Iterator, Mapping
+    from collections.abc import Generator, Iterator, Mapping
     from pathlib import Path
-    from types import TracebackType
 
     from odomcorrupt.bags.block import Kind
+    from odomcorrupt.bags.source import Source
 
 __all__ = ["Ros1Reader"]
 
@@ -57,30 +55,19 @@ class _Connected(NamedTuple):
     data: bytes
 
 
-class Ros1Reader:
-    """A ROS 1 bag, file or pipe.
-
-    losses : parts that could not be read, one sentence each, with recovery
-    count : number of messages of the last pass
-    """
+class Ros1Reader(RecordReader):
+    """A ROS 1 bag, file or pipe."""
 
     kind: Kind = "ros1"
+    _teller = "index tells"
 
     def __init__(self, path: Path | None, source: Source, *, recover: bool = False, threads: int = 1) -> None:
-        self.name = source.name
-        self.paths = [] if path is None else [path]
-        self.complete = path is not None and source.size is not None
+        super().__init__(path, source, recover=recover, threads=threads)
         self._channels: dict[int, Channel] = {}
         self.channels: Mapping[int, Channel] = self._channels
-        self.losses: list[str] = []
-        self._recover = recover
-        self._threads = threads
-        self._source = self._reading = source
-        self._begun = False
-        self._undecodable = Undecodable()
         if source.read(len(MAGIC), "magic") != MAGIC:
             raise BagError(f"{self.name}: does not begin as a ROS 1 bag of version 2.0 does")
-        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = self.count = 0
+        self._index_at = self._chunk_count = self._connection_count = self._stated = self._seen = 0
         try:
             self._read_header(source)
         except BagError:
@@ -93,9 +80,9 @@ class Ros1Reader:
             self.losses.append(f"{self.name}: its header is not as long as it says")
             next_record(source, len(MAGIC))
         self._data_start = source.position
-        self._header_losses = len(self.losses)
+        self._first_losses = len(self.losses)
         if recover:
-            for _ in self._blocks(source):
+            for _ in self._pass(source):
                 pass
             source.seek(self._data_start)
             source.budget = Budget()
@@ -105,7 +92,7 @@ class Ros1Reader:
         if self.complete:
             source.require(self._index_at - self._data_start, "index")
             source.seek(self._index_at)
-            self._read_index(source)
+            self._read_end(source)
 
     def _read_header(self, source: Source) -> None:
         head = read_head(source)
@@ -124,49 +111,6 @@ class Ros1Reader:
         kept = {key: value.decode(errors="replace") for key, value in connection.fields.items()}
         kept.pop("message_definition", None)
         return Definition(connection.type, "ros1msg", connection.fields.get("message_definition", b""), kept)
-
-    @property
-    def part_read(self) -> float | None:
-        """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
-        return self._reading.position / self._reading.size if self._reading.size else None
-
-    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
-        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
-        del self.losses[self._header_losses :]
-        self._undecodable = Undecodable()
-        self.count = self._seen = 0
-        if self.complete:
-            with Source.of_file(self.paths[0]) as source:
-                self._reading = source
-                source.seek(self._data_start)
-                yield from self._blocks(source)
-        else:
-            if self._begun:
-                raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
-            self._begun = True
-            yield from self._blocks(self._source)
-            if not self._recover:
-                self._read_index(self._source)
-        self.losses += self._undecodable.losses(self.name)
-        if self.count < self._stated and not self.losses:
-            self._lose(
-                BagError(
-                    f"{self.name}: its index tells of {self._stated} messages, {self.count} are there: the bag is "
-                    "damaged; --recover saves those"
-                )
-            )
-
-    def _blocks(self, source: Source) -> Iterator[Block]:
-        """Yield the blocks of a source, and register connections on the way."""
-        parts: Iterator[Chunk | _Connected] = self._parts(source)
-        if self._threads > 1 and self.complete and not self._recover:
-            parts = read_ahead(self._parts(source), _size_of, _is_packed)
-        with closing(parts):  # type: ignore[type-var] # both are generators
-            for part in parts:
-                if isinstance(part, Chunk):
-                    yield from self._finished(part)
-                else:
-                    self._learn(*part)
 
     def _parts(self, source: Source) -> Generator[Chunk | _Connected, None, None]:
         """Yield chunks, and connections between them."""
@@ -195,6 +139,7 @@ class Ros1Reader:
 
     def _heads(self, source: Source) -> Iterator[Head]:
         """Yield record headers of the data section (with recovery, of the whole file); the caller reads the data."""
+        self._seen = 0
         last, op = source.position, BAG_HEADER
         while self._recover and not source.at_end():
             if not (stands_behind(source, last) if op == CHUNK else stands_here(source)):
@@ -217,10 +162,11 @@ class Ros1Reader:
 
     def _chunks(self, source: Source, head: Head) -> Iterator[Chunk]:
         if not self._recover or source.position + head.size <= (source.size or 0):
-            yield from read_chunks(source, head, verify=self._recover)
+            yield from read_chunks(source, chunk_head(source, head), record_bytes, verify=self._recover)
         else:
             self.losses.append(loss_of_cut_chunk(source, head))
-            yield from beginning_of_chunk(source, head)
+            for chunk in beginning_of_chunk(source, chunk_head(source, head), record_bytes):
+                yield replace(chunk, data=whole_records(chunk.data))
 
     def _take(self, head: Head, data: bytes, chunk: Chunk | None) -> Chunk | None:
         """Process a record between chunks; return the chunk being collected."""
@@ -242,16 +188,11 @@ class Ros1Reader:
             )
         return chunk
 
-    def _finished(self, chunk: Chunk) -> Iterator[Block]:
-        try:
-            block = self._block(chunk)
-        except BagError as error:
-            self._lose(error)
-            block = self._salvaged(chunk)
-        if self._recover:
-            block = without(block, self._undecodable.find(block, self.channels))
-        self.count += len(block.table)
-        yield block
+    def _taken(self, part: Chunk | _Connected) -> Block | None:
+        if isinstance(part, Chunk):
+            return self._finished(part)
+        self._learn(*part)
+        return None
 
     def _salvaged(self, chunk: Chunk) -> Block:
         """Return the intact messages of a chunk, without those of undefined connections."""
@@ -264,12 +205,6 @@ class Ros1Reader:
         block = Block(data, contents.table, Ros1Framing(chunk.codec, contents.starts))
         unknown = np.array([number not in self.channels for number in contents.table["channel"].tolist()], dtype=bool)
         return without(block, unknown)
-
-    def _lose(self, error: BagError) -> None:
-        """Record a loss with recovery, else raise the error."""
-        if not self._recover:
-            raise error
-        self.losses.append(loss_of(error))
 
     def _block(self, chunk: Chunk) -> Block:
         data = np.frombuffer(chunk.open, dtype=np.uint8) if chunk.open else chunk.data
@@ -290,7 +225,11 @@ class Ros1Reader:
             topics = f"{self._channels[connection.id].topic} and {connection.topic}"
             raise BagError(f"{self.name}: connection {connection.id} is defined twice ({topics}); the bag is damaged")
 
-    def _read_index(self, source: Source) -> None:
+    @property
+    def _stated_count(self) -> int:
+        return self._stated
+
+    def _read_end(self, source: Source) -> None:
         """Read connections and chunk infos at the bag's end; if they are complete, the bag is not truncated."""
         for _ in range(self._connection_count + self._chunk_count):
             head = read_head(source)
@@ -301,22 +240,6 @@ class Ros1Reader:
                 self._stated += _counted(data)
             else:
                 raise BagError(f"{self.name}: {head.what} is of kind {head.op:#04x} in the index; the bag is damaged")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._source.close()
-
-
-def _is_packed(part: Chunk | _Connected) -> bool:
-    return isinstance(part, Chunk) and part.codec != "none"
-
-
-def _size_of(part: Chunk | _Connected) -> int:
-    return len(part.data)
 
 
 def _counted(data: bytes) -> int:

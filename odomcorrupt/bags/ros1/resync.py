@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from odomcorrupt.bags.block import Block
-from odomcorrupt.bags.codec_streams import PackedInSource, beginning
-from odomcorrupt.bags.ros1.chunk import CODECS, Ros1Framing, chunks_of, codec_and_size, read_head
-from odomcorrupt.bags.ros1.chunk_messages import read_contents
+from odomcorrupt.bags.ros1.chunk import CODECS, read_head
 from odomcorrupt.bags.ros1.records import CHUNK, CHUNK_INFO, CONNECTION, INDEX, MESSAGE, number, parse_fields
 from odomcorrupt.errors import BagError
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterator
 
+    import numpy as np
     from numpy.typing import NDArray
 
-    from odomcorrupt.bags.ros1.chunk import Chunk, Head
+    from odomcorrupt.bags.ros1.chunk import Head
     from odomcorrupt.bags.source import Source
 
 __all__ = [
-    "beginning_of_chunk",
     "loss_of_cut_chunk",
     "next_record",
     "stands_behind",
     "stands_here",
     "whole_records",
-    "without",
 ]
 
 _WINDOW_BYTES = 1 << 20
@@ -106,14 +99,6 @@ def loss_of_cut_chunk(source: Source, head: Head) -> str:
     return lost
 
 
-def beginning_of_chunk(source: Source, head: Head) -> Iterator[Chunk]:
-    """Yield the intact records of a chunk that is truncated by the file's end."""
-    codec, _ = codec_and_size(head, f"{source.name}: {head.what}")
-    packed = PackedInSource(source, (source.size or 0) - source.position, head.what)
-    for chunk in chunks_of(beginning(codec, packed, source.budget), head, source):
-        yield replace(chunk, data=whole_records(chunk.data))
-
-
 def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the bytes (size,) of the intact records before the first damaged one."""
     view, at = data.tobytes(), 0
@@ -124,19 +109,6 @@ def whole_records(data: NDArray[np.uint8]) -> NDArray[np.uint8]:
             break
         at = after
     return data[:at]
-
-
-def without(block: Block, left_out: NDArray[np.bool_]) -> Block:
-    """Return a block of records without some of its messages (n,)."""
-    if not left_out.any():
-        return block
-    keep = np.ones(block.data.size, dtype=bool)
-    ends = block.table["offset"] + block.table["length"]
-    for begin, end in zip(block.raw.starts[left_out].tolist(), ends[left_out].tolist(), strict=True):
-        keep[begin:end] = False
-    data = block.data[keep]
-    contents = read_contents(data, [], "")
-    return Block(data, contents.table, Ros1Framing(block.raw.codec, contents.starts))
 
 
 def _is_message(header: bytes) -> bool:

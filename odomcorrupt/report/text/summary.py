@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import shlex
 import textwrap
 from dataclasses import dataclass
@@ -81,6 +80,8 @@ class Summary:
 
     def html(self) -> str:
         """Return the summary as a table for a notebook."""
+        import html  # noqa: PLC0415 - needed by notebooks only
+
         rows = "".join(
             f"<tr><th style='text-align:left'>{html.escape(line.label)}</th>"
             f"<td style='text-align:left'>{html.escape(line.text)}</td></tr>"

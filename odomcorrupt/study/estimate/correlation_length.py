@@ -56,7 +56,8 @@ def _with_own(recording: Recording, approach: Approach) -> Recording:
     problem = pose_problem([recording], approach=approach)
     kinds = registry()
     columns = np.concatenate([problem.columns(kinds[name]()) for name in _BESIDE] + [problem.clock_columns()], axis=2)
-    fits = {length: _fitted(problem, columns, length) for length in _LENGTHS_M}
+    components = VarianceComponents(approach.law, problem.nodes, problem.steps)
+    fits = {length: _fitted(problem, components, columns, length) for length in _LENGTHS_M}
     length, (best, nats_of_process) = max(fits.items(), key=lambda one: one[1].nats)
     q = problem.nodes.covariance(approach.law, best.coefficients, problem.steps)
     field, nats = field_of(problem, q, columns)
@@ -72,10 +73,9 @@ class _Fitted(NamedTuple):
     nats: float
 
 
-def _fitted(problem: Problem, columns: Array, length_m: float) -> _Fitted:
+def _fitted(problem: Problem, components: VarianceComponents, columns: Array, length_m: float) -> _Fitted:
     """Return the fit of the noise of largest likelihood if the truth's errors fade over a way."""
     nodes = replace(problem.nodes, memory=memory_over(problem.nodes.way_m, length_m))
-    components = VarianceComponents(problem.approach.law, nodes, problem.steps)
     likelihood = NoiseLikelihood(nodes, components, columns, np.ones(len(nodes)))
     best = likelihood.evaluate(likelihood.maximise(likelihood.initial_guess()))
     apart = np.log(max(length_m, _NONE_M) / _USUAL_M) / _SPREAD

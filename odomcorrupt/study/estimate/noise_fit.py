@@ -16,7 +16,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import chi2
 
 from odomcorrupt.study.estimate.noise_likelihood import NoiseFit, NoiseLikelihood
-from odomcorrupt.study.estimate.random_process import root_of
+from odomcorrupt.study.estimate.random_process import joined, root_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.intervals import Intervals
     from odomcorrupt.study.estimate.problem import Problem
+    from odomcorrupt.study.estimate.random_process import Root
     from odomcorrupt.study.estimate.variance_components import VarianceComponents
 
 __all__ = ["CHANCE", "OUTLIER", "NoiseStart", "fit_noise", "fit_noise_beside"]
@@ -105,10 +106,10 @@ def fit_noise_beside(
         noise = fit_noise(nodes, components, columns, start, headings=headings)
     if not random:
         return noise
-    roots = np.concatenate([root_of(effect, problem) for effect in random], axis=2)
-    for normal in np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, roots.shape[2])):
+    root = joined([root_of(effect, problem) for effect in random])
+    for normal in np.random.default_rng(_SEED).standard_normal((_MOST_ROUNDS, root.mixing.shape[1])):
         before = noise.free
-        rest = replace(nodes, residual=nodes.residual - _drawn(noise, problem, columns, roots, normal))
+        rest = replace(nodes, residual=nodes.residual - _drawn(noise, problem, columns, root, normal))
         again = NoiseStart(before, weights, bursts=start.bursts)
         noise = fit_noise(rest, components, columns, again, headings=headings)
         weights = noise.weights
@@ -118,20 +119,21 @@ def fit_noise_beside(
     return noise
 
 
-def _drawn(noise: NoiseFit, problem: Problem, columns: Array, roots: Array, normal: Array) -> Array:
+def _drawn(noise: NoiseFit, problem: Problem, columns: Array, root: Root, normal: Array) -> Array:
     """Return (K, 3): a draw from the posterior of what the processes did to the residuals."""
-    whiten = noise.whitener.whiten
-    r, design, white = whiten(problem.nodes.residual), whiten(columns), whiten(roots)
-    factor = cholesky(np.eye(white.shape[1]) + white.T @ white, lower=True)
+    whiten, mixing = noise.whitener.whiten, root.mixing
+    r, design, knots = whiten(problem.nodes.residual), whiten(columns), noise.whitener.knots(root.spread)
+    factor = cholesky(np.eye(mixing.shape[1]) + mixing.T @ knots.inner(knots) @ mixing, lower=True)
 
     def carried(data: Array) -> Array:
-        solved: Array = solve_triangular(factor, white.T @ data, lower=True)
+        solved: Array = solve_triangular(factor, mixing.T @ knots.products(data), lower=True)
         return solved
 
     if columns.shape[2]:
         own = carried(design)
         normal_matrix = design.T @ design - own.T @ own
-        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ carried(r), rcond=None)[0]
+        theta = np.linalg.lstsq(normal_matrix, design.T @ r - own.T @ carried(r[:, None])[:, 0], rcond=None)[0]
         r = r - design @ theta
-    process: Array = roots @ solve_triangular(factor, carried(r) + normal, lower=True, trans="T")
-    return process
+    factors = solve_triangular(factor, carried(r[:, None])[:, 0] + normal, lower=True, trans="T")
+    process: Array = root.spread @ (mixing @ factors)
+    return process.reshape(-1, 3)

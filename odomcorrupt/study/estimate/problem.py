@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.config import Approach
     from odomcorrupt.study.terms.regressors import Side
 
-__all__ = ["Problem", "pose_problem", "undo"]
+__all__ = ["Problem", "by_column", "pose_problem", "undo"]
 
 _TRUE_MOTION = ("acceleration", "x", "y", "theta", "distance")
 """What effects read of the true motion; speeds they read of the odometry's."""
@@ -107,7 +107,7 @@ class Problem:
             error = [-self._shown(effect, p, m) * m.dt_s[:, None] for m in self.motions]
             blocks.append(self.nodes.column(np.concatenate(error)))
         # an expression of numbers alone has none
-        return np.stack(blocks, axis=2) if blocks else np.zeros((len(self.nodes), 3, 0))
+        return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
 
     def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
         """Return the derivative (n, 3) of what the truth follows with respect to a parameter."""
@@ -122,6 +122,11 @@ class Problem:
         clock = np.array(clock_leaders(self.recordings))[self.run]
         runs = [both * (clock == r)[:, None, None] for r in range(len(self.recordings))]
         return np.concatenate(runs, axis=2)
+
+
+def by_column(columns: Array) -> Array:
+    """Return columns (c, K, 3) as (K, 3, c), each of them still dense in memory, as whitening wants them."""
+    return columns.transpose(1, 2, 0)
 
 
 def pose_problem(

@@ -11,10 +11,10 @@ from scipy.sparse import csr_array, hstack
 
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import stacked
+from odomcorrupt.study.estimate.knots import Shrunk
 from odomcorrupt.study.estimate.noise_likelihood import by_column, estimated
 from odomcorrupt.study.estimate.truth_bias import bias_roots, has_bias
 from odomcorrupt.study.estimate.truth_field import field_roots, has_field, remainder_whitener
-from odomcorrupt.study.estimate.whitener import Shrunk
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -30,6 +30,7 @@ __all__ = [
     "FINELY",
     "Process",
     "bias_of",
+    "joined",
     "processes",
     "processes_like",
     "root_of",
@@ -121,25 +122,32 @@ def without_random(noise: NoiseFit, problem: Problem, columns: Array) -> NoiseFi
 
 def widened(white: Whitener, problem: Problem, random: Sequence[Effect]) -> Whitener:
     """Return a whitener of the problem's residuals that knows of random coefficients and the truth's own bias, too."""
-    roots = [_root_of(effect, problem) for effect in random]
+    roots = [root_of(effect, problem) for effect in random]
     if has_bias(problem):
         roots.append(_written_out(bias_roots(problem)))
     if has_field(problem):
         roots.append(_written_out(field_roots(problem)))
     if not roots:
         return white
-    designs = np.concatenate([white.whitened(root.columns) for root in roots], axis=1)
+    root = joined(roots)
     # of the small matrix, which is much the cheaper; what is nothing beside the noise has no direction
-    square, turned = eigh(designs.T @ designs)
+    knots = white.knots(root.spread)
+    square, turned = eigh(root.mixing.T @ knots.inner(knots) @ root.mixing)
     plain = square > 1e-9 * max(float(square[-1]), 1.0)
     square, turned = square[plain], turned[:, plain] / np.sqrt(square[plain])
     growth = 1.0 + square
-    mixing = block_diag(*(root.mixing for root in roots)) @ turned
     return replace(
         white,
-        shrunk=Shrunk(csr_array(hstack([root.spread for root in roots])), mixing, 1.0 / np.sqrt(growth)),
+        shrunk=Shrunk.along(knots, root.mixing @ turned, 1.0 / np.sqrt(growth)),
         log_det=white.log_det + 0.5 * float(np.log(growth).sum()),
     )
+
+
+def joined(roots: Sequence[Root]) -> Root:
+    """Return several processes as one."""
+    if len(roots) == 1:
+        return roots[0]
+    return Root(csr_array(hstack([root.spread for root in roots])), block_diag(*(root.mixing for root in roots)))
 
 
 def _written_out(columns: Array) -> Root:
@@ -147,15 +155,10 @@ def _written_out(columns: Array) -> Root:
     return Root(csr_array(columns.reshape(-1, columns.shape[2])), np.eye(columns.shape[2]))
 
 
-def root_of(effect: Effect, problem: Problem) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make a random coefficient of its own size."""
-    columns: Array = _root_of(effect, problem).columns
-    return columns.reshape(len(problem.nodes), 3, -1)
-
-
-def _root_of(effect: Effect, problem: Problem) -> Root:
+def root_of(effect: Effect, problem: Problem) -> Root:
+    """Return columns whose independent standard normal factors make a random coefficient of its own size."""
     (process,) = processes_like(effect)
-    root = _rooted(problem, process, FINELY)
+    root = rooted(problem, process, FINELY)
     return Root(root.spread, getattr(effect, process.scale) * root.mixing)
 
 
@@ -206,15 +209,11 @@ def unit_column(problem: Problem, process: Process) -> Array:
     return problem.nodes.column(np.concatenate([-process.unit(m) * m.dt_s[:, None] for m in problem.motions]))
 
 
-def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Array:
-    """Return columns (K, 3, m) whose independent standard normal factors make the process, at scale 1.
+def rooted(problem: Problem, process: Process, parts: float = _COARSELY) -> Root:
+    """Return columns whose independent standard normal factors make the process, at scale 1.
 
     Its knots lie a correlation time over `parts` apart.
     """
-    return _rooted(problem, process, parts).columns.reshape(len(problem.nodes), 3, -1)
-
-
-def _rooted(problem: Problem, process: Process, parts: float) -> Root:
     nodes = problem.nodes
     # runs lie far apart: a process starts again in each
     time = nodes.end_s + problem.run * (float(nodes.end_s.max()) + 1e4)

@@ -14,13 +14,14 @@ makes the one of the other has determinant 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import lapack
 
 from odomcorrupt.errors import FitError
+from odomcorrupt.study.estimate.knots import WhitenedKnots
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.model.motion_model import TruthNoise
     from odomcorrupt.study.estimate.intervals import Intervals
+    from odomcorrupt.study.estimate.knots import Shrunk
 
 __all__ = [
-    "Shrunk",
     "Whitener",
     "band_of",
     "dense_covariance",
@@ -52,21 +53,10 @@ _KEPT = (np.diag([1.0, 1.0, 0.0]), np.diag([0.0, 0.0, 1.0]))
 _TINY = 1e-18 * np.eye(3)
 
 
-@dataclass(frozen=True, slots=True)
-class Shrunk:
-    """Orthonormal directions L^-1 S M of whitened residuals along which a process makes them shrink.
-
-    As S is sparse and M small they are never multiplied out: that would take as much memory as hundreds of columns, and
-    most of the time of everything that is whitened.
-
-    spread : S (3 K, k) what each knot of a process does to each residual, sparse
-    mixing : M (k, m) of the knots, for each direction
-    factors : (m,) by which whitened data shrink along them
-    """
-
-    spread: csr_array
-    mixing: Array
-    factors: Array
+_KNOTS, _ROWS = 32, 96
+"""Knots that are whitened together, and rows after them that are tried first."""
+_FADED = 1e-11
+"""Part of its largest value at which what a knot does to later innovations is nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,19 +86,51 @@ class Whitener:
     def whitened(self, flat: Array) -> Array:
         """Return what `whiten` does for x of shape (3 K, c)."""
         white = self._by_band(flat)
-        return white if self.shrunk is None else white - self._lost(white, self.shrunk)
+        return white if self.shrunk is None else white - self.shrunk.lost(white)
+
+    def knots(self, spread: csr_array) -> WhitenedKnots:
+        """Return L^-1 S of the knots of a process (3 K, k), see `Shrunk`, as the band alone whitens them."""
+        by_knot, rows = spread.tocsc(), spread.shape[0]
+        blocks = []
+        for knot in range(0, spread.shape[1], _KNOTS):
+            own = by_knot[:, knot : knot + _KNOTS]
+            if not own.nnz:
+                continue
+            first, last = 3 * (int(own.indices.min()) // 3), int(own.indices.max()) + 1
+            length = _ROWS
+            while True:
+                end = min(3 * (-(-last // 3)) + length, rows)
+                part = replace(
+                    self,
+                    factor=self.factor[:, first:end],
+                    rho=None if self.rho is None else self.rho[first // 3 : end // 3],
+                )
+                values = part._by_band(own[first:end].toarray(order="F"))  # noqa: SLF001 - of the same class
+                if end == rows or np.abs(values[-2 * BAND :]).max() <= _FADED * np.abs(values).max():
+                    break
+                length *= 3
+            size = np.abs(values).max(axis=1)
+            there = np.flatnonzero(size > _FADED * size.max(initial=0.0))
+            if len(there):
+                blocks.append((first, knot, np.asfortranarray(values[: there[-1] + 1])))
+        return WhitenedKnots(tuple(blocks), spread.shape[1])
+
+    def information(self, spread: csr_array) -> Array:
+        """Return W' W (k, k) of the whitened columns W of a sparse S (3 K, k)."""
+        knots = self.knots(spread)
+        information = knots.inner(knots)
+        if self.shrunk is not None:
+            along = knots.inner(self.shrunk.knots) @ (self.shrunk.mixing * np.sqrt(1.0 - self.shrunk.factors**2))
+            information -= along @ along.T
+        return information
 
     def pulled(self, white: Array) -> Array:
         """Return (K, 3) whose product with any column x is that of L^-1 x with whitened data (3 K,)."""
-        rest = white[:, None]
-        if self.shrunk is not None:
-            rest = rest - self._lost(rest, self.shrunk)
-        return self._back(rest).reshape(-1, 3)
+        return self.transposed(white[:, None]).reshape(-1, 3)
 
-    def _lost(self, white: Array, shrunk: Shrunk) -> Array:
-        """Return what data (3 K, c) that are whitened by the band alone lose along the directions of a process."""
-        along = shrunk.mixing.T @ (shrunk.spread.T @ self._back(white))
-        return self._by_band(shrunk.spread @ (shrunk.mixing @ ((1.0 - shrunk.factors)[:, None] * along)))
+    def transposed(self, white: Array) -> Array:
+        """Return (3 K, c) whose products with any column x are those of L^-1 x with whitened data (3 K, c)."""
+        return self._back(white if self.shrunk is None else white - self.shrunk.lost(white))
 
     def _by_band(self, flat: Array) -> Array:
         """Return x of shape (3 K, c), whitened by the band alone."""

@@ -42,11 +42,11 @@ def waves(fit: Fit) -> list[Screened]:
     """Return the likeliest waves, and the nats that each gains, from exact columns."""
     problem, whitener = fit.problem, fit.noise.whitener
     rest = project_out(fit)
-    pull = whitener.pulled(rest.residual)
     channel = "yaw" if problem.headings else "along"
+    score = _scores(fit, whitener.pulled(rest.residual), channel)
     found = []
     for text, distance in _distances(problem.motions[0].track_m):
-        for wavelength_m in _likeliest(fit, pull, channel, distance):
+        for wavelength_m in _likeliest(fit, score, distance):
             term = BasisTerm(_wave(text, distance, wavelength_m), Action(channel, "v"))
             found.append(Screened(term, rest.gain(whitener.whiten(term.columns(problem)))))
     return found
@@ -61,12 +61,12 @@ def flat_spots(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     if not problem.headings or drive_type_of(problem.recordings).steered:
         return []
     rest, whiten = project_out(fit), fit.noise.whitener.whiten
-    pull = fit.noise.whitener.pulled(rest.residual)
+    score = _scores(fit, fit.noise.whitener.pulled(rest.residual), "yaw")
     own = problem.motions[0].track_m
     found: list[tuple[float, FlatSpot]] = []
     for track_m in TRACKS_M if own is None else (own,):
         for wheel, side in (("right", 0.5 * track_m), ("left", -0.5 * track_m)):
-            for turn_m in _likeliest(fit, pull, "yaw", _way_of(side)):
+            for turn_m in _likeliest(fit, score, _way_of(side)):
                 if turn_m > _LARGEST_TURN_M:
                     continue
                 spot = FlatSpot(circumference=turn_m, wheel=wheel, form="eccentric", track=0.0 if own else track_m)
@@ -97,16 +97,24 @@ def _distances(track_m: float | None) -> list[tuple[str, Callable[[Motion], Arra
     return ways
 
 
-def _likeliest(fit: Fit, pull: Array, channel: str, way: Callable[[Motion], Array]) -> list[float]:
-    """Return the wavelengths (m) at which the score is largest, the channel's information being taken as even."""
-    nodes, motions = fit.problem.nodes, fit.problem.motions
-    moved = np.concatenate([m.v * m.dt_s for m in motions])
-    way_m = np.concatenate([way(m) for m in motions])
-    c = CHANNELS.index(channel)
+def _scores(fit: Fit, pull: Array, channel: str) -> Array:
+    """Return the scores (n,) of an error of the travel of each step in a channel."""
+    nodes = fit.problem.nodes
+    moved = np.concatenate([m.v * m.dt_s for m in fit.problem.motions])
     unit = np.zeros((len(moved), 3))
-    unit[:, c] = -moved
+    unit[:, CHANNELS.index(channel)] = -moved
     interval = np.repeat(np.arange(len(nodes)), np.diff(np.append(nodes.first, len(nodes.source))))
-    score = np.einsum("in,ni->n", nodes.carried(unit), pull[interval])
+    scores: Array = np.einsum("in,ni->n", nodes.carried(unit), pull[interval])
+    return scores
+
+
+def _likeliest(fit: Fit, score: Array, way: Callable[[Motion], Array]) -> list[float]:
+    """Return the wavelengths (m) at which the score is largest, the channel's information being taken as even.
+
+    score : (n,) of each step, see `_scores`
+    """
+    nodes, motions = fit.problem.nodes, fit.problem.motions
+    way_m = np.concatenate([way(m) for m in motions])
     run = np.repeat(np.arange(len(motions)), [len(m) for m in motions])[nodes.source]
     # four times as long: peaks lie between the lines of the plain transform
     size = 1 << int(np.ceil(np.log2(4.0 * (np.ptp(way_m) / _GRID_M + 2.0))))

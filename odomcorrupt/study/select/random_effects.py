@@ -29,16 +29,20 @@ from odomcorrupt.study.estimate.random_process import (
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.select.rest import within_rest
+from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.drive_type import drive_type_of
 from odomcorrupt.study.terms.heading_source import sees_travel
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from collections.abc import Callable
 
-    from odomcorrupt.effects.effect import Effect
+    from numpy.typing import NDArray
+    from scipy.sparse import csr_array
+
+    from odomcorrupt.effects.effect import Effect, Motion
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
-    from odomcorrupt.study.estimate.random_process import Process
+    from odomcorrupt.study.estimate.random_process import Process, Root
     from odomcorrupt.study.select.decisions import Decisions
 
 __all__ = [
@@ -78,6 +82,7 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
     log_count = float(np.log(len(fit.problem.nodes)))
     have = {(e.name, getattr(e, "channel", "")) for e in fit.random}
     found: dict[tuple[str, str], tuple[RandomCoefficient, float]] = {}
+    evidence = _Evidence(fit)
     drive, blind = drive_type_of(fit.problem.recordings), not sees_travel(fit.problem.recordings)
     for process in processes():
         if not drive.admits(process.kind):
@@ -85,8 +90,8 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         if blind and process.unit is bias_of:
             continue  # it is the gyro's own
         # a walk is rough at every scale: with few knots it would lose to a bias that comes back
-        design = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
-        nats, scale = _evidence(fit, design, process)
+        root = rooted(fit.problem, process, FINELY) if process.tau is None else rooted(fit.problem, process)
+        nats, scale = evidence.of(root, process)
         effect = process.kind(**{process.scale: scale, **process.fixed})
         least = decisions.mean_reverting_nats if process.mean_reverting else decisions.correlated_nats
         if _matched(fit) and getattr(effect, "channel", "") == "along":
@@ -123,10 +128,8 @@ def _in_both_halves(fit: Fit, effect: Effect) -> bool:
     ]
     gains = []
     for process in family:
-        basis, white = _whitened(fit, rooted(fit.problem, process), process)
-        halves = [
-            _spectrum(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)
-        ]
+        basis, white = _whitened(fit, process)
+        halves = [_part(basis, white, fit.noise.innovations, np.repeat(usual & side, 3)) for side in (early, ~early)]
         gains.append([_gains(*half, _scales(process)) for half in halves])
     first, second = np.swapaxes(gains, 0, 1)
     return bool(min(second.flat[np.argmax(first)], first.flat[np.argmax(second)]) > 0.0)
@@ -148,10 +151,10 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
     design = fit.design_matrix
     others = [e for e in fit.random if e is not effect]
     noise = with_random(without_random(fit.noise, fit.problem, design), fit.problem, design, others)
-    bare = replace(fit, noise=noise, random=tuple(others))
+    evidence = _Evidence(replace(fit, noise=noise, random=tuple(others)))
     best = max(
         (
-            (_evidence(bare, rooted(fit.problem, process, FINELY), process), process)
+            (evidence.of(rooted(fit.problem, process, FINELY), process), process)
             for process in processes_like(effect, beside=True)
         ),
         key=lambda found: found[0][0],
@@ -186,17 +189,38 @@ def beside_bursts(
     return stay, fit.refit(random=[effect for effect in fit.random if effect.name in there])
 
 
-def _evidence(fit: Fit, design: Array, process: Process) -> tuple[float, float]:
-    """Return the nats that the best scale of a process gains, and that scale."""
-    every = np.ones(3 * len(fit.problem.nodes), dtype=bool)
-    spectrum = _spectrum(*_whitened(fit, design, process), fit.noise.innovations, every)
-    scales = _scales(process)
-    for _ in range(2):
-        gains = _gains(*spectrum, scales)
-        best = int(np.argmax(gains))
-        nats, scale = float(gains[best]), float(scales[best])
-        scales = np.geomspace(0.9 * scale, min(1.1 * scale, _scales(process)[-1]), 21)
-    return nats, scale
+class _Evidence:
+    """What processes explain of the residual of a fit; those with the same knots share what becomes of these."""
+
+    def __init__(self, fit: Fit) -> None:
+        self._fit = fit
+        self._known: dict[tuple[Callable[[Motion], Array], bytes], tuple[Array, Array]] = {}
+
+    def of(self, root: Root, process: Process) -> tuple[float, float]:
+        """Return the nats that the best scale of a process gains, and that scale."""
+        information, score = self._of_knots(root.spread, process)
+        spectrum = _spectrum(root.mixing.T @ information @ root.mixing, root.mixing.T @ score)
+        scales = _scales(process)
+        for _ in range(2):
+            gains = _gains(*spectrum, scales)
+            best = int(np.argmax(gains))
+            nats, scale = float(gains[best]), float(scales[best])
+            scales = np.geomspace(0.9 * scale, min(1.1 * scale, _scales(process)[-1]), 21)
+        return nats, scale
+
+    def _of_knots(self, spread: csr_array, process: Process) -> tuple[Array, Array]:
+        """Return what the residual says of knots beside the model: information (k, k) and score (k,)."""
+        key = process.unit, spread.data.tobytes()
+        if key not in self._known:
+            # about what a bias varies, and where a walk starts, is not its business
+            unit = unit_column(self._fit.problem, process)[:, :, None]
+            rest = project_out(self._fit, *((unit,) if process.unit is bias_of else ()))
+            white = self._fit.noise.whitener
+            both = white.transposed(np.column_stack((rest.basis, rest.residual)))
+            spanned = spread.T @ both[:, :-1]
+            information = white.information(spread) - spanned @ spanned.T
+            self._known[key] = information, spread.T @ both[:, -1]
+        return self._known[key]
 
 
 def _scales(process: Process) -> Array:
@@ -205,23 +229,26 @@ def _scales(process: Process) -> Array:
     return np.geomspace(_LEAST_SCALE, most, 121)
 
 
-def _whitened(fit: Fit, design: Array, process: Process) -> tuple[Array, Array]:
-    """Return what is free beside a process (3 K, q) and its own columns (3 K, m), both whitened.
-
-    About what a bias varies, and where a walk starts, is not its business.
-    """
+def _whitened(fit: Fit, process: Process) -> tuple[Array, Array]:
+    """Return what is free beside a process (3 K, q) and its own columns (3 K, m), both whitened."""
     whiten, beside = fit.noise.whitener.whiten, [fit.design_matrix]
     if process.unit is bias_of:
         beside.append(unit_column(fit.problem, process)[:, :, None])
-    return whiten(np.concatenate(beside, axis=2)), whiten(design)
+    columns = rooted(fit.problem, process).columns
+    return whiten(np.concatenate(beside, axis=2)), whiten(columns.reshape(-1, 3, columns.shape[1]))
 
 
-def _spectrum(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _part(beside: Array, white: Array, innovations: Array, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the strengths (m,) of a process in some rows of the data, and the squared scores (m,) along them."""
     basis, white, r = orthonormal(beside[rows]), white[rows], innovations[rows]
     white, r = (part - basis @ (basis.T @ part) for part in (white, r))
-    strength, vectors = eigh(white.T @ white)
-    return np.maximum(strength, 0.0), (vectors.T @ (white.T @ r)) ** 2
+    return _spectrum(white.T @ white, white.T @ r)
+
+
+def _spectrum(information: Array, score: Array) -> tuple[Array, Array]:
+    """Return the strengths (m,) of a process, and the squared scores (m,) along them."""
+    strength, vectors = eigh(information)
+    return np.maximum(strength, 0.0), (vectors.T @ score) ** 2
 
 
 def _gains(strength: Array, score: Array, scales: Array) -> Array:

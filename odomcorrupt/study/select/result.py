@@ -76,6 +76,7 @@ class Learned:
     hides_losses : whether ticks are too coarse to show lost increments, which then look like a larger wheel
     held_out : log likelihood that each part of the model gains on data it was not fitted on, and its standard error
     contributions : how far each systematic part moves the odometry, where that was measured
+    first_clocks : as they were found before anything else was; None where increments were restored first
     """
 
     clocks: Clocks
@@ -92,6 +93,7 @@ class Learned:
     hides_losses: bool = False
     held_out: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
+    first_clocks: Clocks | None = None
 
     def is_negligible(self, name: str) -> bool:
         """Return whether a part of the model, by name, is there and does not matter."""

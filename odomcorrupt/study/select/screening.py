@@ -16,6 +16,7 @@ import numpy as np
 from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import error_of
+from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.terms.basis import basis_functions
 from odomcorrupt.study.terms.channels import MOVES, actions_on, views
 from odomcorrupt.study.terms.term import BasisTerm, LibraryTerm
@@ -88,12 +89,12 @@ class CoarseDesign:
                 )
             else:
                 parts += [self._library(term) for term in group if isinstance(term, LibraryTerm)]
-        return np.concatenate(parts, axis=2)
+        return by_column(np.concatenate([part.transpose(2, 0, 1) for part in parts]))
 
     def acting(self, action: Action, means: Sequence[Array]) -> Array:
         """Return (K, 3, P) from the means (K, P) of functions, one for each unit of an action."""
         units = self.units(action)
-        return np.asarray(sum(u[:, :, None] * mean[:, None, :] for (_, u), mean in zip(units, means, strict=True)))
+        return by_column(np.asarray(sum(u * mean.T[:, :, None] for (_, u), mean in zip(units, means, strict=True))))
 
     def units(self, action: Action) -> list[tuple[str, Array]]:
         """Return what an action reads (body, a wheel), and what (K, 3) a unit of error there does to the residuals."""
@@ -117,11 +118,13 @@ class CoarseDesign:
     def means(self, functions: Sequence[BasisFunction], view: str, move: str) -> Array:
         """Return the means (K, P) of functions over the intervals, weighted by how far each sample moves."""
         seen, count = self._seen[view], len(self._nodes)
-        values = np.stack([part(seen) for function in functions for part in function.parts], axis=1)
         weight = np.abs(MOVES[move](seen)).reshape(count, -1) + 1e-9
         weight = weight / weight.sum(axis=1, keepdims=True)
-        means: Array = np.einsum("ks,ksj->kj", weight, values.reshape(count, -1, values.shape[1]))
-        return means
+        parts = [part for function in functions for part in function.parts]
+        means = np.empty((len(parts), count))
+        for own, part in zip(means, parts, strict=True):
+            np.einsum("ks,ks->k", weight, part(seen).reshape(count, -1), out=own)
+        return means.T
 
     def _library(self, term: LibraryTerm) -> Array:
         """Return (K, 3, p) of an effect that remembers nothing, zero where it cannot act."""
@@ -134,7 +137,7 @@ class CoarseDesign:
                 rate = np.zeros((len(self._nodes), 3))
             rate *= -1.0 / p.step
             columns.append(sum(held * rate[:, [i]] for i, held in enumerate(self._held)))
-        return np.stack(columns, axis=2)
+        return by_column(np.stack(columns))
 
     @cached_property
     def _thinned(self) -> Motion:

@@ -98,12 +98,13 @@ def learn(
     if most is not None:
         decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
-    encoders = encoder_effects(recordings[0])
+    as_given, encoders = recordings, encoder_effects(recordings[0])
     hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     recordings = with_correlation_lengths(recordings, approach)
     clocks = find_clocks(recordings, approach)
+    same_data = all(one is other for one, other in zip(recordings, as_given, strict=True))
     recordings = levelled(recordings, clocks)
     fitted = fit(
         recordings,
@@ -125,6 +126,7 @@ def learn(
     errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
     return Learned(
         clocks=replace(clocks, clocks=final.problem.clocks, errors=errors),
+        first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),
         unknown=(*included, *found.open),

@@ -101,11 +101,13 @@ class Comparison:
         return next((j.judged_on for j in self.judgements if j.judged_on != "recordings"), "recordings")
 
 
-def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) -> Comparison:
-    """Judge models (by name) on recordings."""
+def compare(
+    recordings: Sequence[Recording], models: Mapping[str, MotionModel], *, clocks: Clocks | None = None
+) -> Comparison:
+    """Judge models (by name) on recordings; clocks as `find_clocks` has them, where that was done already."""
     approach = choose_approach(recordings)
     recordings = with_correlation_lengths(recordings, approach)
-    found = clocks_beside(recordings, approach, list(models.values())[-1])
+    found = clocks_beside(recordings, approach, list(models.values())[-1], clocks)
     on_time = [aligned(r, c) for r, c in zip(recordings, found.clocks, strict=True)]
     fitted = {name for model in models.values() for name in _fitted_on(model)}
     cutting = cutting_of(on_time, fitted, approach.spacing_s)
@@ -127,12 +129,14 @@ def compare(recordings: Sequence[Recording], models: Mapping[str, MotionModel]) 
     )
 
 
-def clocks_beside(recordings: Sequence[Recording], approach: Approach, model: MotionModel) -> Clocks:
+def clocks_beside(
+    recordings: Sequence[Recording], approach: Approach, model: MotionModel, plain: Clocks | None = None
+) -> Clocks:
     """Return the clocks of recordings as they come, or none, or those with a model applied: the closest.
 
     Errors as large as a strong effect's mask a clock, or imitate one: it is estimated again from the model's residuals.
     """
-    plain, effects = find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
+    plain, effects = plain or find_clocks(recordings, approach), (*model.effects, *model.setup.effects)
     if not any(effect.kind != "noise" for effect in effects):
         return plain
     applied = find_clocks([_taken_out(recording, effects) for recording in recordings], approach)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes
+from odomcorrupt.model.noise_laws import Variances, magnitudes
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
@@ -76,14 +77,17 @@ def uncertainty_of(
     inflate : factor on the standard errors, for a model that was refitted on less than it says
     """
     count = errors.error.shape[1]
-    k = model.noise.coefficients
+    k, law = model.noise.coefficients, model.noise.law
+    steps = problem.steps
+    moved = magnitudes(law, steps)
     scales = []
     for name in k.__slots__:
         error = inflate * model.standard_errors.get(name, 0.0)
         if error > 0.0:
-            more, less = getattr(k, name) + error, max(getattr(k, name) - error, 0.0)
-            change = windows.covariance(model.noise.law, replace(k, **{name: more}), problem.steps)
-            change -= windows.covariance(model.noise.law, replace(k, **{name: less}), problem.steps)
+            bounds = getattr(k, name) + error, max(getattr(k, name) - error, 0.0)
+            more, less = (law.rule(replace(k, **{name: value}), *moved) for value in bounds)
+            parts = (getattr(more, part) - getattr(less, part) for part in Variances.__slots__)
+            change = windows.spread(law, Variances(*parts), steps)
             relative = np.linalg.solve(errors.covariance, change[:, :count, :count] / 2.0)
             scales.append(float(np.trace(relative, axis1=1, axis2=2).mean() / count))
     columns = _effect_errors(model, replace(problem, nodes=windows), inflate)[:, :count]

@@ -38,29 +38,16 @@ def topic(name, kind, rows, *, frame="odom", child="base_link", variance=1e-3, l
     variances = np.broadcast_to(variance, len(rows))
     grades = np.broadcast_to(status, len(rows))
     logs = rows.stamps_ns if log_ns is None else log_ns
-    out = []
-    for i, stamp in enumerate(rows.stamps_ns.tolist()):
-        value = (
-            kind,
-            stamp if stamps else 0,
-            frame,
-            child,
-            rows.xyz[i],
-            rows.quat[i],
-            float(variances[i]),
-            int(grades[i]),
-        )
-        out.append(Sent(int(logs[i]), name, kind, value))
-    return out
+    poses = zip(rows.xyz.tolist(), rows.quat.tolist(), variances.tolist(), grades.tolist(), strict=True)
+    return [
+        Sent(int(log), name, kind, (kind, stamp if stamps else 0, frame, child, *pose))
+        for log, stamp, pose in zip(logs, rows.stamps_ns.tolist(), poses, strict=True)
+    ]
 
 
 def edges(rows, parent, child, *, name="/tf", log_ns=None):
     """The messages of an edge of TF, one in each."""
-    logs = rows.stamps_ns if log_ns is None else log_ns
-    return [
-        Sent(int(logs[i]), name, "TFMessage", ("TFMessage", stamp, parent, child, rows.xyz[i], rows.quat[i], 0.0))
-        for i, stamp in enumerate(rows.stamps_ns.tolist())
-    ]
+    return topic(name, "TFMessage", rows, frame=parent, child=child, variance=0.0, log_ns=log_ns)
 
 
 def write(path, *sent, order=True):
@@ -118,10 +105,11 @@ def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance, grade=0):
 
     stamp = new("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
     header = new("std_msgs/msg/Header", *((0,) if ros == 1 else ()), stamp, frame)
-    point = new("geometry_msgs/msg/Point", *map(float, xyz))
-    rotation = new("geometry_msgs/msg/Quaternion", *map(float, quat))
+    point = new("geometry_msgs/msg/Point", *xyz)
+    rotation = new("geometry_msgs/msg/Quaternion", *quat)
     pose = new("geometry_msgs/msg/Pose", point, rotation)
-    covariance = np.diag([variance / 2, variance / 2, 0.0, 0.0, 0.0, variance]).ravel()
+    covariance = np.zeros(36)
+    covariance[[0, 7, 35]] = variance / 2, variance / 2, variance
     claimed = new("geometry_msgs/msg/PoseWithCovariance", pose, covariance)
     if kind == "Odometry":
         still = new("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
@@ -137,8 +125,8 @@ def make(ros, kind, stamp_ns, frame, child, xyz, quat, variance, grade=0):
         return new(SHORT[kind], header, point)
     if kind == "NavSatFix":
         status = new("sensor_msgs/msg/NavSatStatus", grade, 1)
-        return new(SHORT[kind], header, status, *map(float, xyz), 0.5 * variance * np.eye(3).ravel(), 0)
-    shift = new("geometry_msgs/msg/Vector3", *map(float, xyz))
+        return new(SHORT[kind], header, status, *xyz, 0.5 * variance * np.eye(3).ravel(), 0)
+    shift = new("geometry_msgs/msg/Vector3", *xyz)
     transform = new("geometry_msgs/msg/Transform", shift, rotation)
     stamped = new("geometry_msgs/msg/TransformStamped", header, child, transform)
     return stamped if kind == "TransformStamped" else new(SHORT[kind], [stamped])

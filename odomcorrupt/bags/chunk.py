@@ -1,0 +1,210 @@
+"""Chunks, read whole, or a large one as several of whole records: its size does not decide on the memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from odomcorrupt.bags.checksum import crc32
+from odomcorrupt.bags.codec_streams import PackedInSource, beginning, unpacked
+from odomcorrupt.bags.codecs import decompress
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from odomcorrupt.bags.budget import Budget
+    from odomcorrupt.bags.source import Source
+
+    RecordBytes = Callable[[memoryview, int], int]
+
+__all__ = ["Chunk", "ChunkHead", "beginning_of_chunk", "read_chunks", "record_blocks"]
+
+LARGE_BYTES = 32 << 20
+"""Decompressed size of a chunk beyond which it is read as several: recorders write 0.8 to 4 MB."""
+
+_BLOCK_BYTES = 4 << 20
+"""What is read of a large chunk at once, if no record is larger; the writers make a chunk of it."""
+
+_LARGEST_RECORD_BYTES = 1 << 32
+"""An endless pipe must not fill the memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """A decompressed chunk or a part of one, and the contents of the indexes that follow it.
+
+    open : records of a ROS 1 chunk that was never finished
+    """
+
+    data: NDArray[np.uint8]
+    codec: str
+    what: str
+    indexes: list[bytes] = field(default_factory=list)
+    open: bytearray = field(default_factory=bytearray)
+
+    def append(self, _opcode: int, content: bytes, _what: str) -> None:
+        """Append an index."""
+        self.indexes.append(content)
+
+
+class ChunkHead(NamedTuple):
+    """What a chunk record says before its compressed bytes.
+
+    size, crc : of the decompressed bytes; no checksum is 0
+    packed : number of compressed bytes
+    what : name of the record
+    behind : number of bytes after the compressed ones, fields of later versions of the format
+    """
+
+    size: int
+    crc: int
+    codec: str
+    packed: int
+    what: str
+    behind: int = 0
+
+
+def read_chunks(source: Source, head: ChunkHead, record_bytes: RecordBytes, *, verify: bool) -> Iterator[Chunk]:
+    """Yield a chunk record's content decompressed: whole, or a large one as several of whole records.
+
+    verify : whether a large chunk is read twice, so that nothing of a damaged one is yielded
+    """
+    named = f"{source.name}: {head.what}"
+    if head.codec == "none" and head.size != head.packed:
+        raise BagError(f"{named}: says it holds {head.size} bytes, but has {head.packed}; the bag is damaged")
+    if head.size <= LARGE_BYTES:
+        yield Chunk(_read_whole(source, head, named), head.codec, named)
+        return
+    budget: Budget | None = source.budget
+    if verify and (head.crc or head.codec != "none"):
+        here = source.position
+        for _ in _pieces(source, head, named, budget):
+            pass
+        source.seek(here)
+        budget = None
+    yield from _chunks_of(_pieces(source, head, named, budget), head, source, record_bytes)
+
+
+def beginning_of_chunk(source: Source, head: ChunkHead, record_bytes: RecordBytes) -> Iterator[Chunk]:
+    """Yield what the file has of a chunk that is truncated by its end, as far as it decompresses."""
+    packed = PackedInSource(source, (source.size or 0) - source.position, head.what)
+    yield from _chunks_of(beginning(head.codec, packed, source.budget), head, source, record_bytes)
+
+
+def _chunks_of(
+    pieces: Iterator[bytes | memoryview], head: ChunkHead, source: Source, record_bytes: RecordBytes
+) -> Iterator[Chunk]:
+    """Yield the decompressed pieces of a chunk as chunks of whole records."""
+    named, begin = f"{source.name}: {head.what}", 0
+    for data in record_blocks(pieces, head.size, record_bytes, source.shelf.place, named):
+        yield Chunk(data, head.codec, f"{named}, from byte {begin} of its records" if begin else named)
+        begin += data.size
+
+
+def _read_whole(source: Source, head: ChunkHead, named: str) -> NDArray[np.uint8]:
+    actual = 0
+    if head.codec != "none":
+        packed = source.read_scratch(head.packed, head.what)
+        data = decompress(head.codec, packed, head.size, named, source.shelf, source.budget)
+        actual = crc32(data.data) if head.crc else 0
+    elif head.crc:
+        data, actual = source.read_summed(head.packed, head.what)
+    else:
+        data = source.read_array(head.packed, head.what)
+    source.read(head.behind, head.what)
+    _require_crc(head, actual, named)
+    return data
+
+
+def _pieces(source: Source, head: ChunkHead, named: str, budget: Budget | None) -> Iterator[bytes | memoryview]:
+    """Yield the decompressed pieces of a chunk, and read its record to the end."""
+    packed, crc = PackedInSource(source, head.packed, head.what), 0
+    for piece in unpacked(head.codec, packed, head.size, named, budget):
+        crc = crc32(piece, crc) if head.crc else 0
+        yield piece
+    packed.skip()
+    source.read(head.behind, head.what)
+    _require_crc(head, crc, named)
+
+
+def _require_crc(head: ChunkHead, actual: int, named: str) -> None:
+    """Raise BagError if a chunk states a checksum that is not that of its decompressed bytes."""
+    if head.crc not in (0, actual):
+        raise BagError(f"{named}: its checksum does not match its bytes; --recover saves what is whole")
+
+
+def record_blocks(
+    pieces: Iterator[bytes | memoryview],
+    size: int,
+    record_bytes: RecordBytes,
+    place: Callable[[int], NDArray[np.uint8]],
+    what: str,
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the records of a chunk in blocks of about 4 MB, or of one record that is larger.
+
+    The blocks do not depend on how the stream is divided into pieces. The last one ends in the middle of a record if
+    the chunk does; if a record cannot be one, or is larger than what is left of the chunk, that block is the last and
+    is yielded when the stream has come to its end, where its checksum is compared.
+
+    Parameters
+    ----------
+    pieces : Iterator
+        The decompressed chunk, none of them empty.
+    size : int
+        Its stated size, bytes.
+    record_bytes : Callable
+        Size of the record that begins at an offset of the data, bytes; less if its header is not whole, but more than
+        the data has; 0 if it is no record.
+    place : Callable
+        Allocator of buffers.
+    what : str
+        Name of the chunk in error messages.
+
+    Raises
+    ------
+    BagError
+        If there is no memory for one of its records.
+
+    """
+    piece, rest, wanted, behind = memoryview(b""), np.empty(0, dtype=np.uint8), _BLOCK_BYTES, 0
+    while True:
+        try:
+            buffer = place(wanted)
+        except MemoryError as error:
+            raise BagError(f"{what}: there is no memory for a record of {wanted} bytes in it") from error
+        filled = rest.size
+        buffer[:filled] = rest
+        while filled < wanted and (piece or (piece := memoryview(next(pieces, b"")))):
+            taken = min(len(piece), wanted - filled)
+            buffer.data[filled : filled + taken] = piece[:taken]
+            piece, filled = piece[taken:], filled + taken
+        end, needed = _last_end(buffer.data[:filled], record_bytes)
+        if end:
+            yield buffer[:end]
+        rest, behind = buffer[end:filled], behind + end
+        whole = filled < wanted
+        if not whole and rest.size and not 0 < needed <= min(size - behind, _LARGEST_RECORD_BYTES):
+            for _ in pieces:
+                pass
+            whole = True
+        if whole:
+            if rest.size:
+                yield rest
+            return
+        wanted = max(_BLOCK_BYTES, needed)
+
+
+def _last_end(data: memoryview, record_bytes: RecordBytes) -> tuple[int, int]:
+    """Return where the last whole record ends, and the size of the one that begins there."""
+    at, needed = 0, 0
+    while at < len(data):
+        needed = record_bytes(data, at)
+        if not 0 < needed <= len(data) - at:
+            break
+        at, needed = at + needed, 0
+    return at, needed

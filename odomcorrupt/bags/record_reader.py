@@ -1,0 +1,141 @@
+"""Passes over a bag that is a sequence of records in a file or a pipe: what readers of MCAP and of ROS 1 share."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from typing import TYPE_CHECKING, Any, Self
+
+from odomcorrupt.bags.block import Block, without
+from odomcorrupt.bags.pipeline import read_ahead
+from odomcorrupt.bags.recovery_report import Undecodable, loss_of
+from odomcorrupt.bags.source import Source
+from odomcorrupt.errors import BagError
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Generator, Iterator, Mapping
+    from pathlib import Path
+    from types import TracebackType
+
+    from odomcorrupt.bags.block import Channel
+
+__all__ = ["RecordReader"]
+
+
+class RecordReader:
+    """Base class of readers of a file or pipe of records; see `BagReader`.
+
+    losses : parts that could not be read, one sentence each, with recovery
+    count : number of messages of the last pass
+    """
+
+    channels: Mapping[int, Channel]
+    _teller = ""
+    """What of the bag states the number of its messages."""
+
+    def __init__(self, path: Path | None, source: Source, *, recover: bool, threads: int) -> None:
+        self.name = source.name
+        self.paths = [] if path is None else [path]
+        self.complete = path is not None and source.size is not None
+        self.losses: list[str] = []
+        self.count = 0
+        self._recover = recover
+        self._threads = threads
+        self._source = self._reading = source
+        self._undecodable = Undecodable()
+        self._begun = False
+        self._first_losses = 0  # those of the header
+        self._data_start = 0
+
+    @property
+    def part_read(self) -> float | None:
+        """Part of the file's bytes read in this pass, 0 to 1; None where its size is unknown."""
+        return self._reading.position / self._reading.size if self._reading.size else None
+
+    def blocks(self, only: Container[int] | None = None) -> Iterator[Block]:  # noqa: ARG002 - all is as cheap
+        """Yield the blocks in file order; repeatable for a file, once for a pipe."""
+        del self.losses[self._first_losses :]
+        self._undecodable = Undecodable()
+        self.count = 0
+        if self.complete:
+            with Source.of_file(self.paths[0]) as source:
+                self._reading = source
+                source.seek(self._data_start)
+                yield from self._pass(source)
+        else:
+            if self._begun:
+                raise BagError(f"{self.name}: a pipe can be read once only; write it to a file first")
+            self._begun = True
+            yield from self._pass(self._source)
+            if not self._recover:
+                self._read_end(self._source)
+        self.losses += self._undecodable.losses(self.name)
+        stated = self._stated_count
+        if stated is not None and self.count < stated and not self.losses:
+            self._lose(
+                BagError(
+                    f"{self.name}: its {self._teller} of {stated} messages, {self.count} are there: the bag is "
+                    "damaged; --recover saves those"
+                )
+            )
+
+    def _pass(self, source: Source) -> Iterator[Block]:
+        """Yield the blocks of a source, and register channels on the way."""
+        parts: Iterator[Any] = self._parts(source)
+        if self._threads > 1 and self.complete and not self._recover:
+            parts = read_ahead(self._parts(source), lambda part: len(part.data))
+        with closing(parts):  # type: ignore[type-var] # both are generators
+            for part in parts:
+                block = self._taken(part)
+                if block is not None:
+                    yield block
+
+    def _finished(self, part: Any) -> Block:
+        """Return the messages of a chunk; with recovery those that are intact."""
+        try:
+            block = self._block(part)
+        except BagError as error:
+            self._lose(error)
+            block = self._salvaged(part)
+        if self._recover:
+            block = without(block, self._undecodable.find(block, self.channels))
+        self.count += len(block.table)
+        return block
+
+    def _lose(self, error: BagError) -> None:
+        """Record a loss with recovery, else raise the error."""
+        if not self._recover:
+            raise error
+        self.losses.append(loss_of(error))
+
+    def _parts(self, source: Source) -> Generator[Any, None, None]:
+        """Yield chunks, and what is between them; each part's `data` are its bytes."""
+        raise NotImplementedError
+
+    def _taken(self, part: Any) -> Block | None:
+        """Return the block that a part becomes, or None where there is nothing to write in it."""
+        raise NotImplementedError
+
+    def _block(self, part: Any) -> Block:
+        """Return a chunk as a block; BagError where it is damaged."""
+        raise NotImplementedError
+
+    def _salvaged(self, part: Any) -> Block:
+        """Return the intact messages of a damaged chunk."""
+        raise NotImplementedError
+
+    def _read_end(self, source: Source) -> None:
+        """Read what follows the blocks on a pipe."""
+        raise NotImplementedError
+
+    @property
+    def _stated_count(self) -> int | None:
+        """Number of messages that the bag states, if it does."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._source.close()
