@@ -75,8 +75,10 @@ class Batch(Result):
     def summary(self) -> Summary:
         """Return how many runs there are, with their drift, and what failed."""
         from odomcorrupt.batching.summary import brief
+        from odomcorrupt.corruption.summary import places_lines
 
-        return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses)
+        places = places_lines(self.jobs[0].model) if self.jobs else []
+        return brief(self.directory, self.records, self.made_now, self.seed, self.failures, self.losses, places)
 
     def details(self) -> str:
         """Return the same in sentences."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from odomcorrupt.api.bag_options import bag_path, split_options
 from odomcorrupt.api.model import as_model
@@ -99,7 +99,7 @@ def correct(
     target: str | PathLike[str],
     *,
     model: ModelLike | None = None,
-    start_xyt: Sequence[float] | None = None,
+    start_xyt: Sequence[float] | Literal["odom"] | None = None,
     watch: Callable[[Block], None] = lambda _: None,
     **options: Unpack[BagOptions],
 ) -> Correction:
@@ -111,8 +111,9 @@ def correct(
         Bags; the source is read twice and cannot be a pipe, the target may be "-".
     model : Model or path of a model file
         As `fit` and `learn` make it; None copies the bag.
-    start_xyt : (3,), optional
-        Where the odometry begins in the frame whose places effects read, metres and radians.
+    start_xyt : (3,) or "odom", optional
+        Where the odometry begins in the frame whose places effects read, metres and radians; "odom": that frame is the
+        odometry's own. Needed for a learned model with such effects.
     watch : callable
         Called with every block written.
     **options
@@ -126,7 +127,8 @@ def correct(
     Raises
     ------
     BagError, TopicError, EffectError
-        Where a bag cannot be read or written, there is no odometry, or no true motion explains it.
+        Where a bag cannot be read or written, there is no odometry, or no true motion explains it; where effects of
+        places were learned and no start is given.
 
     Examples
     --------
@@ -139,14 +141,16 @@ def correct(
     """
     import numpy as np
 
-    from odomcorrupt.correction.run import SILENT, correct_bag
+    from odomcorrupt.correction.run import SILENT, correct_bag, require_start
 
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which a pipe cannot give; name a file")
     moved, container = split_options(options)
     robot = SILENT if model is None else as_model(model).motion_model
-    start = None if start_xyt is None else np.array(start_xyt, dtype=np.float64)
+    if start_xyt is None:
+        require_start(robot)
+    start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)
     outcome = correct_bag(
         before, bag_path(target), robot, options=moved, container=container, start_xyt=start, watch=watch
     )

@@ -39,7 +39,7 @@ class Findings(Result):
 
     @property
     def verdict(self) -> Literal["complete", "missing", "unknown"]:
-        """Whether something was found; unknown where something is left that no known effect explains."""
+        """Whether an effect of the robot was found; unknown where something is left that no known effect explains."""
         return cast('Literal["complete", "missing", "unknown"]', self.to_dict()["verdict"])
 
     @property
@@ -49,8 +49,9 @@ class Findings(Result):
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of the effects that were found, the one with the most evidence first."""
-        return self.result.search.added
+        """Names of the robot's effects that were found, the one with the most evidence first."""
+        search = self.result.search
+        return tuple(name for name in search.added if name not in search.of_setup)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row for each parameter of what was found."""

@@ -27,11 +27,12 @@ def brief(
     seed: int,
     failures: Sequence[Failure],
     losses: Sequence[str],
+    places: Sequence[Line] = (),
 ) -> Summary:
-    """Return the summary of a batch: number of runs, drift, failures, next command."""
+    """Return the summary of a batch: number of runs, effects of places, drift, failures, next command."""
     tone: Tone = "bad" if failures else "good"
     lines = [Line("FAILED" if failures else "MADE", f"{made_now} runs made now, {len(records)} in {directory}", tone)]
-    lines.append(Line("seed", str(seed)))
+    lines += [*places, Line("seed", str(seed))]
     drifts = [record["drift"] for record in records if "end_drawn_m" in record.get("drift", {})]
     if drifts:
         metres = math.sqrt(sum(d["end_drawn_m"] ** 2 for d in drifts) / len(drifts))

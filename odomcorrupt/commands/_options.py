@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-__all__ = ["FILE", "PICTURES", "POSE", "TRACK", "Decorator", "Number", "Share", "added", "check_picture",
+__all__ = ["FILE", "PICTURES", "POSE", "START", "TRACK", "Decorator", "Number", "Share", "added", "check_picture",
            "need_pictures", "one_of", "picture_kind", "save_picture"]  # fmt: skip
 
 FILE = click.Path(dir_okay=False, path_type=Path)
@@ -86,6 +86,7 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     """A pose, "x,y,heading" in metres and radians; the heading may be in degrees, as in 30deg."""
 
     name = "X,Y,THETA"
+    _else = ""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the pose as a tuple of three floats."""
@@ -100,11 +101,22 @@ class _Pose(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
         except ModelError:
             pose = ()
         if len(pose) != 3 or "deg" in parts[0] + parts[1]:
-            self.fail(f"{value!r} is no pose; write x,y,heading as in 0.2,0.35,10deg", param, ctx)
+            self.fail(f"{value!r} is no pose; write x,y,heading as in 0.2,0.35,10deg{self._else}", param, ctx)
         return pose
 
 
-POSE = _Pose()
+class _Start(_Pose):
+    """A pose, or "odom" for the origin of the odometry's own frame."""
+
+    name = "X,Y,THETA|odom"
+    _else = ", or odom"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the pose as a tuple of three floats, or the word."""
+        return value if value == "odom" else super().convert(value, param, ctx)
+
+
+POSE, START = _Pose(), _Start()
 
 
 def need_pictures() -> None:

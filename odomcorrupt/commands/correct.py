@@ -9,7 +9,7 @@ import click
 
 from odomcorrupt.commands._bag import bag_words, container_options, frame_options, keeping_options
 from odomcorrupt.commands._model import choose_model
-from odomcorrupt.commands._options import FILE, POSE
+from odomcorrupt.commands._options import FILE, START
 from odomcorrupt.commands._progress import Progress
 from odomcorrupt.commands._standard import chosen_output, output_option, standard_options
 
@@ -31,7 +31,11 @@ __all__ = ["command"]
 )  # fmt: skip
 @frame_options
 @keeping_options
-@click.option("--start", type=POSE, help="Where the drive began, for effects of places. [default: as odometry has it]")
+@click.option(
+    "--start", type=START,
+    help="Where the odometry begins in the frame of effects of places; odom: that frame is its own. [needed by those "
+    "that were learned]",
+)  # fmt: skip
 @click.option("--keep-localisation", is_flag=True, help="Move map -> odom the other way, so that map -> base stays.")
 @container_options
 @standard_options
@@ -42,6 +46,8 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     Random effects cannot be undone, but for lost increments; the summary names them.
     """
     from odomcorrupt.api.correction import correct
+    from odomcorrupt.correction.run import require_start
+    from odomcorrupt.errors import EffectError
 
     target = chosen_output(output, output_option)
     if input_ == "-":
@@ -51,6 +57,11 @@ def command(input_: str, output: str | None, output_option: str | None, *, voice
     if target == "-" and sys.stdout.isatty():
         raise click.UsageError("OUTPUT is - but stdout is a terminal; redirect it to a file or a pipe")
     chosen = choose_model(given) if given["effects"] or given["model"] else None
+    if chosen is not None and given["start"] is None:
+        try:
+            require_start(chosen.motion_model)
+        except EffectError as error:
+            raise click.UsageError(str(error)) from error
     with Progress(quiet=voice.quiet) as progress:
         done = correct(input_, target, model=chosen, start_xyt=given["start"], watch=progress, **bag_words(given))
     voice.show(done, err=True)

@@ -13,7 +13,7 @@ from odomcorrupt.corruption.covariance import SUMS, NoiseSteps, sum_terms
 from odomcorrupt.corruption.path import PathSamples, StepGrowth, noise_variances
 from odomcorrupt.corruption.run import corrupt_bag, outcome_of, provenance
 from odomcorrupt.corruption.transform import Transform
-from odomcorrupt.errors import BagError
+from odomcorrupt.errors import BagError, EffectError
 from odomcorrupt.geometry.rounded_stamps import evened
 from odomcorrupt.geometry.se2 import compose, inverse
 from odomcorrupt.model.motion_model import MotionModel, Noise
@@ -40,6 +40,7 @@ __all__ = [
     "MeasuredPath",
     "correct_bag",
     "corrected_samples",
+    "require_start",
     "split_effects",
 ]
 
@@ -187,6 +188,20 @@ def split_effects(model: MotionModel) -> Effects:
     )
 
 
+def require_start(model: MotionModel) -> None:
+    """Raise EffectError where a model needs to be told where the odometry begins.
+
+    Its effects of places and headings were learned in the frame of a truth; in another frame they make odometry worse.
+    """
+    names = ", ".join(effect.name for effect in model.placed)
+    if names:
+        raise EffectError(
+            f"{names}: depends on position or heading in the frame of the truth that the model was learned from; give "
+            "the pose at which this odometry begins in it with --start X,Y,THETA, or --start odom where that frame is "
+            "the odometry's own"
+        )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Corrected:
     """What a correction did.
@@ -249,9 +264,10 @@ def correct_bag(
     """
     effects = split_effects(model)
     if not effects.undone:
-        copied = corrupt_bag(source, target, SILENT, seed=0, run=0, options=options, container=container, watch=watch)
+        silent = replace(SILENT, source=model.source)
+        copied = corrupt_bag(source, target, silent, seed=0, run=0, options=options, container=container, watch=watch)
         return Corrected(model=model, effects=effects, unplaced=(), run=copied)
-    path = CorrectedPath(_measured(source, options, container).corrected(model, start_xyt))
+    path = CorrectedPath(_measured(source, model, options, container).corrected(model, start_xyt))
     clocks = tuple(effect for effect in effects.undone if effect.clock)
     still = tuple(effect for effect in effects.undone if not effect.clock)
     moving = replace(model, effects=(*still, ClockInverse(clocks)))
@@ -275,13 +291,14 @@ def correct_bag(
             transform.require_frame()
             writer.provenance("odomcorrupt_correct", provenance(model))
         outcome = outcome_of(transform, reader, model, seed=0, run=0)
-    unplaced = tuple(effect for effect in still if start_xyt is None and effect.reads_places)
+    # learned ones come with a start, or it was said that they need none
+    unplaced = tuple(e for e in still if start_xyt is None and e.reads_places and e not in model.placed)
     return Corrected(model=model, effects=effects, unplaced=unplaced, run=outcome)
 
 
-def _measured(source: Path, options: Options, container: Container) -> MeasuredPath:
+def _measured(source: Path, model: MotionModel, options: Options, container: Container) -> MeasuredPath:
     """Read the odometry, in the order in which it will be read again."""
-    transform, measured = Transform(SILENT, 0, 0, options), MeasuredPath()
+    transform, measured = Transform(replace(SILENT, source=model.source), 0, 0, options), MeasuredPath()
     transform.watchers.append(measured)
     with open_reader(source, recover=container.recover) as reader:
         for _ in transform.blocks(reader, reader.name):

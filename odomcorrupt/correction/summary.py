@@ -11,6 +11,7 @@ from odomcorrupt.corruption.summary import (
     moved_words,
     size_words,
     stream_oddities,
+    topic_words,
     travel_words,
 )
 from odomcorrupt.report.text.summary import Line, Summary, command_line
@@ -49,17 +50,18 @@ def brief(corrected: Corrected, target: str) -> Summary:
     else:
         lines = [Line("UNCHANGED", "the model has no effect that can be taken out: the bag was copied", "warning")]
     lines += [Line("clock", sentence, "warning") for sentence in _clock_left(corrected)]
+    if corrected.unplaced:
+        names = ", ".join(effect.name for effect in corrected.unplaced)
+        said = f"{names}: taken out at places and headings of the frame {corrected.run.frames.odom}; see --start"
+        lines.insert(1, Line("places", said, "warning"))
     lines[1:1] = lost_lines(corrected.run)
-    lines += [Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)})")]
+    lines += [
+        Line("odometry", f"{moved_words(corrected.run)} ({travel_words(corrected.run)}){topic_words(corrected.run)}")
+    ]
     lines += [Line("remains", f"{e.name}: {_WHY_NOT.get(e.name, _RANDOM)}", "warning") for e in corrected.effects.left]
     lines += [Line("remains", sentence.removeprefix("What remains is ")) for sentence in _remains(corrected)]
     odd = (sentence for sentence in _oddities(corrected.run) if not sentence.startswith("Lost: "))
     lines += [Line("odd", sentence, "warning") for sentence in odd]
-    if corrected.unplaced:
-        names = ", ".join(effect.name for effect in corrected.unplaced)
-        lines.append(
-            Line("places", f"{names}: evaluated in the frame {corrected.run.frames.odom}; see --start", "warning")
-        )
     following = () if target == "-" else (command_line(["odomcorrupt", "info", target]),)
     return Summary((*lines, *following))
 
@@ -69,7 +71,7 @@ def correction_summary(corrected: Corrected) -> str:
     undone, run = corrected.effects.undone, corrected.run
     if undone:
         parts = [
-            f"Corrected: {moved_words(run)}, driven by {run.odometry} ({travel_words(run)}).",
+            f"Corrected: {moved_words(run)}, driven by {run.odometry}{topic_words(run)} ({travel_words(run)}).",
             f"Taken out: {', '.join(effect_words(effect) for effect in undone)}.",
             _shift(corrected),
         ]

@@ -69,7 +69,7 @@ def says_truth(topic: str) -> bool:
     return bool(_TRUTH.search(topic.lower()))
 
 
-def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> str:
+def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str, usual: str | None = None) -> str:
     """Return the topic of the odometry source.
 
     Parameters
@@ -80,6 +80,8 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> s
         Requested topic; None for the only odometry topic.
     bag : str
         Name of the bag, for error messages.
+    usual : str or None
+        Topic that is taken where there are several and it is among them: the one that a model was learned from.
 
     Returns
     -------
@@ -109,12 +111,13 @@ def find_odometry(channels: Iterable[Channel], asked: str | None, bag: str) -> s
         if any(c.msgtype in TRANSFORMS for c in channels):
             way_out = "to corrupt TF alone, name its edge with --odom-frame and --base-frame"
         raise TopicError(f"{bag}: no nav_msgs/Odometry topic (found {found}); {way_out}")
-    if len(topics) > 1:
+    same = [topic for topic in topics if usual is not None and plain(topic) == plain(usual)]
+    if len(topics) > 1 and not same:
         raise TopicError(
             f"{bag}: {len(topics)} nav_msgs/Odometry topics ({', '.join(topics)}); name the one that drives the "
             "model with --odom-topic"
         )
-    return topics[0]
+    return same[0] if same else topics[0]
 
 
 def resolve_frames(item: Item, topic: str, *, odom_frame: str | None, base_frame: str | None) -> Frames:
@@ -193,6 +196,7 @@ def _last(frame: str) -> str:
 class OdometrySource:
     """Odometry source of a bag: finds its topic and reads its poses.
 
+    usual : topic to take where there are several and none was requested
     topic : its topic, as requested until the first message; None for any TF topic
     frames : of its first message, or of the options
     by_edge : whether the source is a TF edge
@@ -200,8 +204,11 @@ class OdometrySource:
     faults : counts of unusable poses
     """
 
-    def __init__(self, topic: str | None, odom_frame: str | None, base_frame: str | None) -> None:
+    def __init__(
+        self, topic: str | None, odom_frame: str | None, base_frame: str | None, usual: str | None = None
+    ) -> None:
         self.topic = topic
+        self._usual = usual
         self.frames: Frames | None = None
         self._asked = topic
         self._odom_frame = odom_frame
@@ -246,7 +253,7 @@ class OdometrySource:
         if self._odom_frame is not None and self._base_frame is not None and self._only_transforms(channels):
             self._use_edge()
         else:
-            self.topic = find_odometry(channels, self._asked, name)
+            self.topic = find_odometry(channels, self._asked, name, self._usual)
 
     def _only_transforms(self, channels: Iterable[Channel]) -> bool:
         readable = [c for c in channels if c.encoding in ENCODINGS]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from odomcorrupt.corruption.drift import LEG_M
 from odomcorrupt.corruption.inverse import acts
+from odomcorrupt.corruption.odometry_source import ODOMETRY, plain
 from odomcorrupt.corruption.pose_faults import frame_faults
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.effects.effect import choices, parameters
@@ -33,9 +34,11 @@ __all__ = [
     "moved_words",
     "oddities",
     "per_message",
+    "places_lines",
     "size_words",
     "stream_oddities",
     "summary",
+    "topic_words",
     "travel_words",
 ]
 
@@ -74,9 +77,15 @@ def brief(outcome: Outcome, origin: str, target: str, remarks: Sequence[str] = (
             said += f" (noise: {_expected(drift.end_expected_m, drift.end_expected_rad)})"
         lines = [Line("MOVED", said, "good")]
         lines.append(Line("model", model_brief(outcome.model, origin.partition(":")[0])))
-    lines[1:1] = lost_lines(outcome)
+    lines[1:1] = [*lost_lines(outcome), *places_lines(outcome.model, outcome.frames.odom)]
     lines.append(Line("seed", f"{outcome.seed}, run {outcome.run}"))
-    lines.append(Line("odometry", _counted(outcome), "plain" if outcome.changes.edges or outcome.added else "warning"))
+    lines.append(
+        Line(
+            "odometry",
+            _counted(outcome) + topic_words(outcome),
+            "plain" if outcome.changes.edges or outcome.added else "warning",
+        )
+    )
     odd = [sentence for sentence in oddities(outcome) if not sentence.startswith("Lost: ")]
     true = topics_with_true_motion(outcome.channels, outcome.changes.odometry, outcome.placed, outcome.frames.odom)
     if true and not silent:
@@ -98,6 +107,22 @@ def lost_lines(outcome: Outcome) -> list[Line]:
     return [Line("LOST", textwrap.shorten(first, _LOST_WIDTH, placeholder=" ...") + more, "bad")]
 
 
+def places_lines(model: MotionModel, frame: str = "odom") -> list[Line]:
+    """Return a line on effects of places, which were learned in a truth's frame and act in the odometry's, or none."""
+    names = ", ".join(effect.name for effect in model.placed)
+    said = f"{names}: learned in the frame of a truth, and acts at places and headings of the frame {frame}"
+    return [Line("places", said, "warning")] if names else []
+
+
+def topic_words(outcome: Outcome) -> str:
+    """Return that the model was learned from this topic, where a bag has others, or nothing."""
+    topics = {channel.topic for channel in outcome.channels if channel.msgtype == ODOMETRY}
+    others = ", ".join(sorted(topic for topic in topics if plain(topic) != plain(outcome.odometry)))
+    if not others or plain(outcome.odometry) != plain(outcome.model.odometry_topic or ""):
+        return ""
+    return f" (the topic that the model was learned from; not {others})"
+
+
 def _counted(outcome: Outcome) -> str:
     """Return the moved topics and edges with their numbers of messages."""
     changes = outcome.changes
@@ -110,7 +135,7 @@ def _counted(outcome: Outcome) -> str:
 def summary(outcome: Outcome, origin: str) -> str:
     """Return one paragraph: changed topics, model, drift, and topics that are not changed."""
     silent = _is_silent(outcome.model)
-    said = f"{moved_words(outcome)}, driven by {outcome.odometry} ({travel_words(outcome)})"
+    said = f"{moved_words(outcome)}, driven by {outcome.odometry}{topic_words(outcome)} ({travel_words(outcome)})"
     parts = [
         f"{'Nothing to change' if silent else 'Moved'}: {said}.",
         f"{model_words(outcome.model, origin)}, seed {outcome.seed}, run {outcome.run}.",
@@ -297,5 +322,10 @@ def stream_oddities(outcome: Outcome, *, follow: str, restart: str, late: str) -
     ]
     remarks = [f"{remark}." for remark in outcome.remarks]
     lost = [f"Lost: {loss}." for loss in outcome.losses]
-    said = [*static, *lost, *remarks, *(sentence for sentence, count in counted.items() if count > 0)]
+    said = [
+        *static,
+        *lost,
+        *remarks,
+        *(sentence for sentence, count in counted.items() if count > 0),
+    ]
     return [*said, *(f"{fault[0].upper()}{fault[1:]}." for fault in outcome.faults.sentences())]

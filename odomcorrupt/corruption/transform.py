@@ -118,7 +118,8 @@ class Transform:
         self.order = TimeOrder()
         self.drift = DriftMeter()
         self.watchers: list[PathWatcher] = [self.drift]
-        self.odometry = OdometrySource(self.options.odom_topic, self.options.odom_frame, self.options.base_frame)
+        asked = self.options
+        self.odometry = OdometrySource(asked.odom_topic, asked.odom_frame, asked.base_frame, model.odometry_topic)
         self.unusable = 0
         self.seen: set[int] = set()
         self.placed: dict[int, str] = {}

@@ -131,7 +131,7 @@ class MotionModel:
 
     standard_errors maps "effect.parameter" and names of coefficients to one standard error, where a fit made them.
     correlation says how these errors hang together, of the parameters that it names.
-    source says where the numbers come from: "recordings" lists the files that were fitted.
+    source says where the numbers come from: "recordings" lists the files that were fitted, "odometry" is their topic.
     """
 
     noise: Noise
@@ -141,6 +141,18 @@ class MotionModel:
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     source: Mapping[str, str | float | list[str]] = field(default_factory=dict)
     correlation: Correlation = field(default_factory=Correlation)
+
+    @property
+    def odometry_topic(self) -> str | None:
+        """Topic of the odometry that it was learned from, if it says so."""
+        topic = self.source.get("odometry")
+        return topic if isinstance(topic, str) else None
+
+    @property
+    def placed(self) -> tuple[Effect, ...]:
+        """Effects of places and headings in the frame of the truth that it was learned from."""
+        learned = bool(self.source.get("recordings"))
+        return tuple(effect for effect in self.effects if learned and effect.reads_places and effect.acts)
 
     @property
     def silent(self) -> bool:

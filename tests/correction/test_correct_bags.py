@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from bag_contents import rows_of
 
+from odomcorrupt.api.correction import correct
 from odomcorrupt.cli import run
+from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.se2 import wrap
 
 FIXTURES = Path(__file__).parent.parent.parent / "fixtures"
@@ -168,6 +170,40 @@ def test_effects_of_places_ask_where_the_drive_began(tmp_path, capsys):
     silent, same_path, other = (rows_of(tmp_path / f"{n}.mcap", "/odom").xyt for n in ("silent", "same", "turned"))
     assert differ(same_path, silent) < 1e-9
     assert differ(other, silent) > 0.05
+
+
+def test_learned_effects_of_places_are_not_taken_out_before_their_frame_is_given(tmp_path, capsys):
+    model, out = tmp_path / "robot.toml", tmp_path / "out.mcap"
+    slope = '\n[[effect]]\nname = "slope"\ncreep = 0.02\n\n[source]\nrecordings = ["run.mcap"]\n'
+    model.write_text(NOISE + slope)
+    words = ["correct", str(FIXTURES / "office.mcap"), str(out), "--model", str(model)]
+    assert run(words) == 2
+    assert "slope: depends on position or heading in the frame of the truth" in capsys.readouterr().err
+    assert not out.exists()
+    assert run([*words, "--start", "odom"]) == 0
+    assert "--start" not in capsys.readouterr().err
+    with pytest.raises(EffectError, match="give the pose at which this odometry begins"):
+        correct(FIXTURES / "office.mcap", tmp_path / "other.mcap", model=model)
+    assert run([str(FIXTURES / "office.mcap"), str(tmp_path / "noisy.mcap"), "--model", str(model)]) == 0
+    assert capsys.readouterr().err.splitlines()[1].startswith("places  ")
+
+
+@pytest.mark.parametrize("learned_from", ["/odom", "/wheels", "/gone"])
+def test_of_several_odometry_topics_the_one_that_was_learned_from_is_taken(tmp_path, capsys, learned_from):
+    source, model = FIXTURES / "office.mcap", tmp_path / "robot.toml"
+    two = tmp_path / "two.mcap"
+    silent = ["--effect", "wheel_scale:e=0.01", "--seed", "1"]
+    assert run([str(source), str(two), *silent, "--keep-truth", "/wheels"]) == 0
+    model.write_text(NOISE + f'\n[[effect]]\nname = "wheel_scale"\ne = 0.01\n\n[source]\nodometry = "{learned_from}"\n')
+    capsys.readouterr()
+    code = run(["correct", str(two), str(tmp_path / "out.mcap"), "--model", str(model)])
+    said = " ".join(capsys.readouterr().err.split())
+    assert code == int(learned_from == "/gone")
+    if code:
+        assert "2 nav_msgs/Odometry topics" in said
+    else:
+        other = {"/odom": "/wheels", "/wheels": "/odom"}[learned_from]
+        assert f"(the topic that the model was learned from; not {other})" in said
 
 
 def test_noise_that_loses_the_place_is_said_of_effects_that_act_at_places(tmp_path, capsys):

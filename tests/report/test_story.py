@@ -23,7 +23,7 @@ from odomcorrupt.report.text.comparison import comparison_text
 from odomcorrupt.report.text.design import advice_text, limits_sentence
 from odomcorrupt.report.text.diagnosis import NOTHING, found_text, shares_text
 from odomcorrupt.report.text.fit import fit_text, laws_table
-from odomcorrupt.report.text.lack_of_fit import rejection
+from odomcorrupt.report.text.lack_of_fit import rejection, within
 from odomcorrupt.report.text.numbers import clock_lines, fitted_expression, law_numbers, value_text
 from odomcorrupt.study.design.advise import Advice, Ambiguity, DetectionLimit, UntestableEffect
 from odomcorrupt.study.design.manoeuvres import MANOEUVRES, Limits
@@ -36,6 +36,7 @@ from odomcorrupt.study.select.score import Score
 from odomcorrupt.study.terms.basis import BasisFunction
 from odomcorrupt.study.terms.channels import Action
 from odomcorrupt.study.terms.term import BasisTerm
+from odomcorrupt.study.validate.lack_of_fit import Failure
 
 PLANS = {one.name: plan_of(one, Limits(0.5, 0.8), 60.0) for one in MANOEUVRES}
 PLAN = next(plan for plan in PLANS.values() if plan.fastest_mps > 0.0)
@@ -187,7 +188,7 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     text = found_text(poor, NONE, evaluated=first)
     assert text == f"no known effect is missing, but the model is rejected: {rejection(first)}"
     assert "times the predicted ones (NEES " in text
-    assert "an effect that is not in the library remains" in text
+    assert "an effect that is not in the model remains" in text
     assert found_text(poor, NONE, evaluated=kept(first)) == NOTHING
     beside = found_text(replace(rich, unknown=(), laws=()), NONE, evaluated=first)
     assert "no further known effect is missing, but" in beside
@@ -197,6 +198,28 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
         learned_json(poor, sequence.judgements[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
     ]
     assert told == [rejection(first), None]
+
+
+def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
+    first = sequence.judgements[0]
+    push = Failure(
+        kind="moment", channel="across", where="within 0.5 s at 59.8 s", per="", measured=-0.14, expected=0.001,
+        amount=1.0, log_p=-90.0,
+    )  # fmt: skip
+    said = rejection(replace(first, failures=(*first.failures, push)))
+    assert said.endswith(
+        "what happened at once remains (a push, a slip or a jump of the truth: within 0.5 s at 59.8 s)"
+    )
+    assert rejection(replace(first, failures=())).endswith("an effect that is not in the model remains")
+
+
+def test_a_model_that_holds_is_not_said_to_be_right_about_errors_that_only_its_uncertainty_allows(sequence):
+    first = sequence.judgements[0]
+    wide = tuple(replace(h, nees=9.0, nees_bounds=(0.5, 400.0)) for h in first.horizons)
+    held = replace(first, horizons=wide, verdict=replace(first.verdict, misfit=1.0))
+    assert within(held).startswith("errors are up to 3.0 times the predicted ones, which the standard errors of its")
+    right = tuple(replace(h, nees=1.0) for h in wide)
+    assert within(replace(held, horizons=right)).startswith("errors are as large as the predicted ones;")
 
 
 def test_errors_too_small_reject_a_model_and_leave_nothing_to_name(sequence):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wandering import noisy_path, recording, wander
 
-from odomcorrupt.geometry.increments import Increments
+from odomcorrupt.geometry.increments import Increments, increments
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.report.json.diagnosis import reproduction_json
 from odomcorrupt.report.text.lack_of_fit import reproduction_sentence
@@ -67,6 +67,24 @@ def test_a_model_that_draws_far_too_much_is_said_to(plain):
     one = reproduction_of(plain, wild)
     assert one.too_large
     assert "its noise is too large" in reproduction_sentence(one)
+
+
+def test_errors_of_places_in_the_truth_that_were_taken_for_noise_show_in_the_long_run():
+    """Beside the truth's own noise 10 s say nothing of a robot that is as good as the cameras' map."""
+    t_s = np.arange(0.0, 480.0, 0.02)
+    xy = np.column_stack((2.0 * np.cos(0.13 * t_s), 1.5 * np.sin(0.19 * t_s)))
+    steps = increments(np.column_stack((xy, np.unwrap(np.arctan2(*np.gradient(xy, axis=0).T[::-1])))))
+    path = noisy_path(steps, Coefficients(1e-4, 1e-4, 1e-4, 0.0), 7)
+    run = recording(steps, path, truth_mm=4.0, truth_rad=5e-3, seed=7)
+    xyt, places = run.truth.xyt.copy(), np.random.default_rng(2)
+    waves, phases = places.normal(0.0, 1.4, (2, 40)), places.uniform(0.0, 2.0 * np.pi, (3, 40))
+    xyt += [[5e-3, 5e-3, 3e-3]] * np.sum(np.cos((xyt[:, :2] @ waves)[:, None] + phases), axis=2) / np.sqrt(20.0)
+    fitted = fit([replace(run, truth=replace(run.truth, xyt=xyt))], approach=Approach())
+    one = reproduction_of(fitted, model_of(fitted))
+    assert one.long is not None
+    assert one.long.too_large
+    assert one.drawn_m < 1.5 * one.measured_m
+    assert "corrupted with this model 120 s err by" in reproduction_sentence(one)
 
 
 def test_an_excursion_of_the_truth_alone_is_no_drift_of_the_robot():

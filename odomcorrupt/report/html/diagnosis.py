@@ -105,8 +105,9 @@ _UNKNOWN = "What is left when everything that was found is taken out, as a curve
 
 def _verdict(story: Story) -> str:
     learned, parts = story.learned, []
-    if learned.added:
-        names = [_named(step.added, step.alternatives, learned) for step in learned.steps if step.added is not None]
+    if any(name not in learned.of_setup for name in learned.added):
+        steps = [(step.added, step.alternatives) for step in learned.steps if step.added is not None]
+        names = [_named(name, rivals, learned) for name, rivals in steps if name not in learned.of_setup]
         parts.append(f"missing: {', then '.join(names)}")
     if learned.noise:
         parts.append(f"noise that is there: {', '.join(dict.fromkeys(gain.effect.name for gain in learned.noise))}")

@@ -64,7 +64,7 @@ def learned_json(
             held_out = {"held_out": _held_out(sequence[place], sequence[place + 1])}
             found.append(entry | held_out | _matters(step.added, learned))
     found += [_noise(gain, learned) for gain in learned.noise]
-    missing = any(not one["negligible"] for one in found)
+    missing = bool(learned.lacking or learned.noise)
     return finite(
         {
             "schema": SCHEMA,
@@ -130,6 +130,13 @@ def reproduction_json(one: Reproduction) -> dict[str, Any]:
             "measured_rmse_10s": one.measured_m,
             "corrupted_rmse_10s": one.drawn_m,
             "corrupted_rmse_10s_range": [one.least_m, one.most_m],
+            "long": one.long
+            and {
+                "after_s": one.long.after_s,
+                "measured_rmse": one.long.measured_m,
+                "corrupted_rmse": one.long.drawn_m,
+                "corrupted_rmse_least": one.long.least_m,
+            },
             "holds": one.holds,
             "outliers": {"count": one.outliers, "duration_s": one.outlier_s, "share": one.outlier_share},
             "sentence": reproduction_sentence(one) or None,

@@ -80,7 +80,9 @@ def findings_brief(
     undecided = {name for choice in advice.choices for name in choice.names}
     lines, negligible = _found_lines(search, fit or search.fit, undecided)
     verdict, tone = _verdict(search, comparison)
+    apart = _apart_words(search)
     none = "nothing that matters is missing" if negligible else "no known effect explains more than chance"
+    none = f"the robot's model is complete; {apart}" if apart else none
     named = verdict != "COMPLETE" and bool(lines)
     first = lines[0].text if named else none
     if verdict == "COMPLETE" and reproduction is not None and reproduction.too_small and reproduction.by_outliers:
@@ -119,10 +121,23 @@ def findings_brief(
 def _verdict(search: Learned, comparison: Comparison) -> tuple[str, Tone]:
     if search.unexplained and not search.laws:
         return "UNKNOWN", "warning"
-    if search.matters or search.noise or search.unexplained or any(clocks_found(search.clocks)):
+    if search.lacking or search.noise or search.unexplained:
         mixed = len(comparison.judgements) > 1 and agreement_of(comparison).verdict in ("mixed", "worse")
         return "MISSING", "warning" if mixed else "good"
     return "COMPLETE", "good"
+
+
+def _apart_words(search: Learned) -> str:
+    """Return what was found of the recording alone, its clocks and what the truth follows; "" for nothing."""
+    said = []
+    for one in {one.name: one for one in reversed([*clocks_found(search.clocks)])}.values():
+        late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
+        by = f"{abs(one.value) * 1e3:.2g} ms"
+        offset = one.name == "time_offset"
+        said.append(f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart")
+    if search.of_setup:
+        said.append(f"the truth follows another point than the base ({', '.join(search.of_setup)})")
+    return ", and ".join(said)
 
 
 def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[Line], list[Line]]:
@@ -145,7 +160,10 @@ def _found_lines(search: Learned, fit: Fit, undecided: set[str]) -> tuple[list[L
                 continue
             rivals = [name for name in step.alternatives if name not in {*readings_of(effect, drive), *undecided}]
             said += f"  {confidence_words(step_confidence(step, search))}"
-            lines.append(Line("", f"{said}, or {', '.join(rivals)}" if rivals else said))
+            label = "set-up" if step.added in search.of_setup else ""
+            lines.append(Line(label, f"{said}, or {', '.join(rivals)}" if rivals else said))
+    # what is missing is what the robot lacks
+    lines.sort(key=lambda line: bool(line.label))
     for unknown in search.unknown[:2]:
         expression = fitted_expression(unknown, law_numbers(unknown, search, fit))
         if unknown in search.unexplained:

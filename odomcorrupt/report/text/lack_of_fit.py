@@ -5,6 +5,8 @@ from __future__ import annotations
 from math import degrees, isfinite
 from typing import TYPE_CHECKING
 
+from odomcorrupt.study.validate.goodness_of_fit import PRACTICAL_FACTOR
+
 if TYPE_CHECKING:
     from odomcorrupt.study.validate.calibration import Horizon
     from odomcorrupt.study.validate.compare import Judgement
@@ -94,10 +96,20 @@ def rejection(judgement: Judgement) -> str:
     large = [h for h in judgement.horizons if h.nees > h.nees_bounds[1]]
     small = [h for h in judgement.horizons if h.nees < h.nees_bounds[0]]
     if large:
-        return f"{said}; {_times(max(large, key=lambda h: h.nees))}: an effect that is not in the library remains"
+        said = f"{said}; {_times(max(large, key=lambda h: h.nees))}"
+        return f"{said}: {_remaining(judgement)}" if verdict.fails else said
     if small:
         return f"{said}; {_times(min(small, key=lambda h: h.nees))}: it predicts more noise than was measured"
     return f"{said}; the size of its errors is as predicted"
+
+
+def _remaining(judgement: Judgement) -> str:
+    """Return what may make errors larger than predicted."""
+    sudden = next((failure for failure in judgement.failures if failure.kind == "moment"), None)
+    if sudden is not None:
+        return f"what happened at once remains (a push, a slip or a jump of the truth: {sudden.where})"
+    localised = any(piece.recording.localised for piece in judgement.pieces)
+    return f"{'errors of the localisation, or ' if localised else ''}an effect that is not in the model remains"
 
 
 def within(judgement: Judgement) -> str:
@@ -107,8 +119,11 @@ def within(judgement: Judgement) -> str:
         return ""
     worst = verdict.against[0]
     factor = max(verdict.misfit, 1.0 / max(verdict.misfit, 1e-12))
-    said = f"within {factor:.2f} times" if factor > 1.005 else "as large as"
-    return f"errors are {said} the predicted ones; a difference is significant ({worst.question}, p {_p(worst.p)})"
+    largest = max((h.nees**0.5 for h in judgement.horizons), default=1.0)
+    said = f"within {factor:.2f} times the predicted ones" if factor > 1.005 else "as large as the predicted ones"
+    if factor < largest > PRACTICAL_FACTOR:
+        said = f"up to {largest:.1f} times the predicted ones, which the standard errors of its parameters allow"
+    return f"errors are {said}; a difference is significant ({worst.question}, p {_p(worst.p)})"
 
 
 def reproduction_sentence(one: Reproduction) -> str:
@@ -127,6 +142,10 @@ def reproduction_sentence(one: Reproduction) -> str:
         why = f"{carry} (slip_burst or push)" if one.by_outliers else "something that makes it drift is not in it"
         return f"{drifts}: {why}"
     if one.too_large:
+        if one.long is not None and one.long.too_large:
+            after, drawn, measured = f"{one.long.after_s:.0f} s", one.long.drawn_m, one.long.measured_m
+            drifts = f"corrupted with this model {after} err by {size('along', drawn)}, recorded by "
+            drifts += size("along", measured)
         return f"{drifts}: its noise is too large, that of the truth may be in it"
     return carry if one.by_outliers else ""
 

@@ -148,6 +148,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
     problem = fitted.problem
     drive = drive_type_of(problem.recordings)
     clocks = zip(problem.recordings, problem.clocks, strict=True)
+    topics = {r.odometry_topic for r in problem.recordings} - {""}
     return MotionModel(
         noise=Noise(problem.approach.law_name, fitted.noise.coefficients),
         effects=(*(e for e in fitted.effects if e.kind != "setup"), *random),
@@ -162,6 +163,7 @@ def model_of(fitted: Fit, random: Sequence[Effect] = ()) -> MotionModel:
         standard_errors=dict(zip(names, map(float, fitted.standard_errors), strict=True)),
         source={
             "recordings": [r.name for r in problem.recordings],
+            **({"odometry": topics.pop()} if len(topics) == 1 else {}),
             "drivers": problem.approach.side,
             "log_likelihood_nats": fitted.log_likelihood,
         },

@@ -7,8 +7,9 @@ systematic errors free beside it). The error is taken some time earlier, so that
 
 Errors of a localisation are alike for longer than that, and come back, too: odometry minus truth then fades because the
 *truth* is corrected. Whose steps do it shows across: a filter that is given positions moves its odometry sideways
-towards them, wheels never do. And one slip is no filter: what fades has to fade all along the drive, so that standard
-errors are those of clustered data (Liang & Zeger 1986), a stretch of the drive being a cluster.
+towards them, wheels never do, unless the robot drives sideways: then nothing shows it beside a localisation. And one
+slip is no filter: what fades has to fade all along the drive, so that standard errors are those of clustered data
+(Liang & Zeger 1986), a stretch of the drive being a cluster.
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ _CLUSTERS = 20
 _OWN, _SURELY = 0.5, 2.0
 """Part of the fading across that the odometry's own sideways steps have to show, and standard errors below it from
 which on they plainly do not."""
+_DRIVES_SIDEWAYS = 0.1
+"""Way sideways, of that along, from which on a robot drives sideways: corrections and tracked points make less."""
 
 
 class Pull(NamedTuple):
@@ -74,12 +77,17 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
     dt_s = np.diff(t_s)
     # gaps of the truth are no steps
     usual = dt_s < 3.0 * _STEP_S
+    sideways, truly = (
+        np.diff(np.interp(t_s, at_s, _sideways(poses.xyt))) for at_s, poses in ((own_s, path), (real_s, real))
+    )
+    omni = min(np.abs(sideways).sum(), np.abs(truly).sum()) > _DRIVES_SIDEWAYS * np.abs(own[:, 0]).sum()
     # what gains, biases, clocks and lags of a channel do to a step
-    swing = own[:, 0] * own[:, 2]
-    changes = np.vstack((np.zeros((1, 2)), np.diff(np.column_stack((own[:, 0], own[:, 2])), axis=0)))
-    later = np.vstack((changes[1:], np.zeros((1, 2))))
-    aside = np.column_stack((own[:, 0], own[:, 2], np.abs(own[:, 2]), dt_s, swing, changes, later))
-    sideways = np.diff(np.interp(t_s, own_s, _sideways(path.xyt)))
+    sides = own[:, 1:2] if omni else own[:, :0]
+    moves = np.column_stack((own[:, [0, 2]], sides))
+    changes = np.diff(moves, axis=0, prepend=moves[:1])
+    later = np.vstack((changes[1:], np.zeros_like(changes[:1])))
+    swing = np.column_stack((own[:, :1], sides)) * own[:, 2:]
+    aside = np.column_stack((moves, np.abs(moves[:, 1:]), dt_s, swing, changes, later))
     position, heading = 0.0, 0.0
     for earlier in _EARLIER:
         rows = np.flatnonzero(usual)[earlier:]
@@ -91,7 +99,8 @@ def pull_of(odometry: Samples, truth: Samples) -> Pull:
         both = _fading(error[rows, :2], before[:, :2], aside[rows], dt_s[rows])
         across = _fading(sideways[rows, None], before[:, 1:2], aside[rows], dt_s[rows])
         alone = _fading(error[rows, 2:], before[:, 2:], aside[rows], dt_s[rows])
-        if both.plain(span_s) and across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate:
+        itself = across.rate + _SURELY * max(across.usual, across.clustered) > _OWN * both.rate
+        if both.plain(span_s) and (not truth.localised if omni else itself):
             position = max(position, both.rate)
         if alone.plain(span_s):
             heading = max(heading, alone.rate)

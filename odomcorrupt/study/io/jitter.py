@@ -1,4 +1,8 @@
-"""Stamps of when a pose arrived and not of when it was taken: the intervals vary, the steps between poses do not."""
+"""Stamps of when a pose arrived and not of when it was taken: the intervals vary, the steps between poses do not.
+
+So they do where poses are published whenever the robot has come so far: what moves then says whether its speed changed,
+the odometry at the stamps of a truth, or the truth at those of the odometry.
+"""
 
 from __future__ import annotations
 
@@ -23,9 +27,9 @@ _SHARE, _PLAINLY = 0.5, 4.0
 _GAP = 3.0
 
 
-def jitter_signs(path: Samples) -> list[str]:
-    """Notice stamps that jitter, which a fit can only take for noise of every step."""
-    off_s = _jitter_s(path)
+def jitter_signs(path: Samples, other: Samples) -> list[str]:
+    """Notice stamps that jitter, which a fit can only take for noise of every step; another path shows the speed."""
+    off_s = _jitter_s(path, other)
     if off_s is None:
         return []
     seen = "the intervals between them vary, the steps between its poses do not"
@@ -33,7 +37,7 @@ def jitter_signs(path: Samples) -> list[str]:
     return [f"{path.name}: its stamps are off by about {off_s * 1e3:.2g} ms each ({seen}), and {what}"]
 
 
-def _jitter_s(path: Samples) -> float | None:
+def _jitter_s(path: Samples, other: Samples) -> float | None:
     """Return the deviation of stamps, seconds, where the poses know nothing of it; None where stamps are right."""
     interval_s = np.diff(path.stamps_ns) * 1e-9
     way_m = np.linalg.norm(np.diff(path.xyz[:, :2], axis=0), axis=1)
@@ -45,14 +49,22 @@ def _jitter_s(path: Samples) -> float | None:
     used[: _AROUND // 2] = used[-(_AROUND // 2) :] = False
     if used.sum() < _FEW:
         return None
-    expected, real = (speed * (interval_s - usual_s))[used], (way_m - usual_m)[used]
-    square = float(expected @ expected)
-    off_s = float(np.std((interval_s - usual_s)[used])) / np.sqrt(2.0)
-    if off_s < _LEAST_S:
+    varies_s = interval_s - usual_s
+    off_s = float(np.std(varies_s[used])) / np.sqrt(2.0)
+    there = other.trajectory().at(path.seconds_since(int(path.stamps_ns[0])), int(path.stamps_ns[0]))[:, :2]
+    there_m = np.linalg.norm(np.diff(there, axis=0), axis=1)
+    expected_m = (speed * varies_s)[used]
+    if off_s < _LEAST_S or _follow((way_m - usual_m)[used], expected_m):
         return None
-    share = float(expected @ real) / square
-    error = float(np.std(real - share * expected)) / np.sqrt(square)
-    return off_s if share + _PLAINLY * error < _SHARE else None
+    return off_s if _follow((there_m - _around(there_m))[used], expected_m) else None
+
+
+def _follow(steps_m: Array, expected_m: Array) -> bool:
+    """Return whether deviations of steps (n,) may be half of what is expected of them (n,), or more."""
+    square = float(expected_m @ expected_m)
+    share = float(expected_m @ steps_m) / square
+    error = float(np.std(steps_m - share * expected_m)) / float(np.sqrt(square))
+    return share + _PLAINLY * error >= _SHARE
 
 
 def _around(values: Array) -> Array:

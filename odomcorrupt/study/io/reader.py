@@ -308,7 +308,8 @@ def recordings_of(
     check_pair(calm, real)
     said = check_identity(calm, real) or heading_signs(calm, real)
     # a laser's reader has looked at its stamps already
-    said += filter_signs(calm, real) + jitter_signs(calm) + (jitter_signs(real) if truth.covariance is None else [])
+    said += filter_signs(calm, real) + jitter_signs(calm, real)
+    said += jitter_signs(real, calm) if truth.covariance is None else []
     truth = without_gaps(odometry, without_frozen(odometry, truth))
     opening = f"odometry {_named(odometry)}, truth {_named(truth)}"
     recordings = independent_parts(name, odometry, truth, track_m)
@@ -320,6 +321,7 @@ def recordings_of(
             localised=truth.localised,
             of_base=is_of_base(truth, odometry),
             pulled_per_s=max(pull_of(calm, real)),
+            odometry_topic=odometry.name if odometry.name.startswith("/") else "",
         )
         for r in recordings
     ]

@@ -123,6 +123,7 @@ class Recording:
     truth_field : which of the truth's errors belong to places, where that explains them better
     pulled_per_s : how fast the odometry's errors fade towards the truth, as those of a filter do that is given poses
     truth_level : by how much its truth is noisier than that of the first recording of a study, position and heading
+    odometry_topic : where its odometry was found; "" where it was no topic
     stamp_error_s : standard deviation of an offset between the two clocks that rounded stamps hide, seconds
     """
 
@@ -159,6 +160,7 @@ class Recording:
     truth_field: TruthField | None = None
     pulled_per_s: float = 0.0
     drive_type: str = AUTO
+    odometry_topic: str = ""
 
     @property
     def headed(self) -> bool:

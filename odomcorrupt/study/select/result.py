@@ -106,6 +106,17 @@ class Learned:
         return tuple(name for name in self.added if not self.is_negligible(name))
 
     @property
+    def of_setup(self) -> tuple[str, ...]:
+        """Names of included effects that belong to the recording, and to no robot: where the tracked point sits."""
+        setup = [effect for effect in self.fit.effects if effect.kind == "setup"]
+        return tuple(effect.name for effect in setup if not readings_of(effect, self.drive_type))
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Names of the included effects of the robot that matter, in order."""
+        return tuple(name for name in self.matters if name not in self.of_setup)
+
+    @property
     def unexplained(self) -> tuple[Dependence, ...]:
         """Dependences that no effect of the library explains, without those that are in the model and negligible."""
         return tuple(one for one in self.unknown if one not in self.laws or not self.is_negligible(one.name))

@@ -104,13 +104,22 @@ def _chance_means(parts: Sequence[tuple[WindowErrors, ParameterUncertainty]], co
     total = np.zeros(_DRAWS)
     freedom = sum(len(errors) for errors, _ in parts) * count
     for errors, doubt in parts:
-        own = len(errors) * count
-        scale, offset = doubt.draw(rng, _DRAWS)
-        if errors.shared is None:
-            total += scale * rng.noncentral_chisquare(own, own * offset)
-        else:
-            total += scale * (_draws(errors, rng) + own * offset)
+        total += _squares(errors, doubt, rng, len(errors) * count, float(doubt.truth.mean()))
     return total / freedom
+
+
+def _squares(
+    errors: WindowErrors, doubt: ParameterUncertainty, rng: np.random.Generator, freedom: int, spread: float
+) -> Array:
+    """Return draws of the sum of normalised squares of one part under the model.
+
+    freedom : how many squares there are; spread : relative standard deviation of what the truth makes of them
+    """
+    scale, offset = doubt.draw(rng, _DRAWS, spread)
+    if errors.shared is None:
+        drawn: Array = scale * rng.noncentral_chisquare(freedom, freedom * offset)
+        return drawn
+    return scale * (_draws(errors, rng) + freedom * offset)
 
 
 def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
@@ -123,14 +132,14 @@ def _draws(errors: WindowErrors, rng: np.random.Generator) -> Array:
 
 
 def _excess(errors: WindowErrors, parts: Sequence[tuple[WindowErrors, ParameterUncertainty]]) -> Array:
-    """Return, per channel, the two-sided probability of the sum of squares over what is expected."""
+    """Return, per channel, the two-sided probability of the sum of squares, parameters as uncertain as they are."""
     square = np.sum((errors.error / errors.deviation) ** 2, axis=0)
-    if any(part.shared is not None or doubt.truth.any() for part, doubt in parts):
+    if any(part.shared is not None or not doubt.certain for part, doubt in parts):
         rng = np.random.default_rng(_SEED)
         above = np.zeros(len(square))
         for i, own in enumerate(square):
             drawn = sum(
-                _draws(part.channel(i), rng) * doubt.drawn_truth(rng, _DRAWS, doubt.truth[i]) for part, doubt in parts
+                _squares(part.channel(i), doubt, rng, len(part), float(doubt.truth[i])) for part, doubt in parts
             )
             above[i] = (np.sum(drawn >= own) + 1.0) / (_DRAWS + 1.0)
         below = 1.0 if any(doubt.truth.any() for _, doubt in parts) else 1.0 - above + 1.0 / _DRAWS

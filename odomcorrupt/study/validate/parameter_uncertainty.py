@@ -51,10 +51,15 @@ class ParameterUncertainty:
     gram: Array
     truth: Array
 
-    def draw(self, rng: np.random.Generator, draws: int) -> Drawn:
-        """Return what numbers within their errors would do."""
+    @property
+    def certain(self) -> bool:
+        """Whether every number is taken at its word."""
+        return not (len(self.scale) or self.gram.any() or self.truth.any())
+
+    def draw(self, rng: np.random.Generator, draws: int, spread: float) -> Drawn:
+        """Return what numbers within their errors would do; spread is that of the truth, relative."""
         scale = 1.0 + rng.standard_normal((draws, len(self.scale))) @ self.scale
-        scale *= self.drawn_truth(rng, draws, float(self.truth.mean()))
+        scale *= self.drawn_truth(rng, draws, spread)
         by = rng.standard_normal((draws, len(self.gram)))
         return Drawn(np.maximum(scale, _LEAST), np.maximum(np.einsum("di,ij,dj->d", by, self.gram, by), 0.0))
 

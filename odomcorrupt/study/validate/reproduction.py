@@ -4,12 +4,16 @@ A robust fit sets slips apart, and the noise that it estimates is that of the re
 right; a simulation that is corrupted with it never slips. So the model corrupts the truth's path, noise like the
 truth's is added, and the error after 10 s is held against the measured one (a posterior predictive check: Gelman, Meng
 & Stern 1996, Statistica Sinica 6), with the part of it that the outliers carry.
+
+After 10 s most of the measured error may be the truth's own. Noise adds up from there on, and errors of a truth do not:
+over a quarter of the drive it shows whether these were taken for noise.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from math import sqrt
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,7 +23,7 @@ from odomcorrupt.geometry.increments import Increments, accumulate, increments
 from odomcorrupt.rng import stream
 from odomcorrupt.study.estimate.outliers import events
 from odomcorrupt.study.estimate.problem import undo
-from odomcorrupt.study.estimate.windows import phased_misses
+from odomcorrupt.study.estimate.windows import WINDOW_S, phased_misses
 from odomcorrupt.study.io.clock import aligned
 from odomcorrupt.study.io.headings import with_recomputed_headings
 from odomcorrupt.study.io.recording import Recording, Trajectory
@@ -33,13 +37,29 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.estimate.outliers import Event
 
-__all__ = ["Reproduction", "reproduction_of"]
+__all__ = ["LongDrift", "Reproduction", "reproduction_of"]
 
 _RUNS = 10
 _FACTOR = 2.0
 """Errors that differ by more are not about the same, unless single runs of the model differ as much."""
 _MOSTLY = 0.5
 """Part of the squared error that outliers carry at least where they are its main cause."""
+_LONG, _LEAST_S = 0.25, 30.0
+"""Part of the drive over which noise shows beside the truth's own errors, and the shortest that is long for it."""
+
+
+class LongDrift(NamedTuple):
+    """Position errors (m, RMS) after a long time, as `Reproduction` has them after 10 s: recorded, drawn, the least."""
+
+    after_s: float
+    measured_m: float
+    drawn_m: float
+    least_m: float
+
+    @property
+    def too_large(self) -> bool:
+        """Whether the model drifts plainly more than the recordings."""
+        return self.drawn_m > _FACTOR * self.measured_m and self.measured_m < self.least_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +71,7 @@ class Reproduction:
     outliers : how many lasting stretches the fit left out, or weighed less
     outlier_s : how long they last together, s
     outlier_share : part of the squared measured error that they carry
+    long : the errors after a quarter of the drive; None where it is too short
     """
 
     measured_m: float
@@ -60,6 +81,7 @@ class Reproduction:
     outliers: int
     outlier_s: float
     outlier_share: float
+    long: LongDrift | None = None
 
     @property
     def too_small(self) -> bool:
@@ -68,8 +90,9 @@ class Reproduction:
 
     @property
     def too_large(self) -> bool:
-        """Whether the model drifts plainly more than the recordings."""
-        return self.drawn_m > _FACTOR * self.measured_m and self.measured_m < self.least_m
+        """Whether the model drifts plainly more than the recordings, at once or in the long run."""
+        at_once = LongDrift(WINDOW_S, self.measured_m, self.drawn_m, self.least_m)
+        return at_once.too_large or (self.long is not None and self.long.too_large)
 
     @property
     def holds(self) -> bool:
@@ -103,8 +126,9 @@ def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Repro
         calm.append(_replaced(without_excursions, [event for event in own if event.lasting]))
         for run, simulated in enumerate(_corrupted(whole, model, fit.noise.truth, runs)):
             drawn[run].append(simulated)
+    drawn = [one for one in drawn if one]
     squares = [_mean_square(one) for one in (measured, calm)]
-    each = np.sqrt([_mean_square(one) for one in drawn if one] or [np.nan])
+    each = np.sqrt([_mean_square(one) for one in drawn] or [np.nan])
     lasting = [event for event in left_out if event.lasting]
     return Reproduction(
         measured_m=float(np.sqrt(squares[0])),
@@ -114,11 +138,21 @@ def reproduction_of(fit: Fit, model: MotionModel, *, runs: int = _RUNS) -> Repro
         outliers=len(lasting),
         outlier_s=sum(event.end_s - event.start_s for event in lasting),
         outlier_share=max(1.0 - squares[1] / squares[0], 0.0) if squares[0] > 0.0 else 0.0,
+        long=_long_drift(measured, drawn),
     )
 
 
-def _mean_square(recordings: Sequence[Recording]) -> float:
-    squared = np.concatenate(phased_misses([with_recomputed_headings(one) for one in recordings]))
+def _long_drift(measured: Sequence[Recording], drawn: Sequence[Sequence[Recording]]) -> LongDrift | None:
+    after_s = _LONG * max(float(one.odometry_s[-1] - one.odometry_s[0]) for one in measured)
+    if after_s < _LEAST_S or not drawn:
+        return None
+    each = [_mean_square(one, after_s) for one in drawn]
+    squares = (_mean_square(measured, after_s), float(np.mean(each)), min(each))
+    return LongDrift(after_s, *(sqrt(square) for square in squares))
+
+
+def _mean_square(recordings: Sequence[Recording], after_s: float = WINDOW_S) -> float:
+    squared = np.concatenate(phased_misses([with_recomputed_headings(one) for one in recordings], after_s))
     return float(np.mean(squared)) if len(squared) else float("nan")
 
 

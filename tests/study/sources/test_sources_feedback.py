@@ -16,15 +16,21 @@ TIMES = np.arange(0.0, SECONDS, 1.0 / RATE_HZ)
 REAL = path(TIMES)
 
 
-def odometry(errors, pull=0.0, every=20):
+def sideways():
+    """Return the poses of a robot that drives in circles of a few metres and sideways as often as along."""
+    x, y = 1.5 * np.cos(0.21 * TIMES) + 0.5 * np.sin(0.55 * TIMES), 1.5 * np.sin(0.21 * TIMES)
+    return np.column_stack((x, y, 0.6 * np.sin(0.17 * TIMES)))
+
+
+def odometry(errors, pull=0.0, every=20, real=REAL):
     """Return poses composed of the truth's steps and errors (n - 1, 3); a filter takes a part of them out."""
     rng = np.random.default_rng(8)
-    steps = between(REAL[:-1], REAL[1:])
-    now, out = REAL[0], [REAL[0]]
+    steps = between(real[:-1], real[1:])
+    now, out = real[0], [real[0]]
     for i, step in enumerate(steps + errors(steps, rng)):
         now = compose(now, step)
         if pull and i % every == 0:
-            given = REAL[i + 1] + rng.normal(0.0, [0.01, 0.01, 0.005])
+            given = real[i + 1] + rng.normal(0.0, [0.01, 0.01, 0.005])
             now = now + pull * (given - now)
         out.append(now)
     return np.array(out)
@@ -77,6 +83,15 @@ def test_errors_that_fade_are_and_what_can_be_learned_is_said(tmp_path, cause, p
     assert "its errors fade by" in said
     assert "clocks and lags as ever; record the wheels' own odometry" in said
     assert 0.3 * pull < pulled_per_s(recording) < 1.5 * pull
+
+
+@pytest.mark.parametrize("pull", [0.0, 0.2])
+def test_sideways_errors_of_wheels_are_no_filters(tmp_path, pull):
+    """In a room what a mecanum robot gains sideways it loses again, as if its errors faded."""
+    real = sideways()
+    poses = odometry(lambda steps, rng: noise(steps, rng) + steps * [0.0, 0.08, 0.0], pull, real=real)
+    said = said_of(tmp_path, poses, real + np.random.default_rng(9).normal(0.0, 0.002, real.shape))
+    assert ("its errors fade by" in said) == bool(pull)
 
 
 def test_a_truth_that_is_corrected_is_no_filter_of_the_odometry(tmp_path):

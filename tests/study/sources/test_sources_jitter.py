@@ -34,7 +34,20 @@ ODD = REGULAR + np.random.default_rng(2).uniform(0.0, 0.015, len(REGULAR))
     ids=["arrival", "taken at odd times", "regular", "hardly off"],
 )
 def test_stamps_that_poses_know_nothing_of_are_noticed(taken, stamped, noticed):
-    said = jitter_signs(path(taken, stamped))
+    said = jitter_signs(path(taken, stamped), path(REGULAR, REGULAR))
     assert bool(said) == noticed
     if noticed:
         assert said[0].startswith("/mocap: its stamps are off by about 4.")
+
+
+def test_poses_that_are_published_whenever_the_robot_has_come_so_far_are_stamped_right():
+    t_s = np.arange(0.0, 900.0, 0.02)
+    way_m = np.cumsum(0.3 + 0.2 * np.sin(0.7 * t_s) + 0.08 * np.sin(0.13 * t_s)) * 0.02
+
+    def straight(at_s):
+        xyz = np.column_stack((np.interp(at_s, t_s, way_m), 0.0 * at_s, 0.0 * at_s))
+        none = np.zeros(0)
+        return Samples("run.bag: /pose", "/pose", "", (at_s * 1e9).astype(np.int64), xyz, 0.0 * at_s, none, none)
+
+    triggered = straight(np.interp(np.arange(0.5, way_m[-1], 0.5), way_m, t_s))
+    assert not jitter_signs(triggered, straight(t_s))
