@@ -163,7 +163,7 @@ class Effect:
         return 0.0
 
     @property
-    def rest(self) -> tuple[float, float]:
+    def remainder(self) -> tuple[float, float]:
         """Bounds (m/s, rad/s) on what f, a mean, leaves of its error at any moment: the odometry does not show it."""
         return 0.0, 0.0
 

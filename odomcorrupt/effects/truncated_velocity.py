@@ -52,10 +52,10 @@ class TruncatedVelocity(Effect):
     @property
     def lost_m(self) -> float:
         """What was cut off lies between nothing and a step; the odometry does not show how much it was."""
-        return sum(self.rest) * _LONG_S
+        return sum(self.remainder) * _LONG_S
 
     @property
-    def rest(self) -> tuple[float, float]:
+    def remainder(self) -> tuple[float, float]:
         """Half a step: what was cut off less its mean."""
         return 0.5 * self.step, 0.5 * self.turn
 

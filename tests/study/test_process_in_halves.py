@@ -16,7 +16,7 @@ from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.random_effects import is_rest, random_coefficients
+from odomcorrupt.study.select.random_effects import is_remainder, random_coefficients
 
 QUIET = Coefficients(0.004, 0.004, 0.002, 0.001)
 
@@ -59,7 +59,7 @@ def test_what_truncated_velocities_leave_is_no_gain_that_wanders():
     for sigma, small in ((0.02, True), (0.1, False)):
         gained = Increments(steps.ds_m * (1.0 + sigma * unit), steps.dl_m, steps.dtheta_rad)
         (found,), fitted = processes_of(recording(steps, noisy_path(gained, QUIET, 5), seed=5))
-        assert not is_rest(fitted, found)
+        assert not is_remainder(fitted, found)
         beside = replace(fitted, problem=replace(fitted.problem, effects=(cut,)))
-        assert is_rest(beside, found) == small
+        assert is_remainder(beside, found) == small
         assert bool(random_coefficients(beside, DECISIONS)) != small

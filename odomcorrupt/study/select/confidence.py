@@ -24,7 +24,7 @@ from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.clocks import RIVALS
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.rest import within_rest
+from odomcorrupt.study.select.remainder import within_remainder
 
 if TYPE_CHECKING:
     from odomcorrupt.study.select.decisions import PriorOdds
@@ -37,7 +37,7 @@ _SHORT_ARM_M = 0.005
 """A tracked point may be off by more, and single wheels do not make as much of it."""
 _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """A track on which to see whether an effect acts on single wheels, and what it then does."""
-_LEFT = 0.2
+_MISFIT = 0.2
 """Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
@@ -114,7 +114,7 @@ def evidence_of(step: Step, learned: Learned) -> Evidence:
         rivals = (*rivals, own)
     if learned.may_be_losses(step.added or ""):
         rivals = (*rivals, own)  # lost increments are the same on average
-    if _may_be_rest(step.added or "", learned) or _may_be_left(step, learned):
+    if _may_be_remainder(step.added or "", learned) or _may_be_misfit(step, learned):
         rivals = (*rivals, own)
     left = max((u.nats for u in learned.unknown), default=0.0)
     correlated = max((gain.nats for gain in learned.noise if gain.effect.name in CORRELATED_NOISE), default=0.0)
@@ -128,23 +128,23 @@ def noise_evidence(gain: RandomCoefficient, learned: Learned) -> Evidence:
     return Evidence(held_out_limit(gain.effect.name, gain.nats, learned), left=left)
 
 
-def _may_be_rest(name: str, learned: Learned) -> bool:
-    """Return whether an effect may be what another one in the model leaves, see `Effect.rest`."""
+def _may_be_remainder(name: str, learned: Learned) -> bool:
+    """Return whether an effect may be what another one in the model leaves, see `Effect.remainder`."""
     effect = next((e for e in learned.fit.effects if e.name == name), None)
-    if effect is None or max(effect.rest) > 0.0:
+    if effect is None or max(effect.remainder) > 0.0:
         return False
-    return within_rest(
+    return within_remainder(
         learned.fit, np.concatenate([error_of(effect, m)[:, [0, 2]] for m in learned.fit.problem.motions])
     )
 
 
-def _may_be_left(step: Step, learned: Learned) -> bool:
+def _may_be_misfit(step: Step, learned: Learned) -> bool:
     """Return whether an effect of changes of speed may be what a far plainer one of that kind leaves.
 
     No lag is exactly a filter or a delay, and no play exactly rigid: what remains of it depends on the acceleration.
     """
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
-    return step.added in RIVALS and step.candidates[0].gain < _LEFT * max(others, default=0.0)
+    return step.added in RIVALS and step.candidates[0].gain < _MISFIT * max(others, default=0.0)
 
 
 def _may_be_of_wheels(name: str, learned: Learned) -> bool:

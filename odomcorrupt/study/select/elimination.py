@@ -10,7 +10,7 @@ import numpy as np
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes, choices, parameters
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
-from odomcorrupt.study.select.random_effects import is_rest, remeasured
+from odomcorrupt.study.select.random_effects import is_remainder, remeasured
 from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.terms.heading_source import heading_source_of
 from odomcorrupt.study.terms.term import LibraryTerm
@@ -102,9 +102,9 @@ def eliminate_random(
     named: list[RandomCoefficient], fit: Fit, decisions: Decisions
 ) -> tuple[list[RandomCoefficient], Fit]:
     """Return named random effects and the fit without random coefficients, where a later term made them redundant."""
-    if rests := [e for e in fit.random if is_rest(fit, e)]:
-        named = [one for one in named if one.effect not in rests]
-        fit = fit.refit(random=[e for e in fit.random if e not in rests])
+    if remainders := [e for e in fit.random if is_remainder(fit, e)]:
+        named = [one for one in named if one.effect not in remainders]
+        fit = fit.refit(random=[e for e in fit.random if e not in remainders])
     if not fit.random:
         return named, fit
     calm = fit.refit(random=())

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     FORBIDDEN,
     Candidate,
@@ -144,7 +145,9 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
         if one.nats < plainest - decisions.alternative_nats:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(fit.refit((*fit.effects, score.estimated)), score) for score in forms]
+        fits = [(with_it, score) for score in forms if (with_it := _with(fit, score)) is not None]
+        if not fits:
+            continue
         # a step and a hinge are each compared at their own best threshold
         most = max(map(_worth, fits))
         near = max(decisions.replacement_nats, _NEAR_FORM * (most - fit.log_likelihood))
@@ -154,6 +157,14 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
         if not candidate.refused:
             best, plainest = Proposal(_reshaped(one, score), candidate), max(plainest, one.nats)
     return best
+
+
+def _with(fit: Fit, score: Score) -> Fit | None:
+    """Return the fit with a term, or None where its first estimate is too far off to start from."""
+    try:
+        return fit.refit((*fit.effects, score.estimated))
+    except FitError:
+        return None
 
 
 def _worth(included: tuple[Fit, Score]) -> float:

@@ -28,7 +28,7 @@ from odomcorrupt.study.estimate.random_process import (
     without_random,
 )
 from odomcorrupt.study.estimate.tails import heavy_tails
-from odomcorrupt.study.select.rest import within_rest
+from odomcorrupt.study.select.remainder import within_remainder
 from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.terms.drive_type import drive_type_of
 from odomcorrupt.study.terms.heading_source import sees_travel
@@ -49,7 +49,7 @@ __all__ = [
     "RandomCoefficient",
     "beside_bursts",
     "gain_in_refit",
-    "is_rest",
+    "is_remainder",
     "outlier_effects",
     "random_coefficients",
     "remeasured",
@@ -101,16 +101,16 @@ def random_coefficients(fit: Fit, decisions: Decisions) -> list[RandomCoefficien
         if key not in found or one.nats > found[key][0].nats:
             found[key] = one, least
     named = [one for key, (one, least) in found.items() if one.nats > least and key not in have]
-    named = [one for one in named if not is_rest(fit, one.effect) and _in_both_halves(fit, one.effect)]
+    named = [one for one in named if not is_remainder(fit, one.effect) and _in_both_halves(fit, one.effect)]
     return sorted(named, key=lambda one: one.nats, reverse=True)
 
 
-def is_rest(fit: Fit, effect: Effect) -> bool:
+def is_remainder(fit: Fit, effect: Effect) -> bool:
     """Return whether a random coefficient may be what the mean of an effect in the model does not take out."""
     (process,) = processes_like(effect)
     spread = getattr(effect, process.scale) * np.sqrt(process.variance)
     usual = np.concatenate([process.unit(m) for m in fit.problem.motions])[:, [0, 2]]
-    return within_rest(fit, spread * usual)
+    return within_remainder(fit, spread * usual)
 
 
 def _in_both_halves(fit: Fit, effect: Effect) -> bool:

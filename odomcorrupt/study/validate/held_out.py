@@ -89,14 +89,14 @@ def keep_what_holds(learned: Learned, others: Sequence[Recording] = ()) -> tuple
         # all parts together, too: each may make good what another one spoils, and all of them be worse than none
         together = [tuple(part for (part,) in parts)] if len(parts) > 1 else []
         found = _test(fitted, [*parts, *together], others, clocks)
-        found = [(own, _of_that_day(one, supported=bool(others)) if one.name in once else one) for own, one in found]
+        found = [(own, _needs_support(one, supported=bool(others)) if one.name in once else one) for own, one in found]
         worst = max((one for one in found if one[1].harm), key=lambda one: -one[1].nats, default=None)
         if worst is None:
             each = [(own, one) for own, one in found if len(own) == 1]
             # single intervals or the drift of seconds: either may show what the other hardly does
             gained = {one.name: (max(one.nats, one.drift_nats), one.error) for _, one in each}
             learned = replace(learned, held_out=gained)
-            worst = _least_likely(each, replace(learned, fit=fitted))
+            worst = _least_confident(each, replace(learned, fit=fitted))
         if worst is None:
             said += [one for _, one in each]
             break
@@ -117,14 +117,14 @@ def _runs(fitted: Fit) -> set[int]:
     return set(clock_leaders(fitted.problem.recordings))
 
 
-def _of_that_day(one: HeldOut, *, supported: bool) -> HeldOut:
+def _needs_support(one: HeldOut, *, supported: bool) -> HeldOut:
     """Return the verdict on a law over the time of one recording, which another one has to support."""
     if one.harm or (supported and one.nats > _PLAIN * one.error):
         return one
     return replace(one, harm="it says when this one drive went wrong; a second one would show whether it happens again")
 
 
-def _least_likely(
+def _least_confident(
     found: Sequence[tuple[tuple[Effect, ...], HeldOut]], learned: Learned
 ) -> tuple[tuple[Effect, ...], HeldOut] | None:
     """Return the named part that is least likely right, if it hardly is and the error does not grow without it."""
