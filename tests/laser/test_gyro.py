@@ -1,6 +1,7 @@
 """A gyro in the bag: the axis that is up, its bias and lag, whose heading the odometry has, and what it shows alone."""
 
 import json
+from dataclasses import replace
 
 import laserbags
 import numpy as np
@@ -8,7 +9,14 @@ import pytest
 
 from odomcorrupt.cli import run
 from odomcorrupt.simulation import Tracker, simulate
+from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.gauss_newton import fit
+from odomcorrupt.study.estimate.outliers import slip_bursts
 from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE
+from odomcorrupt.study.select.candidates import library_candidates
+from odomcorrupt.study.select.decisions import DECISIONS
+from odomcorrupt.study.select.random_effects import outlier_effects
 
 EXACT = Tracker(rate_hz=100.0, sampling_jitter_s=0.0, noise_m=0.0, noise_rad=0.0, dropouts_per_min=0.0)
 GAIN, BIAS, NOISE = 1.004, 0.01, 0.002
@@ -85,6 +93,35 @@ def test_wheels_and_gyro_alone_name_a_wrong_track_and_no_travel(tmp_path, capsys
     assert value["value"] == pytest.approx(simulated.answer["causes"]["wheelbase"]["e"], abs=0.02)
     # no gain of turns is known better than the gyro's own
     assert value["standard_error"] > 0.008
+
+
+@pytest.mark.parametrize("e", [-0.05, 0.05])
+def test_a_gain_of_turns_of_four_errors_of_the_gyros_scale_is_evidence_of_either_sign(tmp_path, e):
+    # taking it out of the odometry scales the noise of turns, which is no evidence for or against it
+    simulated = drive(23, "wheelbase", 120.0, parameters={"e": e}, yaw_from="encoders", route="slalom")
+    turned = np.abs(np.diff(np.unwrap(simulated.odom_xyt[:, 2])))
+    noise = 0.02 * np.sqrt(turned) * np.random.default_rng(1).standard_normal(len(turned))
+    simulated.odom_xyt[1:, 2] += np.cumsum(noise)
+    runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
+    best = library_candidates(fit(runs, approach=choose_approach(runs)), DECISIONS)[0]
+    assert (best.name, best.refused) == ("wheelbase", "")
+    assert 4.0 < best.gain < 0.5 * (abs(best.fit.effects[0].e) / GYRO_SCALE + 2.0) ** 2
+
+
+def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path):
+    simulated = drive(31, duration_s=90.0, yaw_from="encoders")
+    runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
+    fitted = fit(runs, approach=choose_approach(runs))
+    nodes = fitted.problem.nodes
+    odd = np.where(np.arange(len(nodes)) % 7 == 3, 9.0, 1.0)
+    residual = nodes.residual + (odd > 1.0)[:, None] * np.array([1e-4, 0.0, 0.05])
+    jumped = replace(
+        fitted,
+        problem=replace(fitted.problem, nodes=replace(nodes, residual=residual)),
+        noise=replace(fitted.noise, weights=odd),
+    )
+    assert slip_bursts(jumped) is not None
+    assert outlier_effects(jumped, DECISIONS, tails=True) == []
 
 
 def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, capsys):

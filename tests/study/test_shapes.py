@@ -113,3 +113,17 @@ def test_words_that_need_a_track_are_passed_over_where_it_is_not_known():
     (score,) = score_terms(drop_term(fitted, effect), [term], DECISIONS)
     again, _ = with_shape_refined(fitted, score, DECISIONS)
     assert [e.name for e in again.effects] == ["accel_slip"]
+
+
+def test_no_hinge_hangs_on_the_last_of_a_range():
+    recording = as_recording(simulate(87, None, duration_s=120.0))
+    (motion,) = fit([recording], approach=choose_approach([recording])).problem.motions
+    fastest = np.quantile(np.abs(motion.v), 0.99)
+    hinges = [f for f in functions_of_motion([motion]) if "max(abs(v) - " in f.text]
+    assert hinges
+    for function in hinges:
+        # wherever a search moves the threshold, a tenth of the speeds lies beyond
+        moved = function.with_shape((0.999 * fastest,)) if function.with_shape else function
+        cut = float(moved.text.split(" - ")[1].split(",")[0])
+        assert cut <= 0.901 * fastest
+        assert np.mean(moved.parts[0](motion) > 0.0) > 0.01

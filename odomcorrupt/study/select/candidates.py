@@ -33,6 +33,7 @@ from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.drive_type import library_families
+from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
@@ -207,7 +208,10 @@ def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> f
 def _refitted(fit: Fit, score: Score, decisions: Decisions) -> Candidate:
     """Return a candidate fitted together with the model, robust weights kept so that likelihoods compare."""
     effects, weights = (*fit.effects, score.estimated), fit.noise.weights
-    candidate = tried(fit, fit.refit(effects, weights=weights), score, decisions)
+    # an effect that scales turns scales their noise, and a scale error of a gyro does not: only to first order, with
+    # the same noise, does the one compare with the other
+    alike = None if sees_travel(fit.problem.recordings) else score.nats
+    candidate = tried(fit, fit.refit(effects, weights=weights), score, decisions, gain=alike)
     if candidate.gain > 0.0 or not np.any(fit.free_clocks) or candidate.fit is None:
         return candidate
     # between two stamps odometry is smoother: where the clock had strayed there, coming back looks like a loss

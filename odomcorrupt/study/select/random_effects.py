@@ -164,13 +164,17 @@ def remeasured(fit: Fit, effect: Effect) -> Effect:
 
 
 def outlier_effects(fit: Fit, decisions: Decisions, *, tails: bool) -> list[RandomCoefficient]:
-    """Return bursts of slip where outliers are slips, or if asked for, heavy tails where they are on both sides."""
+    """Return bursts of slip where outliers are slips, or if asked for, heavy tails where they are on both sides.
+
+    A gyro as the truth shows neither: of wheels that slip it sees no travel, and of three axes it shows one.
+    """
+    if not sees_travel(fit.problem.recordings):
+        return []
     bursts = slip_bursts(fit)
     if bursts is not None:
         return [RandomCoefficient(bursts, decisions.counted_nats)]
-    # matches of a laser have heavy tails of their own, and a gyro shows one axis of three
-    testable = tails and not _matched(fit) and sees_travel(fit.problem.recordings)
-    heavy = heavy_tails(fit) if testable else None
+    # matches of a laser have heavy tails of their own
+    heavy = heavy_tails(fit) if tails and not _matched(fit) else None
     return [RandomCoefficient(*heavy)] if heavy is not None else []
 
 

@@ -35,6 +35,8 @@ _OF_A_BIAS = ("speed", "yaw_rate", "time")
 """Regressors that a rate of the heading may depend on which is there at rest, too: a gyro's."""
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
 """m/s^2 and rad/s^2 below which noise crosses a threshold, of ticks say: correction sees no smooth truth."""
+_TOP, _WITHIN = 0.99, 0.9
+"""A hinge lies below this part of the regressor's largest, which is this quantile: beyond it is too little range."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
@@ -106,17 +108,26 @@ def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction
     """Yield what grows from a threshold on: grip that gives way; of what has two sides, on either."""
     cuts = [cut for cut in _cuts(regressor, motions)[1::3] if cut > 0.0]
     two_sided = regressor in _SIGNED
-    shapes = [(sign, float(cut)) for sign in ((1.0, -1.0) if two_sided else (1.0,)) for cut in (0.0, *cuts)]
+    signs = (1.0, -1.0) if two_sided else (1.0,)
+    most = {sign: _latest(regressor, motions, sign) for sign in signs}
+    shapes = [(sign, float(cut)) for sign in signs for cut in (0.0, *cuts) if cut <= most[sign]]
     for sign, cut in shapes:
         if cut > 0.0 or two_sided:
-            yield _hinge(regressor, len(shapes), (cut,), (0.15 * max(cuts, default=1.0),), sign=sign)
+            step = 0.15 * max(cuts, default=1.0)
+            yield _hinge(regressor, len(shapes), (cut,), (step,), sign=sign, most=most[sign])
+
+
+def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
+    """Return the largest threshold of a hinge beyond which enough of the data and of the regressor's range is left."""
+    seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
+    return _WITHIN * max(float(np.quantile(seen, _TOP)), 0.0) if len(seen) else 0.0
 
 
 def _hinge(
-    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float
+    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, sign: float, most: float
 ) -> BasisFunction:
     text, value = VALUES[regressor]
-    cut = max(shape[0], 0.0)
+    cut = min(max(shape[0], 0.0), most)
     return BasisFunction(
         regressor,
         f"k * max({text if sign > 0.0 else f'-{text}'} - {cut:.4g}, 0)",
@@ -126,19 +137,20 @@ def _hinge(
         reaches=_reaches(regressor, "one", "both"),
         shape=shape,
         steps=steps,
-        with_shape=lambda moved: _hinge(regressor, trials, moved, steps, sign=sign),
+        with_shape=lambda moved: _hinge(regressor, trials, moved, steps, sign=sign, most=most),
     )
 
 
 def _saturations(motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield what a gyro loses of the yaw rate beyond the largest that it can show all of."""
-    cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if cut > 0.0]
+    most = _latest("yaw_rate", motions)
+    cuts = [float(cut) for cut in _cuts("yaw_rate", motions)[1::3] if 0.0 < cut <= most]
     for cut in cuts:
-        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),))
+        yield _saturation(len(cuts), (cut,), (0.15 * max(cuts),), most)
 
 
-def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...]) -> BasisFunction:
-    cut = max(shape[0], 0.0)
+def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...], most: float) -> BasisFunction:
+    cut = min(max(shape[0], 0.0), most)
     return BasisFunction(
         "yaw_rate",
         f"k * sign(omega) * max(abs(omega) - {cut:.4g}, 0)",
@@ -147,7 +159,7 @@ def _saturation(trials: int, shape: tuple[float, ...], steps: tuple[float, ...])
         reaches=("bias",),
         shape=shape,
         steps=steps,
-        with_shape=lambda moved: _saturation(trials, moved, steps),
+        with_shape=lambda moved: _saturation(trials, moved, steps, most),
     )
 
 
