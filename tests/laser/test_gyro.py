@@ -105,7 +105,7 @@ def test_a_gain_of_turns_of_four_errors_of_the_gyros_scale_is_evidence_of_either
     runs = list(read_runs(Source(bag(tmp_path / "run.mcap", simulated))))
     best = library_candidates(fit(runs, approach=choose_approach(runs)), DECISIONS)[0]
     assert (best.name, best.refused) == ("wheelbase", "")
-    assert 4.0 < best.gain < 0.5 * (abs(best.fit.effects[0].e) / GYRO_SCALE + 2.0) ** 2
+    assert 4.0 < best.gain < 0.5 * (abs(best.fit.effects[0].e) / GYRO_SCALE + 1.0) ** 2
 
 
 def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path):

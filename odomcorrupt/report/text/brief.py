@@ -100,7 +100,7 @@ def findings_brief(
         lines.insert(1, Line("errors", f"10 s error {change} with the clock corrected"))
     # which name it is matters more than by how much it helps
     at = max(len(search.matters), 1)
-    lines[at:at] = [*_open_lines(search, advice), *_drive_lines(search)]
+    lines[at:at] = [*_open_lines(search, advice), *_gyro_lines(advice), *_drive_lines(search)]
     last = comparison.judgements[-1]
     if last.verdict.fails:
         said = f"the model is still rejected: errors are {last.verdict.misfit:.2g} times the predicted ones"
@@ -214,6 +214,12 @@ def _open_lines(search: Learned, advice: Advice) -> list[Line]:
     matters = tuple(choice for choice in advice.choices if not search.is_negligible(choice.names[0]))
     said = inseparable_sentence(replace(advice, choices=matters), lambda name: readings_of(name, search.drive_type))
     return [Line("open", said, "warning")] if said else []
+
+
+def _gyro_lines(advice: Advice) -> list[Line]:
+    """Return what a gyro as the truth cannot show because of its own scale, and what would change that."""
+    hidden = [one for one in advice.untestable if one.limited_by_gyro]
+    return [Line("not testable", f"{one.effect}: {one.why}; {one.hint}", "warning") for one in hidden]
 
 
 def comparison_brief(comparison: Comparison, following: str = "") -> Summary:

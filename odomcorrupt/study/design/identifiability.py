@@ -12,6 +12,7 @@ from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.effects.wheels import brings_track
 from odomcorrupt.study.design.drives import best_plan, missing_motion
 from odomcorrupt.study.design.information import sizes
+from odomcorrupt.study.terms.heading_source import GAINS_OF_TURNS
 
 if TYPE_CHECKING:
     from odomcorrupt.effects.effect import Effect
@@ -41,6 +42,7 @@ _NO_TRACK = (
     "it acts on single wheels, and the distance between these is not known; give --track where the robot has two that "
     "drive and steer it"
 )
+_DATA_SHEET = "give --gyro-scale-accuracy from the data sheet"
 _REFUSALS = ("not testable", "not separable")
 """How refusals begin that say something of the drive, and nothing of the effect."""
 
@@ -52,12 +54,14 @@ class UntestableEffect:
     why : in words
     plan : the drive that would show its typical size, or None
     hint : where no plan is: what else to do
+    limited_by_gyro : whether it is the gyro as the truth, and no drive, that hides it
     """
 
     effect: str
     why: str
     plan: Plan | None
     hint: str = ""
+    limited_by_gyro: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,10 @@ def is_untestable(candidate: Candidate) -> bool:
 def untestable(drives: Drives, candidate: Candidate) -> UntestableEffect:
     """Return why a candidate cannot be judged on these drives, and the drive on which it could."""
     effect = candidate.score.effect
+    accuracy = max(r.turn_scale_error for r in drives.learned.fit.problem.recordings)
+    if effect.name in GAINS_OF_TURNS.values() and float(candidate.score.standard_error[0]) < 2.0 * accuracy:
+        why = f"the gyro's own scale is known to {100.0 * accuracy:.2g} % only"
+        return UntestableEffect(effect.name, why, None, _DATA_SHEET, limited_by_gyro=True)
     gain = shows(drives, candidate)
     plan, nats = best_plan(drives, gain)
     why = missing_motion(drives, gain, nats) or _short_of(candidate)

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.terms.term import LibraryTerm
 
-__all__ = ["heading_source_of", "is_nameable", "is_settled", "sees_travel", "with_known_heading"]
+__all__ = ["GAINS_OF_TURNS", "heading_source_of", "is_nameable", "is_settled", "sees_travel", "with_known_heading"]
 
-_GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}
+GAINS_OF_TURNS = {"wheels": "wheelbase", "gyro": "gyro_scale"}
 _OF_TRAVEL = ("wheel_scale", "speed_scale", "scale_drift", "sideways_scale", "slope", "lever_arm", "mount_yaw")
 _GYROS = ("gyro_bias", "gyro_bias_walk")
 
@@ -43,12 +43,12 @@ def is_nameable(kind: type[Effect], source: str, *, travel: bool) -> bool:
     """
     if not travel and kind.name in (*_OF_TRAVEL, *_GYROS):
         return False
-    return not source or kind.name not in _GAINS_OF_TURNS.values() or is_settled(kind, source)
+    return not source or kind.name not in GAINS_OF_TURNS.values() or is_settled(kind, source)
 
 
 def is_settled(kind: type[Effect], source: str) -> bool:
     """Whether an effect is the gain of turns that the heading's source has."""
-    return kind.name == _GAINS_OF_TURNS.get(source)
+    return kind.name == GAINS_OF_TURNS.get(source)
 
 
 def with_known_heading(family: tuple[LibraryTerm, ...], source: str) -> tuple[LibraryTerm, ...]:
