@@ -36,7 +36,8 @@ _OF_A_BIAS = ("speed", "yaw_rate", "time")
 _LEAST = {"acceleration": 0.1, "yaw_acceleration": 0.2}
 """m/s^2 and rad/s^2 below which noise crosses a threshold, of ticks say: correction sees no smooth truth."""
 _TOP, _WITHIN = 0.99, 0.9
-"""A hinge lies below this part of the regressor's largest, which is this quantile: beyond it is too little range."""
+"""A threshold lies below this part of the regressor's largest, which is this quantile. What exceeds the speed that a
+robot drives at is the noise of the odometry, which is in the error as well."""
 _HINGED = ("speed", "yaw_rate", "acceleration", "lateral_acceleration")
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
@@ -70,11 +71,13 @@ def _reaches(regressor: str, *wheels: str) -> tuple[str, ...]:
 
 def _thresholds(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction]:
     """Yield thresholds of a regressor, spread evenly over what it was while the robot moved."""
-    cuts = _cuts(regressor, motions)
     ways = (True, False) if regressor in _SIGNED else (True,)
+    within = (-_latest(regressor, motions, -1.0) if len(ways) > 1 else 0.0, _latest(regressor, motions))
+    cuts = _cuts(regressor, motions)
+    cuts = cuts[(cuts >= within[0]) & (cuts <= within[1])]
     for above, (i, cut) in product(ways, enumerate(cuts)):
         gap = float(np.max(np.diff(cuts[max(i - 1, 0) : i + 2]), initial=0.0))
-        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above)
+        yield _threshold(regressor, len(cuts) * len(ways), (float(cut),), (0.5 * gap,), above=above, within=within)
 
 
 def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
@@ -86,11 +89,18 @@ def _cuts(regressor: str, motions: Sequence[Motion]) -> Array:
 
 
 def _threshold(
-    regressor: str, trials: int, shape: tuple[float, ...], steps: tuple[float, ...], *, above: bool
+    regressor: str,
+    trials: int,
+    shape: tuple[float, ...],
+    steps: tuple[float, ...],
+    *,
+    above: bool,
+    within: tuple[float, float],
 ) -> BasisFunction:
     text, value = VALUES[regressor]
     least = _LEAST.get(regressor, 0.0)
-    cut = shape[0] if abs(shape[0]) >= least else float(np.copysign(least, shape[0]))
+    cut = float(np.clip(shape[0], *within))
+    cut = cut if abs(cut) >= least else float(np.copysign(least, shape[0]))
     return BasisFunction(
         regressor,
         f"k * where({text} {'>' if above else '<'} {cut:.4g}, 1, 0)",
@@ -100,7 +110,7 @@ def _threshold(
         reaches=_reaches(regressor, "one", "both"),
         shape=shape,
         steps=steps,
-        with_shape=lambda moved: _threshold(regressor, trials, moved, steps, above=above),
+        with_shape=lambda moved: _threshold(regressor, trials, moved, steps, above=above, within=within),
     )
 
 
@@ -118,7 +128,9 @@ def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction
 
 
 def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
-    """Return the largest threshold of a hinge beyond which enough of the data and of the regressor's range is left."""
+    """Return the largest threshold beyond which enough of the data and of the regressor's range is left."""
+    if regressor == "time":
+        return float("inf")
     seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
     return _WITHIN * max(float(np.quantile(seen, _TOP)), 0.0) if len(seen) else 0.0
 
