@@ -70,7 +70,7 @@ def relocalised(
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
     part_of = world.parts()
-    scans = calibration.deskewing(sweeps)
+    scans = calibration.deskewing()
     rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
     tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
     for done, n in enumerate(tracked_rows):

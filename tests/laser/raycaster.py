@@ -74,9 +74,12 @@ def ranges(
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
     blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
-    returns=False,
+    returns=False, scan_time_s=None,
 ):  # fmt: skip
-    """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them."""
+    """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them.
+
+    scan_time_s : what the scans say in scan_time, with a time_increment of 0
+    """
     t_s, poses, fine, every = path(straight=corridor)
     if returns:
         t_s, poses, fine, every = there_and_back(fine, every)
@@ -116,7 +119,8 @@ def drive(
         ]  # fmt: skip
         groups.append(laserbags.clouds(stamps(starts + 0.5 * sweep_s), points))
     else:
-        groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=sweep_s))
+        turn_s, increment = (sweep_s, True) if scan_time_s is None else (scan_time_s, False)
+        groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=turn_s, increment=increment))
     if twice:
         groups.append(laserbags.scans(stamps(starts + 0.01), seen, "/scan_rear", turn_s=sweep_s))
     if gyro:

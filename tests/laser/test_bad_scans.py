@@ -6,7 +6,10 @@ import raycaster
 
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.laser.calibrate import calibrate
+from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.reader import read_odometry
 
 
 def read(path, scan=None):
@@ -44,6 +47,19 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
     recording, notes = read(raycaster.drive(tmp_path / "run.mcap", **faults), topic)
     assert said in notes
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("sweep_s", "said"), [(0.0, "taken at once"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
+)
+def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_path, sweep_s, said):
+    path = raycaster.drive(tmp_path / "run.mcap", sweep_s=sweep_s, scan_time_s=0.19, told=(0.1, 0.0, 0.0))
+    odometry, _ = read_odometry(Source(path))
+    found = calibrate(read_sweeps(path, "run", "/scan", "base_link"), odometry, int(odometry.stamps_ns[0]))
+    (note,) = (text for text in found.said if "scan_time" in text)
+    assert said in note
+    assert found.motion.lag_s == pytest.approx(0.0, abs=0.01)
+    assert max(np.ptp(sweep.after_s) for sweep in found.sweeps.sweeps) == pytest.approx(sweep_s, abs=0.01)
 
 
 @pytest.mark.slow

@@ -123,6 +123,7 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)
     calibration = calibrate(sweeps, guide, origin_ns)
+    sweeps = calibration.sweeps
     tracked = make_map(sweeps, calibration, _part(progress, "matching scans"))
     found = relocalised(sweeps, calibration, tracked, _part(progress, "placing scans in the map"))
     if len(found) < _FEWEST:
