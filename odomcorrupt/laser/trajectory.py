@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.slam import Tracked
-    from odomcorrupt.laser.sweep import Sweeps
 
 __all__ = ["UNKNOWN_M", "LaserPath", "relocalised"]
 
@@ -65,7 +64,7 @@ class LaserPath:
 
 
 def relocalised(
-    sweeps: Sweeps, calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
+    calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
 ) -> LaserPath:
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
