@@ -117,4 +117,4 @@ def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missin
     cut = replace(run, path=replace(run.path, part=later.astype(np.int64)))
     kept, said = largest_part(cut)
     assert kept.path.t_s.max() < 22.0
-    assert "2 parts that no scan connects: the map is of 0-20 s alone; left out: 24-" in said
+    assert "2 parts that no scan connects: the map is of 0-19 s alone; left out: 25-" in said
