@@ -35,7 +35,7 @@ _PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
-"""Times within a sweep are taken where they make the deviation of matched pairs at most this share of itself."""
+"""Times that sweeps do not say are taken where they make the deviation of matched pairs this share of it or less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,10 +185,13 @@ def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float
     if not len(plain.pose):
         return 0.0
     period = stated_s if sweeps.by_scan_time else min(sweeps.period_s, 0.2)
-    best, turn_s = _BETTER * _misfit(plain), 0.0
+    best = known = _misfit(plain)
+    turn_s = 0.0
     for candidate in (-stated_s,) if stated_s and not sweeps.by_scan_time else (period, -period):
+        # what a scan_time says needs no more evidence than that all beams are taken at once
+        share = 1.0 if candidate == stated_s else _BETTER
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
-        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
+        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
             best, turn_s = _misfit(pairs), candidate
     return turn_s
 
