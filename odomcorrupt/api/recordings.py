@@ -181,7 +181,8 @@ def read_recordings(
     names : sequence of str
         What to call the recordings, where not by their files.
     scan : str, optional
-        Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth.
+        Topic of a laser that is to be the truth; by default the only one of a bag that holds no truth. "none" leaves
+        it out.
     laser_scale_accuracy : float
         Standard deviation of the laser's own scale error: no scale is known better.
     drive_type : str

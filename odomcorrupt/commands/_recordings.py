@@ -123,7 +123,8 @@ _options = added(
     ),
     click.option(
         "--scan", metavar="TOPIC",
-        help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth. [default: the only one]",
+        help="Laser scans (LaserScan, PointCloud2) to learn from where there is no truth; none leaves it out. "
+        "[default: the only one]",
     ),
     click.option(
         "--truth", help="Topic of the truth, or edge of TF as /tf:map.base_link. [default: the only one it can be]"

@@ -19,6 +19,7 @@ from click.core import ParameterSource
 from odomcorrupt import commands
 from odomcorrupt.commands._options import added
 from odomcorrupt.report.json.numbers import finite
+from odomcorrupt.report.text.summary import wrapped
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -68,13 +69,14 @@ class Voice:
     ) -> None:
         """Print a result that is a summary, a text and values; parameters as of `show`."""
         files, following = files or {}, ""
+        stream = sys.stderr if err else sys.stdout
+        columns = shutil.get_terminal_size((_WIDTH, 24)).columns if stream.isatty() else None
         if self.as_json:
             click.echo(json.dumps(finite(values), indent=2, allow_nan=False), err=err)
         elif self.verbose:
-            click.echo(details, err=err)
+            click.echo(details if columns is None else wrapped(details, columns), err=err)
         elif not self.quiet:
-            stream = sys.stderr if err else sys.stdout
-            width = min(_WIDTH, shutil.get_terminal_size((_WIDTH, 24)).columns) if stream.isatty() else _WIDTH
+            width = min(_WIDTH, columns or _WIDTH)
             if not isinstance(brief, str):
                 brief, following = brief.parts(width, colour=_colours(stream))
             click.echo(brief, err=err)

@@ -114,7 +114,7 @@ def _draw(path: Path, surveys: Sequence[Survey], added: str) -> None:
 def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voice) -> None:
     """Write the map by scan matching, the trajectory beside it, and the picture of the maps side by side."""
     from odomcorrupt.corruption.path import NoisyPath
-    from odomcorrupt.laser.mapping import laser_maps, tum_text
+    from odomcorrupt.laser.mapping import largest_part, laser_maps, tum_text
     from odomcorrupt.rng import draw_seed
     from odomcorrupt.study.io.address import parse_address
     from odomcorrupt.study.io.laser_truth import laser_run
@@ -131,19 +131,22 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
-    run = laser_run(bag, str(bag), odom, given["scan"], part_done)
+    run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], part_done))
     odometry = run.odometry.trajectory()
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])
-    notes = (*run.sweeps.notes, *run.calibration.said, f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map")
+    placed = f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map"
+    remarks = [*run.sweeps.notes, *run.calibration.said]
+    notes = [*remarks, *([parts] if parts else []), placed]
     thick = ", ".join(f"{100.0 * s.thickness_m[-1]:.2f} cm {s.name}" for s in maps.surveys)
     said = "\n".join([*notes, f"wall thickness (root of the mean plane variance, Razlaw et al., ECMR 2015): {thick}"])
-    lines = [Line("MATCHED", f"{len(run.path)} of {len(run.sweeps)} sweeps placed in the map", "good")]
+    lines = [Line("MATCHED", placed, "good")]
+    lines += [Line("parts", parts, "warning")] if parts else []
     lines += [Line("walls" if not i else "", f"{100.0 * s.thickness_m[-1]:.2f} cm thick, {s.name}") for i, s in
               enumerate(maps.surveys)]  # fmt: skip
-    lines += [Line("note", note, "warning") for note in notes[:-1]]
+    lines += [Line("note", note, "warning") for note in remarks]
     following = ["odomcorrupt", "map", bag, "--method", "laser", "-o", "map.yaml"]
-    following = following if output is None else ["odomcorrupt", "learn", bag, "--truth", files[".tum"]]
+    following = following if output is None else ["odomcorrupt", "learn", bag, "--truth-file", files[".tum"]]
     writers: dict[str, Callable[[], object]] = {
         ".yaml": lambda: _write_map(maps.surveys[0], files[".yaml"]),
         ".tum": lambda: write_text(files[".tum"], tum_text(maps.trajectory)),

@@ -7,7 +7,7 @@ plane, linear in the position and in cosine and sine of the yaw).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,13 +35,14 @@ _PLAIN_RATIO = 0.05
 _DIFFERS_RAD = np.radians(15.0)
 _FEWER = 0.8
 _BETTER = 0.93
-"""Times within a sweep are taken where they make the deviation of matched pairs at most this share of itself."""
+"""Times that sweeps do not say are taken where they make the deviation of matched pairs this share of it or less."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
     """What is known of a laser before its sweeps are put together.
 
+    sweeps : with the times within them at which they fit each other best
     motion : the odometry seen by the laser
     mirrored : whether bearings run the other way round
     turn_s : time that a whole turn of the laser takes, where the sweeps do not say or have it the wrong way round;
@@ -49,14 +50,15 @@ class Calibration:
     said : what was found, in words
     """
 
+    sweeps: Sweeps
     motion: Motion
     mirrored: bool
     said: tuple[str, ...]
     turn_s: float = 0.0
 
-    def deskewing(self, sweeps: Sweeps) -> Deskewing:
+    def deskewing(self) -> Deskewing:
         """Return the sweeps put right for the motion within them."""
-        return Deskewing(sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
+        return Deskewing(self.sweeps, self.motion, mirrored=self.mirrored, turn_s=self.turn_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +86,8 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
 
     """
     mount = np.zeros(3)
+    stated, stated_s = sweeps, _stated_turn_s(sweeps)
+    sweeps = sweeps.at_once() if sweeps.by_scan_time else sweeps
     told = sweeps.mount
     flipped = told is not None and float(np.linalg.det(told.plane)) < 0.0
     if told is not None:
@@ -97,14 +101,24 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     for _ in range(2):
         motion, found = _refined(pairs, motion, told=mount if told is not None else None)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
-    turn_s = _turning_time(sweeps, motion, pairs, mirrored=mirrored)
-    if turn_s:
+    best_s = turn_s = _turning_time(sweeps, motion, pairs, stated_s, mirrored=mirrored)
+    if best_s:
+        why = "times within a sweep run the wrong way" if stated_s else "no times within a sweep"
+        if sweeps.by_scan_time:
+            why = "time_increment is 0, scan_time is not"
+            later_s = float(np.median(stated.middle_s(origin_ns) - sweeps.middle_s(origin_ns)))
+            sweeps, motion = stated, replace(motion, lag_s=motion.lag_s - later_s)
+            turn_s = 0.0 if best_s == stated_s else best_s
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
         motion, found = _refined(pairs, motion, told=mount if told is not None else None)
-        why = "no times within a sweep" if not _stated_turn_s(sweeps) else "times within a sweep run the wrong way"
         said.append(
-            f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(turn_s):.2f} s "
-            f"({'counter-clockwise' if turn_s > 0.0 else 'clockwise'})"
+            f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(best_s):.2f} s "
+            f"({'counter-clockwise' if best_s > 0.0 else 'clockwise'})"
+        )
+    elif sweeps.by_scan_time:
+        said.append(
+            f"{sweeps.topic}: time_increment is 0, and sweeps fit each other no better spread over scan_time "
+            f"({abs(stated_s):.2f} s): all beams of a sweep count as taken at once"
         )
     if found is not None and told is not None:
         yaw = float(np.degrees(wrap(np.asarray(found[2] - mount[2]))))
@@ -113,7 +127,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     if told is None:
         where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
         said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
-    return Calibration(motion, mirrored, tuple(said), turn_s)
+    return Calibration(sweeps, motion, mirrored, tuple(said), turn_s)
 
 
 def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tuple[_Pairs, bool]:
@@ -161,20 +175,23 @@ def _stated_turn_s(sweeps: Sweeps) -> float:
     return float(np.median(turns)) if turns else 0.0
 
 
-def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, *, mirrored: bool) -> float:
+def _turning_time(sweeps: Sweeps, motion: Motion, plain: _Pairs, stated_s: float, *, mirrored: bool) -> float:
     """Return the time of a whole turn at which sweeps fit each other best; 0 where their own times do as well.
 
     Sweeps without times may have been taken either way round; those with times the other way round: drivers of lasers
-    that turn clockwise reverse the order of the ranges, and keep the sign of the time between them.
+    that turn clockwise reverse the order of the ranges, and keep the sign of the time between them. Sweeps that have
+    a scan_time alone may have been taken at once, which stands where neither way round fits better.
     """
     if not len(plain.pose):
         return 0.0
-    stated_s = _stated_turn_s(sweeps)
-    period = min(sweeps.period_s, 0.2)
-    best, turn_s = _BETTER * _misfit(plain), 0.0
-    for candidate in (-stated_s,) if stated_s else (period, -period):
+    period = stated_s if sweeps.by_scan_time else min(sweeps.period_s, 0.2)
+    best = known = _misfit(plain)
+    turn_s = 0.0
+    for candidate in (-stated_s,) if stated_s and not sweeps.by_scan_time else (period, -period):
+        # what a scan_time says needs no more evidence than that all beams are taken at once
+        share = 1.0 if candidate == stated_s else _BETTER
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=candidate)
-        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < best:
+        if len(pairs.pose) >= _FEWER * len(plain.pose) and _misfit(pairs) < min(best, share * known):
             best, turn_s = _misfit(pairs), candidate
     return turn_s
 

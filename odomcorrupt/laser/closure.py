@@ -48,7 +48,7 @@ def end_by_scans(sweeps: Sweeps, odometry: Trajectory) -> End:
 
     """
     calibration = calibrate(sweeps, odometry, int(odometry.stamps_ns[0]))
-    motion, scans = calibration.motion, calibration.deskewing(sweeps)
+    sweeps, motion, scans = calibration.sweeps, calibration.motion, calibration.deskewing()
     t_s = sweeps.middle_s(motion.origin_ns)
     full = np.array([k for k in range(len(sweeps)) if len(sweeps.sweeps[k]) >= _COARSE])
     if len(full) < 2 * _SWEEPS:

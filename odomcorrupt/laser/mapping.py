@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from odomcorrupt.mapping.scan_map import Survey
     from odomcorrupt.study.io.laser_truth import LaserRun
 
-__all__ = ["LaserMaps", "laser_maps", "tum_text"]
+__all__ = ["LaserMaps", "largest_part", "laser_maps", "tum_text"]
 
 _MOST_RAYS = 400_000
+_LEAST_SAID_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,20 @@ class LaserMaps:
 
     trajectory: Trajectory
     surveys: tuple[Survey, ...]
+
+
+def largest_part(run: LaserRun) -> tuple[LaserRun, str]:
+    """Return the run by the largest connected part of its map alone, and a sentence on what that leaves out, or ""."""
+    path = run.path
+    parts, sizes = np.unique(path.part, return_counts=True)
+    largest = parts[np.argmax(sizes)]
+    spans = {part: path.t_s[path.part == part][[0, -1]] for part in parts}
+    said = {part: f"{a:.0f}-{b:.0f} s" for part, (a, b) in spans.items() if b - a > _LEAST_SAID_S or part == largest}
+    others = ", ".join(words for part, words in said.items() if part != largest)
+    kept = replace(run, path=path.only(path.part == largest))
+    return kept, others and (
+        f"{len(said)} parts that no scan connects: the map is of {said[largest]} alone; left out: {others}"
+    )
 
 
 def laser_maps(run: LaserRun, error_xyt: Array, resolution_m: float) -> LaserMaps:
@@ -87,9 +102,10 @@ def _moved(trajectory: Trajectory, here: Array, there: Array) -> Trajectory:
 
 
 def _rays(run: LaserRun) -> Rays:
-    """Return the returns of all sweeps in the robot's frame, on the odometry's clock."""
+    """Return the returns of all sweeps that have a pose, in the robot's frame, on the odometry's clock."""
     motion, sweeps = run.calibration.motion, run.sweeps
-    total = sum(len(s) for s in sweeps.sweeps)
+    placed = [sweeps.sweeps[row] for row in run.path.row]
+    total = sum(len(s) for s in placed)
     thin = max(1, total // _MOST_RAYS)
     lag_ns = round(motion.lag_s * 1e9)
     angle = float(motion.mount[2])
@@ -98,8 +114,8 @@ def _rays(run: LaserRun) -> Rays:
         plane = plane @ np.diag([1.0, -1.0])
     mount = Mount(motion.mount[:2], plane)
     stamps, ends = [], []
-    for sweep in sweeps.sweeps:
+    for sweep in placed:
         after = np.round(sweep.after_s[::thin].astype(np.float64) * 1e9).astype(np.int64)
         stamps.append(sweep.stamp_ns + lag_ns + after)
         ends.append(mount.position_xy + sweep.xy[::thin].astype(np.float64) @ mount.plane.T)
-    return Rays(np.concatenate(stamps), mount.position_xy, np.concatenate(ends), len(sweeps), sweeps.frame_id)
+    return Rays(np.concatenate(stamps), mount.position_xy, np.concatenate(ends), len(placed), sweeps.frame_id)

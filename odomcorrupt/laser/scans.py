@@ -88,7 +88,9 @@ def read_sweeps(path: Path, place: str, topic: str | None, base_frame: str) -> S
             f"matching takes {_LEAST_RETURNS} and more that are not the robot itself: name another topic with --scan"
         )
     logs = np.array([log for _, log in rows], dtype=np.int64)
-    return Sweeps(where, name, frame, sweeps, view, logs, mount, (*notes, *more))
+    first = rows[0][0]
+    by_scan_time = isinstance(first, ScanMessage) and not _has_increment(first) and _time_step_s(first) > 0.0
+    return Sweeps(where, name, frame, sweeps, view, logs, mount, (*notes, *more), by_scan_time)
 
 
 def _choose(channels: Iterable[Channel], topic: str | None, place: str) -> list[Channel]:
@@ -202,9 +204,13 @@ def _returns(scan: ScanMessage, farthest: float, body: NDArray[np.bool_] | None)
     return Sweep(scan.stamp_ns, xy.astype(np.float32), (hit * step).astype(np.float32))
 
 
+def _has_increment(scan: ScanMessage) -> bool:
+    return scan.time_step_s != 0.0 and bool(np.isfinite(scan.time_step_s))
+
+
 def _time_step_s(scan: ScanMessage) -> float:
     """Return the time between two bearings: as told, or from the time of a whole turn."""
-    if scan.time_step_s != 0.0 and np.isfinite(scan.time_step_s):
+    if _has_increment(scan):
         # some drivers write the time of a sweep here
         return scan.time_step_s if abs(scan.time_step_s) * len(scan.ranges_m) < 1.0 else 0.0
     if 0.0 < scan.scan_time_s < 1.0:

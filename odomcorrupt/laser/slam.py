@@ -77,7 +77,7 @@ class _Tracker:
         self.world = KeyframeMap(sweeps.field_of_view_rad)
         self.t_s = sweeps.middle_s(calibration.motion.origin_ns)
         self.keyframe, self.relative = np.full(len(sweeps), -1), np.zeros((len(sweeps), 3))
-        self._scans = calibration.deskewing(sweeps)
+        self._scans = calibration.deskewing()
         self._dead = calibration.motion.laser(self.t_s)
         self._current, self._inside = -1, np.zeros(3)
         self._last, self._lost = -1, 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -47,6 +47,8 @@ class Sweeps:
     log_ns : (n,) when each was recorded
     mount : how the laser sits on the robot, None where TF does not say
     notes : what was noticed or left out, in words
+    by_scan_time : whether the times within the sweeps come from scan_time alone: time_increment is 0, as it is where
+        all beams are taken at once
     """
 
     place: str
@@ -57,9 +59,14 @@ class Sweeps:
     log_ns: NDArray[np.int64]
     mount: Mount | None
     notes: tuple[str, ...] = ()
+    by_scan_time: bool = False
 
     def __len__(self) -> int:
         return len(self.sweeps)
+
+    def at_once(self) -> Sweeps:
+        """Return the sweeps with all returns of each taken at its stamp."""
+        return replace(self, sweeps=tuple(replace(s, after_s=np.zeros_like(s.after_s)) for s in self.sweeps))
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.laser.calibrate import Calibration
     from odomcorrupt.laser.slam import Tracked
-    from odomcorrupt.laser.sweep import Sweeps
 
 __all__ = ["UNKNOWN_M", "LaserPath", "relocalised"]
 
@@ -65,12 +64,12 @@ class LaserPath:
 
 
 def relocalised(
-    sweeps: Sweeps, calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
+    calibration: Calibration, tracked: Tracked, progress: Callable[[float], None] | None = None
 ) -> LaserPath:
     """Return every sweep's pose in the finished map, those that do not fit left out."""
     motion, world = calibration.motion, tracked.map
     part_of = world.parts()
-    scans = calibration.deskewing(sweeps)
+    scans = calibration.deskewing()
     rows, poses, covariances, parts, weak, ratios, deviations = [], [], [], [], [], [], []
     tracked_rows = np.flatnonzero(tracked.keyframe >= 0)
     for done, n in enumerate(tracked_rows):

@@ -61,14 +61,17 @@ def joints(stamps_ns, names, angles, topic="/joint_states"):
         yield int(stamp), topic, "sensor_msgs/JointState", message
 
 
-def scans(stamps_ns, ranges, topic="/scan", *, turn_s=0.0, view=2 * np.pi, most=8.0, frame="laser"):
-    """Scans of (n, beams) ranges from -view/2 on; turn_s: the time between the first beam and the next sweep's."""
+def scans(stamps_ns, ranges, topic="/scan", *, turn_s=0.0, view=2 * np.pi, most=8.0, frame="laser", increment=True):
+    """Scans of (n, beams) ranges from -view/2 on; turn_s: the time between the first beam and the next sweep's.
+
+    increment : whether time_increment says so, or scan_time alone
+    """
     beams = len(ranges[0])
     step = view / beams
     for stamp, row in zip(stamps_ns, ranges, strict=True):
         message = new(
-            "sensor_msgs/LaserScan", header(stamp, frame), -view / 2, view / 2 - step, step, turn_s / beams, turn_s,
-            0.05, float(most), np.asarray(row, np.float32), np.zeros(0, np.float32),
+            "sensor_msgs/LaserScan", header(stamp, frame), -view / 2, view / 2 - step, step,
+            turn_s / beams * increment, turn_s, 0.05, float(most), np.asarray(row, np.float32), np.zeros(0, np.float32),
         )  # fmt: skip
         yield int(stamp), topic, "sensor_msgs/LaserScan", message
 

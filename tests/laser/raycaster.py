@@ -74,9 +74,13 @@ def ranges(
 def drive(
     where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
     blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
-    returns=False,
+    returns=False, scan_time_s=None, missing_s=(0.0, 0.0),
 ):  # fmt: skip
-    """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them."""
+    """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them.
+
+    scan_time_s : what the scans say in scan_time, with a time_increment of 0
+    missing_s : when no scans are recorded, from and to
+    """
     t_s, poses, fine, every = path(straight=corridor)
     if returns:
         t_s, poses, fine, every = there_and_back(fine, every)
@@ -90,6 +94,7 @@ def drive(
         return compose(robot, np.array(mount))
 
     starts = np.arange(0.1, t_s[-1] - (0.3 if returns else 1.5), 1.0 / rate_hz)
+    starts = starts[(starts < missing_s[0]) | (starts > missing_s[1])]
     walls = closed(CORRIDOR) if corridor else WALLS
     seen = ranges(laser_at, starts, walls=walls, sweep_s=sweep_s, flipped=flipped, backwards=backwards)
     if blind:
@@ -116,7 +121,8 @@ def drive(
         ]  # fmt: skip
         groups.append(laserbags.clouds(stamps(starts + 0.5 * sweep_s), points))
     else:
-        groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=sweep_s))
+        turn_s, increment = (sweep_s, True) if scan_time_s is None else (scan_time_s, False)
+        groups.append(laserbags.scans(stamps(starts + late), seen, turn_s=turn_s, increment=increment))
     if twice:
         groups.append(laserbags.scans(stamps(starts + 0.01), seen, "/scan_rear", turn_s=sweep_s))
     if gyro:

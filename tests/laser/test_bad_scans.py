@@ -1,12 +1,19 @@
 """Scans with something wrong about them: found out and put right, or refused in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import raycaster
 
 from odomcorrupt.cli import run
 from odomcorrupt.errors import OdomCorruptError
+from odomcorrupt.laser.calibrate import calibrate
+from odomcorrupt.laser.mapping import largest_part
+from odomcorrupt.laser.scans import read_sweeps
 from odomcorrupt.study.io import Source, read_runs
+from odomcorrupt.study.io.laser_truth import laser_run, truth_of
+from odomcorrupt.study.io.reader import read_odometry
 
 
 def read(path, scan=None):
@@ -46,6 +53,19 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("sweep_s", "said"), [(0.0, "taken at once"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
+)
+def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_path, sweep_s, said):
+    path = raycaster.drive(tmp_path / "run.mcap", sweep_s=sweep_s, scan_time_s=0.19, told=(0.1, 0.0, 0.0))
+    odometry, _ = read_odometry(Source(path))
+    found = calibrate(read_sweeps(path, "run", "/scan", "base_link"), odometry, int(odometry.stamps_ns[0]))
+    (note,) = (text for text in found.said if "scan_time" in text)
+    assert said in note
+    assert found.motion.lag_s == pytest.approx(0.0, abs=0.01)
+    assert max(np.ptp(sweep.after_s) for sweep in found.sweeps.sweeps) == pytest.approx(sweep_s, abs=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("faults", "words"),
@@ -63,7 +83,7 @@ def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, wor
 def test_of_two_lasers_one_has_to_be_named(tmp_path, capsys):
     path = raycaster.drive(tmp_path / "run.mcap", twice=True, rate_hz=2.0)
     assert run(["learn", str(path)]) == 1
-    assert "--truth" in capsys.readouterr().err
+    assert "--scan /scan or --scan /scan_rear" in capsys.readouterr().err
     assert run(["learn", str(path), "--scan", "/scan_front"]) == 1
     said = capsys.readouterr().err
     assert "/scan_rear" in said
@@ -78,3 +98,23 @@ def test_beside_a_laser_a_gyro_says_where_the_heading_comes_from_and_the_laser_i
     assert "/imu/data: yaw is about its z axis" in notes
     assert recording.heading_source != "gyro"
     assert turned_too_far(recording) == pytest.approx(1.02, abs=0.01)
+
+
+def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tmp_path):
+    path = raycaster.drive(tmp_path / "run.mcap", corridor=True, told=(0.1, 0.0, 0.0), gyro=True, rate_hz=2.0)
+    with pytest.raises(OdomCorruptError, match="--scan none leaves the laser out"):
+        read(path)
+    recording, _ = read(path, "none")
+    assert not recording.positioned
+
+
+def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path):
+    path = raycaster.drive(tmp_path / "run.mcap", told=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
+    run = laser_run(path, "run", None, "/scan")
+    assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(run) for note in part.notes)
+    assert largest_part(run)[1] == ""
+    later = run.path.t_s > 22.0
+    cut = replace(run, path=replace(run.path, part=later.astype(np.int64)))
+    kept, said = largest_part(cut)
+    assert kept.path.t_s.max() < 22.0
+    assert "2 parts that no scan connects: the map is of 0-19 s alone; left out: 25-" in said

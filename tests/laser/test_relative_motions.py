@@ -8,7 +8,7 @@ from odomcorrupt.api.returns import fit_returns
 from odomcorrupt.cli import run
 from odomcorrupt.effects import registry
 from odomcorrupt.effects.effect import amplitudes
-from odomcorrupt.errors import RecordingError
+from odomcorrupt.errors import FitError, RecordingError
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.geometry.se2 import between, compose
 from odomcorrupt.study.estimate.calibrate import fit_robot
@@ -135,6 +135,8 @@ def test_drives_that_come_back_show_unequal_wheels_and_the_track(tmp_path):
     found = {row["parameter"]: row for row in fit_returns(files, track_m=track).rows()}
     assert found["wheelbase.e"]["value"] == pytest.approx(e, abs=2e-3)
     assert abs(found["unequal_wheels.curvature"]["value"]) == pytest.approx(curvature, rel=0.05)
+    with pytest.raises(FitError, match="with the effects taken out: these drives did not end as given"):
+        fit_returns(files, [(0.0, 0.0, 1.5), (0.0, 0.0, 3.0)], track_m=track)
 
 
 def test_squares_one_way_round_do_not_tell_wheels_from_track(tmp_path, capsys):

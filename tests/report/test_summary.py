@@ -6,7 +6,7 @@ from itertools import product
 
 import pytest
 
-from odomcorrupt.report.text.summary import MOST_LINES, Line, Summary, command_line
+from odomcorrupt.report.text.summary import MOST_LINES, Line, Summary, command_line, wrapped
 
 
 @pytest.mark.parametrize(("count", "width", "words"), [*product((1, 7, 12), (40, 80), (3, 60))])
@@ -36,3 +36,11 @@ def test_labels_are_aligned_and_html_is_escaped():
     summary = Summary((Line("A", "<b>"), Line("longer", "text")))
     assert [row.index(word) for row, word in zip(summary.text().splitlines(), ("<b>", "text"), strict=True)] == [8, 8]
     assert "&lt;b&gt;" in summary.html()
+
+
+def test_prose_is_wrapped_at_the_width_of_a_terminal_and_rows_of_tables_are_not():
+    row = "model      " + "12.3   " * 12
+    text = wrapped("\n".join(["  " + "some words " * 12, "", row]), 40).splitlines()
+    assert text[-2:] == ["", row]
+    assert len(text) > 4
+    assert all(line.startswith("  ") and len(line) <= 40 for line in text[:-2])

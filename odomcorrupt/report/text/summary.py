@@ -12,7 +12,7 @@ from odomcorrupt.standard_streams import visible
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-__all__ = ["MOST_LINES", "WIDTH", "Line", "Summary", "Tone", "command_line"]
+__all__ = ["MOST_LINES", "WIDTH", "Line", "Summary", "Tone", "command_line", "wrapped"]
 
 MOST_LINES = 8
 """Lines of a summary: as many as are read without scrolling or searching."""
@@ -98,6 +98,18 @@ class Summary:
         """The verdict on one line, for a repr."""
         first = self.lines[0]
         return f"{first.label} {first.text}".strip()
+
+
+def wrapped(text: str, width: int) -> str:
+    """Return a text whose lines of prose are no wider than so many columns; rows of tables stay as they are."""
+    lines: list[str] = []
+    for line in text.splitlines():
+        start = line[: len(line) - len(line.lstrip())]
+        is_row = "  " in line.strip()
+        lines += (
+            [line] if is_row else textwrap.wrap(line, width, subsequent_indent=start, break_on_hyphens=False) or [""]
+        )
+    return "\n".join(lines)
 
 
 def _folded(tone: Tone, text: str, width: int) -> list[str]:

@@ -40,6 +40,11 @@ _PLACED = np.array([5e-3, 5e-3, 0.01])
 _NOISE = Coefficients(rot_rot=0.02, rot_trans=0.01, trans_trans=0.02, trans_rot=0.0)
 _ROUNDS, _STEP = 20, 1e-7
 _ALIASED = 0.99
+_ONE_WAY = 0.2
+"""Least share of all turning that is to the rarer side."""
+_PULSE_S = 1.0
+_SCATTERED = 5.0
+"""Ends that scatter so many times more than placing and usual noise make them are no ends of these drives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +82,12 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     Raises
     ------
     FitError
-        Where the drives do not tell the effects apart: driven one way round alone, for instance.
+        Where the drives do not tell the effects apart: driven one way round alone, for instance; or where the ends lie
+        farther off once the effects are taken out.
 
     """
+    if set(USUAL) <= set(names):
+        _check_both_ways(drives)
     effects: tuple[Effect, ...] = tuple(effect_from_values(name, {}) for name in names)
     count = sum(len(amplitudes(e)) for e in effects)
     first: Array | None = None
@@ -102,11 +110,16 @@ def fit_returns(drives: Sequence[Recording], names: Sequence[str] = USUAL) -> Re
     degrees = 3 * len(left) - count
     misfit = float(np.einsum("ki,kij,kj->", left.residual, weight, left.residual))
     spread = float(np.sqrt(misfit / degrees)) if degrees > 0 else 1.0
+    first = left.residual if first is None else first
+    before, after = (float(np.sqrt(np.mean(np.sum(r[:, :2] ** 2, axis=1)))) for r in (first, left.residual))
+    if spread > _SCATTERED and after > before:
+        raise FitError(
+            f"the ends lie {before:.2f} m off, and {after:.2f} m with the effects taken out: these drives did not end "
+            "as given, headings included; measure the ends with --end X,Y,YAW or --scan TOPIC"
+        )
     wider = float(student.isf(0.025, degrees) / 1.96) if degrees > 0 else 1.0
     errors = np.sqrt(np.diag(covariance)) * max(spread * wider, 1.0 if degrees < 3 else 0.0)
-    return ReturnsFit(
-        tuple(drives), effects, errors, first if first is not None else left.residual, left.residual, spread
-    )
+    return ReturnsFit(tuple(drives), effects, errors, first, left.residual, spread)
 
 
 def _moved(effects: Sequence[Effect], theta: Array) -> tuple[Effect, ...]:
@@ -149,6 +162,22 @@ def _covariance(problem: Problem) -> Array:
     noise = problem.nodes.covariance(problem.approach.law, _NOISE, problem.steps)
     whole: Array = noise + np.diag(_PLACED**2)
     return whole
+
+
+def _check_both_ways(drives: Sequence[Recording]) -> None:
+    """Refuse drives that turn to one side alone, which mixes effects up."""
+    turned = []
+    for drive in drives:
+        own = drive.odometry.seconds_since(int(drive.odometry.stamps_ns[0]))
+        yaw = np.interp(np.append(np.arange(0.0, own[-1], _PULSE_S), own[-1]), own, drive.odometry.xyt[:, 2])
+        turned.append(np.diff(yaw))
+    every = np.concatenate(turned)
+    left, right = float(every[every > 0.0].sum()), float(-every[every < 0.0].sum())
+    if min(left, right) < _ONE_WAY * (left + right):
+        raise FitError(
+            f"{np.degrees(left):.0f} deg of turning to the left, {np.degrees(right):.0f} deg to the right: that does "
+            f"not tell {' from '.join(USUAL)}; drive the path the other way round, too, or fit one of them with --add"
+        )
 
 
 def _check(normal: Array, effects: Sequence[Effect], equations: int) -> None:

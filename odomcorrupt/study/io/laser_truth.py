@@ -34,16 +34,19 @@ if TYPE_CHECKING:
     from odomcorrupt.laser.trajectory import LaserPath
     from odomcorrupt.study.io.address import Address
 
-__all__ = ["SCALE_ACCURACY", "LaserRun", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
+__all__ = ["NO_SCAN", "SCALE_ACCURACY", "LaserRun", "end_seen", "laser_run", "match_run", "only_scan", "truth_of"]
 
 SCALE_ACCURACY = 0.003
 """Standard deviation of a laser's own scale error where nobody says better: 0.3 %."""
+NO_SCAN = "none"
+"""In place of a topic: the laser is left out."""
 _LEAST_PART_S = 15.0
 _WEAK_SAID = 0.1
 _LAG_SAID_S = 0.02
 _FEWEST = 20
 _BLIND = 0.9
 _JITTER_SAID_S = 3e-3
+_GAP_SAID_S, _GAP_PERIODS = 2.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +126,9 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     origin_ns = int(guide.stamps_ns[0])
     _check_overlap(sweeps, odometry)
     calibration = calibrate(sweeps, guide, origin_ns)
+    sweeps = calibration.sweeps
     tracked = make_map(sweeps, calibration, _part(progress, "matching scans"))
-    found = relocalised(sweeps, calibration, tracked, _part(progress, "placing scans in the map"))
+    found = relocalised(calibration, tracked, _part(progress, "placing scans in the map"))
     if len(found) < _FEWEST:
         raise RecordingError(
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
@@ -205,6 +209,13 @@ def _said(run: LaserRun) -> list[str]:
             f"stamps of the sweeps are off by about {1e3 * run.noise.stamps_s:.0f} ms each (stamped on arrival?): what "
             "that does in turns counts as noise of the laser"
         )
+    stamps_s = run.sweeps.middle_s(run.calibration.motion.origin_ns)
+    apart_s = np.diff(stamps_s)
+    missing = np.flatnonzero(apart_s > max(_GAP_SAID_S, _GAP_PERIODS * run.sweeps.period_s))
+    if len(missing):
+        longest = missing[np.argmax(apart_s[missing])]
+        more = f" ({len(missing)} gaps)" if len(missing) > 1 else ""
+        said.append(f"no scans for {apart_s[longest]:.1f} s from {stamps_s[longest]:.1f} s on{more}")
     if run.sweeps.period_s > 0.5:
         said.append(f"one sweep in {run.sweeps.period_s:.1f} s: what changes faster is not seen")
     return said

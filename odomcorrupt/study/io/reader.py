@@ -18,7 +18,7 @@ from odomcorrupt.study.io.feedback import pull_of
 from odomcorrupt.study.io.gyro import gyro_truth, only_imu, read_gyro, yaw_gyro
 from odomcorrupt.study.io.jitter import jitter_signs
 from odomcorrupt.study.io.jumps import without_outliers
-from odomcorrupt.study.io.laser_truth import laser_run, only_scan, truth_of
+from odomcorrupt.study.io.laser_truth import NO_SCAN, laser_run, only_scan, truth_of
 from odomcorrupt.study.io.localisation import corrections_alone, is_of_base
 from odomcorrupt.study.io.plausibility import check_pair
 from odomcorrupt.study.io.relative_motions import chains_of, read_motions
@@ -76,7 +76,7 @@ def _read_runs(source: Source, progress: Callable[[str, float], None] | None) ->
     if source.relative is not None:
         return _by_motions(source, source.relative)
     scan = source.scan or automatic_scan(source)
-    if scan is not None:
+    if scan is not None and scan != NO_SCAN:
         if source.truth is not None or source.truth_path is not None:
             raise RecordingError(f"{_place(source)}: --scan {scan} and a truth; name one of them")
         return _by_laser(source, scan, progress)
@@ -113,10 +113,15 @@ def _by_laser(source: Source, scan: str, progress: Callable[[str, float], None] 
     odom = parse_address(source.odom) if source.odom is not None else None
     place = _place(source)
     wheels = _with_wheels(source, in_order(_one(source.path, place, "odometry", odom)))
-    run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
+    try:
+        run = laser_run(source.path, place, odom, scan, progress, odometry=wheels.odometry)
+        parts = truth_of(run)
+    except RecordingError as why:
+        if source.scan or not (source.imu or automatic_imu(source)):
+            raise
+        raise RecordingError(f"{why}; --scan {NO_SCAN} leaves the laser out: diagnose by the gyro alone") from None
     found: list[Recording] = []
     name = source.name or source.path.name
-    parts = truth_of(run)
     for part in parts:
         try:
             found += recordings_of(name, run.odometry, part, wheels.track_m, source.truth_shift_s)

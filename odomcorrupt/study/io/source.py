@@ -26,7 +26,8 @@ class Source:
     track_m : nominal distance between the wheels, where it is known
     name : what to call the run, where not by its path
     drive_type : how the robot's wheels steer it, see `drive_types`; one that is steered has no track
-    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth
+    scan : topic of a laser that is to be the truth; None takes the only one of a bag that holds no truth,
+        "none" none at all
     truth_scale_error : standard deviation of the laser's own scale error
     imu : topic of a gyro; None takes the only Imu topic, where it turns with the odometry
     gyro_scale_error : standard deviation of the gyro's own scale error

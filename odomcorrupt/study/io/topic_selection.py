@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from odomcorrupt.corruption.odometry_source import says_truth
 from odomcorrupt.errors import TopicError
+from odomcorrupt.mapping.messages import SCAN
 from odomcorrupt.study.io.address import plain
 
 if TYPE_CHECKING:
@@ -108,6 +109,8 @@ def choose(channels: Iterable[Channel], place: str, role: Role, not_these: Itera
         way_out += f", an edge of TF as {flag} /tf:{'odom' if role == 'odometry' else 'map'}.base_link"
     if role == "truth":
         way_out += ", or the file it was recorded in with --truth-bag"
+        lasers = " or ".join(sorted({f"--scan {c.topic}" for c in free if c.msgtype == SCAN}))
+        way_out += f", or learn from a laser with {lasers}" if lasers else ""
     raise TopicError(f"{place}: no topic that could be {role} (found {there}). {way_out}.")
 
 
