@@ -128,8 +128,11 @@ def _hinges(regressor: str, motions: Sequence[Motion]) -> Iterator[BasisFunction
 
 
 def _latest(regressor: str, motions: Sequence[Motion], sign: float = 1.0) -> float:
-    """Return the largest threshold beyond which enough of the data and of the regressor's range is left."""
-    if regressor == "time":
+    """Return the largest threshold of a speed beyond which enough of the data and of its range is left.
+
+    Not so of an acceleration, which is near nothing most of the time, or of time.
+    """
+    if regressor not in ("speed", "yaw_rate"):
         return float("inf")
     seen = np.concatenate([sign * VALUES[regressor][1](m) for m in motions])
     return _WITHIN * max(float(np.quantile(seen, _TOP)), 0.0) if len(seen) else 0.0
