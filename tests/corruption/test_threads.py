@@ -131,6 +131,7 @@ def test_a_full_disk_ends_everything_with_one_line_and_nothing_stays(long, threa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_everything_at_once_though_a_pipe_waits(long, number, tmp_path):
     out = tmp_path / "out.mcap"
@@ -148,6 +149,7 @@ def test_an_interrupt_ends_everything_at_once_though_a_pipe_waits(long, number, 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_ends_everything_though_nobody_reads_what_is_written(long, number, tmp_path):
     words = [*COMMAND, str(long), "-", "--seed", "1", "--threads", "3"]
