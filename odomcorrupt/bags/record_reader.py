@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from contextlib import closing
 from typing import TYPE_CHECKING, Any, Self
 
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["RecordReader"]
 
 
-class RecordReader:
+class RecordReader(ABC):
     """Base class of readers of a file or pipe of records; see `BagReader`.
 
     losses : parts that could not be read, one sentence each, with recovery
@@ -107,30 +108,30 @@ class RecordReader:
             raise error
         self.losses.append(loss_of(error))
 
+    @abstractmethod
     def _parts(self, source: Source) -> Generator[Any, None, None]:
         """Yield chunks, and what is between them; each part's `data` are its bytes."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _taken(self, part: Any) -> Block | None:
         """Return the block that a part becomes, or None where there is nothing to write in it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _block(self, part: Any) -> Block:
         """Return a chunk as a block; BagError where it is damaged."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _salvaged(self, part: Any) -> Block:
         """Return the intact messages of a damaged chunk."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _read_end(self, source: Source) -> None:
         """Read what follows the blocks on a pipe."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def _stated_count(self) -> int | None:
         """Number of messages that the bag states, if it does."""
-        raise NotImplementedError
 
     def __enter__(self) -> Self:
         return self

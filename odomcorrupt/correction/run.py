@@ -189,7 +189,7 @@ def split_effects(model: MotionModel) -> Effects:
 
 
 def require_start(model: MotionModel) -> None:
-    """Raise EffectError where a model needs to be told where the odometry begins.
+    """Raise EffectError where a model acts at places and the start of the odometry in their frame is not given.
 
     Its effects of places and headings were learned in the frame of a truth; in another frame they make odometry worse.
     """

@@ -112,7 +112,7 @@ class _LateState:
 class _DelayState(_LateState):
     """What a delayed channel has not reported yet, and the stretch before it."""
 
-    told = 0.0
+    shown = 0.0
 
     def reported(self, step: float, now_s: float, tau_s: float) -> float:
         """Return what is reported over a step that ends then: what was done until tau before, and not yet reported."""
@@ -120,16 +120,16 @@ class _DelayState(_LateState):
         if not dt_s > 0.0:
             return step
         if not self.clock_s:  # before the first interval the robot moved as in it
-            self.told = -tau_s * step / dt_s
-            self.clock_s, self.gone = [-tau_s, 0.0], [self.told, 0.0]
+            self.shown = -tau_s * step / dt_s
+            self.clock_s, self.gone = [-tau_s, 0.0], [self.shown, 0.0]
         self.clock_s.append(self.clock_s[-1] + dt_s)
         self.gone.append(self.gone[-1] + step)
         late_s = self.clock_s[-1] - tau_s
         i = min(max(bisect_right(self.clock_s, late_s), 1), len(self.clock_s) - 1)
         part = (late_s - self.clock_s[i - 1]) / (self.clock_s[i] - self.clock_s[i - 1])
-        before, self.told = self.told, self.gone[i - 1] + part * (self.gone[i] - self.gone[i - 1])
+        before, self.shown = self.shown, self.gone[i - 1] + part * (self.gone[i] - self.gone[i - 1])
         del self.clock_s[: i - 1], self.gone[: i - 1]
-        return self.told - before
+        return self.shown - before
 
 
 class _FilterState(_LateState):

@@ -53,7 +53,7 @@ PLACES = ("x", "y", "theta")
 ACCELERATIONS = ("a", "alpha")
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
 PAST = " before"
-"""Ends the name under which the value of a variable in the interval before is told, where that is another."""
+"""Ends the name under which the value of a variable in the interval before is given, where that is another."""
 _NOTHING = 1e-9
 """Of numbers below it the sign is left to rounding, and taken for zero."""
 CONSTANTS = {"pi": np.pi}

@@ -88,18 +88,18 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
     mount = np.zeros(3)
     stated, stated_s = sweeps, _stated_turn_s(sweeps)
     sweeps = sweeps.at_once() if sweeps.by_scan_time else sweeps
-    told = sweeps.mount
-    flipped = told is not None and float(np.linalg.det(told.plane)) < 0.0
-    if told is not None:
-        mount = np.array([*told.position_xy, np.arctan2(told.plane[1, 0], told.plane[0, 0])])
+    by_tf = sweeps.mount
+    flipped = by_tf is not None and float(np.linalg.det(by_tf.plane)) < 0.0
+    if by_tf is not None:
+        mount = np.array([*by_tf.position_xy, np.arctan2(by_tf.plane[1, 0], by_tf.plane[0, 0])])
     motion = Motion(odometry, origin_ns, 0.0, mount)
-    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, sure=told is not None)
+    pairs, mirrored = _sense(sweeps, motion, flipped=flipped, sure=by_tf is not None)
     said = []
     if mirrored and not flipped:
         said.append(f"{sweeps.topic}: turns against the odometry: it hangs upside down; mirrored")
     found = None
     for _ in range(2):
-        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
+        motion, found = _refined(pairs, motion, by_tf=mount if by_tf is not None else None)
         pairs = _matched(sweeps, motion, mirrored=mirrored)
     best_s = turn_s = _turning_time(sweeps, motion, pairs, stated_s, mirrored=mirrored)
     if best_s:
@@ -110,7 +110,7 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
             sweeps, motion = stated, replace(motion, lag_s=motion.lag_s - later_s)
             turn_s = 0.0 if best_s == stated_s else best_s
         pairs = _matched(sweeps, motion, mirrored=mirrored, turn_s=turn_s)
-        motion, found = _refined(pairs, motion, told=mount if told is not None else None)
+        motion, found = _refined(pairs, motion, by_tf=mount if by_tf is not None else None)
         said.append(
             f"{sweeps.topic}: {why}; sweeps fit each other best if a turn takes {abs(best_s):.2f} s "
             f"({'counter-clockwise' if best_s > 0.0 else 'clockwise'})"
@@ -120,11 +120,11 @@ def calibrate(sweeps: Sweeps, odometry: Trajectory, origin_ns: int) -> Calibrati
             f"{sweeps.topic}: time_increment is 0, and sweeps fit each other no better spread over scan_time "
             f"({abs(stated_s):.2f} s): all beams of a sweep count as taken at once"
         )
-    if found is not None and told is not None:
+    if found is not None and by_tf is not None:
         yaw = float(np.degrees(wrap(np.asarray(found[2] - mount[2]))))
         if abs(yaw) > np.degrees(_DIFFERS_RAD):
             said.append(f"{sweeps.topic}: turned by {yaw:.0f} deg against what TF says; mounting taken from the motion")
-    if told is None:
+    if by_tf is None:
         where = ", ".join(f"{v:.2f} m" for v in motion.mount[:2])
         said.append(f"{sweeps.topic}: found to sit at {where}, {np.degrees(motion.mount[2]):.1f} deg on the robot")
     return Calibration(sweeps, motion, mirrored, tuple(said), turn_s)
@@ -152,14 +152,14 @@ def _sense(sweeps: Sweeps, motion: Motion, *, flipped: bool, sure: bool) -> tupl
     return best[1], best[2]
 
 
-def _refined(pairs: _Pairs, motion: Motion, *, told: Array | None) -> tuple[Motion, Array | None]:
+def _refined(pairs: _Pairs, motion: Motion, *, by_tf: Array | None) -> tuple[Motion, Array | None]:
     """Return the motion with lag and mounting by matched pairs, and the mounting (3,) that these show, if any.
 
-    told : (3,) the mounting by TF, which is kept where the pairs do not plainly contradict it
+    by_tf : (3,) the mounting by TF, which is kept where the pairs do not plainly contradict it
     """
     motion = Motion(motion.odometry, motion.origin_ns, _lag(pairs, motion), motion.mount)
     found = _mounting(pairs, motion)
-    if found is not None and (told is None or abs(wrap(np.asarray(found[2] - told[2]))) > _DIFFERS_RAD):
+    if found is not None and (by_tf is None or abs(wrap(np.asarray(found[2] - by_tf[2]))) > _DIFFERS_RAD):
         motion = Motion(motion.odometry, motion.origin_ns, motion.lag_s, found)
     return motion, found
 

@@ -160,9 +160,9 @@ def _sweeps(
 
 
 def _no_return_m(scans: list[ScanMessage]) -> float:
-    """Return the range from which on nothing was met: the maximum told, or a largest range that is far too common."""
-    told = scans[0].range_max_m
-    largest = told if np.isfinite(told) and told > scans[0].range_min_m else _FARTHEST_M
+    """Return the range from which on nothing was met: the stated maximum, or a largest range that is too common."""
+    stated = scans[0].range_max_m
+    largest = stated if np.isfinite(stated) and stated > scans[0].range_min_m else _FARTHEST_M
     sample = np.concatenate([s.ranges_m for s in scans[:: max(1, len(scans) // 200)]])
     sample = sample[np.isfinite(sample) & (sample > 0.0) & (sample < largest)]
     if len(sample):
@@ -209,7 +209,7 @@ def _has_increment(scan: ScanMessage) -> bool:
 
 
 def _time_step_s(scan: ScanMessage) -> float:
-    """Return the time between two bearings: as told, or from the time of a whole turn."""
+    """Return the time between two bearings: as the scans have it, or from the time of a whole turn."""
     if _has_increment(scan):
         # some drivers write the time of a sweep here
         return scan.time_step_s if abs(scan.time_step_s) * len(scan.ranges_m) < 1.0 else 0.0

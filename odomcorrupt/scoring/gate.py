@@ -254,7 +254,7 @@ def _verdict(rule: Rule, report: Mapping[str, Any], baseline: Mapping[str, Any] 
     if rule.kind == "above":
         return _above(rule, own)
     if baseline is None:
-        raise ScoreError(f"rule {rule.text!r}: a rise is told against an earlier result; name it with --baseline")
+        raise ScoreError(f"rule {rule.text!r}: a rise is measured against an earlier result; name it with --baseline")
     before = _by_pair(baseline)
     keys = [key for key in own if key in before]
     if not keys:

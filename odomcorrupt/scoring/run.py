@@ -336,9 +336,9 @@ def _notes(runs: Sequence[RunScore], truths: set[str], true_frames: set[str], al
         notes.append(f"the estimates are in different frames: {', '.join(repr(frame) for frame in frames)}")
     own = {frame for frame in frames if frame}
     if align == "none" and own and true_frames and own != true_frames:
-        told = " and ".join(", ".join(sorted(names)) for names in (own, true_frames))
+        named = " and ".join(", ".join(sorted(names)) for names in (own, true_frames))
         notes.append(
-            f"not aligned, although the estimate and the truth are in frames called {told}; are they the same?"
+            f"not aligned, although the estimate and the truth are in frames called {named}; are they the same?"
         )
     elif align == "none":
         notes.append("not aligned: estimate and truth are taken to be in one frame")

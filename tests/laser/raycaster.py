@@ -72,8 +72,8 @@ def ranges(
 
 
 def drive(
-    where, *, mount=(0.1, 0.0, 0.0), told=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False, jitter_s=0.0,
-    blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
+    where, *, mount=(0.1, 0.0, 0.0), stated=None, rate_hz=5.0, sweep_s=0.15, flipped=False, corridor=False,
+    jitter_s=0.0, blind=False, cloud=False, twice=False, off=1.02, spin=False, backwards=False, gyro=False,
     returns=False, scan_time_s=None, missing_s=(0.0, 0.0),
 ):  # fmt: skip
     """Write a bag of odometry (turns too far by a factor) and scans with something wrong about them.
@@ -129,6 +129,6 @@ def drive(
         rate = np.gradient(every[:, 2], fine)[::2]
         rate = rate + 0.02 * np.random.default_rng(6).standard_normal(len(rate))
         groups.append(laserbags.imu(stamps(fine[::2]), np.column_stack((0.0 * rate, 0.0 * rate, rate + 0.004))))
-    if told is not None:
-        groups.append(laserbags.sits(x=told[0], y=told[1], yaw=told[2]))
+    if stated is not None:
+        groups.append(laserbags.sits(x=stated[0], y=stated[1], yaw=stated[2]))
     return laserbags.write(where, *groups)

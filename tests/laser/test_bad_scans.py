@@ -36,13 +36,13 @@ def turned_too_far(recording):
     ("faults", "said"),
     [
         ({"mount": (0.1, 0.05, np.pi / 2)}, "found to sit at"),
-        ({"mount": (0.1, 0.0, np.pi / 2), "told": (0.1, 0.0, 0.0)}, "turned by 90 deg against what TF says"),
+        ({"mount": (0.1, 0.0, np.pi / 2), "stated": (0.1, 0.0, 0.0)}, "turned by 90 deg against what TF says"),
         ({"flipped": True}, "hangs upside down"),
-        ({"rate_hz": 1.0, "told": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
-        ({"jitter_s": 0.05, "told": (0.1, 0.0, 0.0)}, "stamps of the sweeps are off by"),
-        ({"cloud": True, "told": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
-        ({"spin": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "ruler"),
-        ({"backwards": True, "sweep_s": 0.19, "told": (0.1, 0.0, 0.0)}, "times within a sweep run the wrong way"),
+        ({"rate_hz": 1.0, "stated": (0.1, 0.0, 0.0)}, "one sweep in 1.0 s"),
+        ({"jitter_s": 0.05, "stated": (0.1, 0.0, 0.0)}, "stamps of the sweeps are off by"),
+        ({"cloud": True, "stated": (0.1, 0.0, 0.0), "sweep_s": 0.001}, "a horizontal slice"),
+        ({"spin": True, "sweep_s": 0.19, "stated": (0.1, 0.0, 0.0)}, "ruler"),
+        ({"backwards": True, "sweep_s": 0.19, "stated": (0.1, 0.0, 0.0)}, "times within a sweep run the wrong way"),
     ],
     ids=["no TF, 90 deg", "wrong TF", "upside down", "1 Hz", "arrival stamps", "cloud", "spinning", "clockwise"],
 )
@@ -57,7 +57,7 @@ def test_what_is_wrong_is_found_out_and_turns_are_measured_all_the_same(tmp_path
     ("sweep_s", "said"), [(0.0, "taken at once"), (0.19, "a turn takes 0.19 s (counter-clockwise)")]
 )
 def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_path, sweep_s, said):
-    path = raycaster.drive(tmp_path / "run.mcap", sweep_s=sweep_s, scan_time_s=0.19, told=(0.1, 0.0, 0.0))
+    path = raycaster.drive(tmp_path / "run.mcap", sweep_s=sweep_s, scan_time_s=0.19, stated=(0.1, 0.0, 0.0))
     odometry, _ = read_odometry(Source(path))
     found = calibrate(read_sweeps(path, "run", "/scan", "base_link"), odometry, int(odometry.stamps_ns[0]))
     (note,) = (text for text in found.said if "scan_time" in text)
@@ -70,8 +70,8 @@ def test_scan_time_without_increment_counts_where_sweeps_fit_better_by_it(tmp_pa
 @pytest.mark.parametrize(
     ("faults", "words"),
     [
-        ({"corridor": True, "told": (0.1, 0.0, 0.0)}, "a corridor hides travel"),
-        ({"blind": True, "told": (0.1, 0.0, 0.0)}, "--scan"),
+        ({"corridor": True, "stated": (0.1, 0.0, 0.0)}, "a corridor hides travel"),
+        ({"blind": True, "stated": (0.1, 0.0, 0.0)}, "--scan"),
     ],
 )
 def test_scans_that_show_no_motion_are_refused_in_one_line(tmp_path, faults, words):
@@ -92,7 +92,7 @@ def test_of_two_lasers_one_has_to_be_named(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_beside_a_laser_a_gyro_says_where_the_heading_comes_from_and_the_laser_is_the_truth(tmp_path):
-    recording, notes = read(raycaster.drive(tmp_path / "run.mcap", told=(0.1, 0.0, 0.0), gyro=True))
+    recording, notes = read(raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), gyro=True))
     assert recording.matched
     assert "the laser on /scan" in notes
     assert "/imu/data: yaw is about its z axis" in notes
@@ -101,7 +101,7 @@ def test_beside_a_laser_a_gyro_says_where_the_heading_comes_from_and_the_laser_i
 
 
 def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tmp_path):
-    path = raycaster.drive(tmp_path / "run.mcap", corridor=True, told=(0.1, 0.0, 0.0), gyro=True, rate_hz=2.0)
+    path = raycaster.drive(tmp_path / "run.mcap", corridor=True, stated=(0.1, 0.0, 0.0), gyro=True, rate_hz=2.0)
     with pytest.raises(OdomCorruptError, match="--scan none leaves the laser out"):
         read(path)
     recording, _ = read(path, "none")
@@ -109,7 +109,7 @@ def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tm
 
 
 def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path):
-    path = raycaster.drive(tmp_path / "run.mcap", told=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
+    path = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
     run = laser_run(path, "run", None, "/scan")
     assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(run) for note in part.notes)
     assert largest_part(run)[1] == ""

@@ -10,14 +10,14 @@ from odomcorrupt.report.json.numbers import finite
 
 
 def test_what_is_not_finite_becomes_null_at_any_depth_and_numpy_becomes_plain():
-    told = {
+    printed = {
         "log_p": -np.inf,
         "rows": [(1.5, float("nan")), {"size": np.float64("inf"), "count": np.int64(3), "kept": np.bool_(True)}],
         "curve": np.array([[0.5, np.nan], [np.inf, 2.0]]),
         "name": "slip",
         "none": None,
     }
-    assert json.loads(json.dumps(finite(told), allow_nan=False)) == {
+    assert json.loads(json.dumps(finite(printed), allow_nan=False)) == {
         "log_p": None,
         "rows": [[1.5, None], {"size": None, "count": 3, "kept": True}],
         "curve": [[0.5, None], [None, 2.0]],

@@ -17,9 +17,9 @@ PAGE = (Path(__file__).parents[2] / "docs" / "json.md").read_text(encoding="utf8
 
 
 @pytest.fixture(scope="module")
-def told(case, diagnosed, tmp_path_factory):
+def printed(case, diagnosed, tmp_path_factory):
     """What `diagnose --json` prints of a short office drive with one wheel larger, and what it writes beside it."""
-    folder = tmp_path_factory.mktemp("told")
+    folder = tmp_path_factory.mktemp("printed")
     files = {"drive": folder / "next.mcap", "report": folder / "found.html"}
     words = [w for flag, path in files.items() for w in (f"--{flag}", str(path))]
     out = folder / "out.json"
@@ -31,8 +31,8 @@ def told(case, diagnosed, tmp_path_factory):
     return json.loads(out.read_text(), parse_constant=pytest.fail), files
 
 
-def test_the_schema_is_that_of_the_page(told):
-    found, _ = told
+def test_the_schema_is_that_of_the_page(printed):
+    found, _ = printed
     section = PAGE.split("## `diagnose --json`", 1)[1].split("\n## ", 1)[0]
     rows = [re.findall(r"`([^`]+)`", line.split("|")[1]) for line in section.splitlines() if line.startswith("| `")]
     named = {code for codes in rows for code in codes}
@@ -42,8 +42,8 @@ def test_the_schema_is_that_of_the_page(told):
     assert {f"found[].{key}" for key in entry} <= named | {"found[].effect", "found[].kind"}
 
 
-def test_the_cause_is_found_with_its_numbers(told, case):
-    found, _ = told
+def test_the_cause_is_found_with_its_numbers(printed, case):
+    found, _ = printed
     assert found["verdict"] == "missing"
     entry = found["found"][0]
     assert (entry["effect"], entry["kind"]) == ("unequal_wheels", "effect")
@@ -62,8 +62,8 @@ def test_the_cause_is_found_with_its_numbers(told, case):
     assert found["candidates"][0]["effect"] == "unequal_wheels"
 
 
-def test_what_is_open_is_reported_with_a_drive(told):
-    found, files = told
+def test_what_is_open_is_reported_with_a_drive(printed):
+    found, files = printed
     for one in found["not_testable"]:
         assert one["why"]
         assert one["drive"]
@@ -84,8 +84,8 @@ def test_confidence_falls_with_rivals_with_what_is_left_and_with_little_evidence
     assert confidence(Evidence(-1.0)) == 0.0
 
 
-def test_the_report_is_whole_small_and_says_what_is_missing(told):
-    found, files = told
+def test_the_report_is_whole_small_and_says_what_is_missing(printed):
+    found, files = printed
     page = files["report"].read_text(encoding="utf8")
     parsed = parsed_page(page)
     assert parsed.tags.count("script") == 2  # the data, and the one script that the policy admits
@@ -99,7 +99,7 @@ def test_the_report_is_whole_small_and_says_what_is_missing(told):
 
 
 @pytest.mark.slow
-def test_a_real_browser_shows_the_report(told, tab, tmp_path):
+def test_a_real_browser_shows_the_report(printed, tab, tmp_path):
     page = tmp_path / "found.html"
-    page.write_bytes(told[1]["report"].read_bytes())
+    page.write_bytes(printed[1]["report"].read_bytes())
     assert shown(tab, page) > 1500

@@ -80,9 +80,9 @@ def test_the_page_says_what_the_terminal_and_the_json_say(page, comparison):
         assert judgement_sentence(judgement) in text
         for failure in judgement.failures[:MOST]:
             assert sentence(failure) in text
-    told = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"][:MOST]]
-    assert told
-    assert all(s in text for s in told)
+    printed = [f["sentence"] for model in comparison_json(comparison)["models"] for f in model["fails"][:MOST]]
+    assert printed
+    assert all(s in text for s in printed)
     json.dumps(comparison_json(comparison), allow_nan=False)
 
 

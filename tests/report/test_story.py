@@ -105,7 +105,7 @@ def sequence(diagnosed):
 
 @pytest.fixture(scope="session")
 def rich(searched):
-    """Say that the search also found noise and unknowns, the first of which is believed."""
+    """Say that the search also found noise and unknowns, the first of which is in the model."""
     wandering = effect_from_values("gauss_markov", {"sigma": 0.02, "tau": 4.0, "channel": "yaw"})
     return replace(searched, noise=(RandomCoefficient(wandering, 25.0),), unknown=UNKNOWNS, laws=UNKNOWNS[:1])
 
@@ -194,10 +194,10 @@ def test_a_model_that_is_rejected_is_not_said_to_miss_nothing(poor, rich, sequen
     assert "no further known effect is missing, but" in beside
     page = found_html(Story(poor, replace(sequence, judgements=(first,)), NONE, ""), version="0")
     assert "but the model is rejected" in page.split("</h1>", 1)[1].split("</p>", 1)[0]
-    told = [
+    printed = [
         learned_json(poor, sequence.judgements[:1], NONE, evaluated=one)["rejected"] for one in (first, kept(first))
     ]
-    assert told == [rejection(first), None]
+    assert printed == [rejection(first), None]
 
 
 def test_what_happened_at_once_is_no_effect_that_a_model_lacks(sequence):
@@ -262,10 +262,10 @@ def test_names_too_long_for_their_column_stand_above_their_row(sequence):
 
 
 def test_json_has_no_number_that_is_none(rich, poor, sequence):
-    told = learned_json(rich, sequence.judgements, ADVICE)
-    assert json.loads(json.dumps(told, allow_nan=False))["verdict"] == "unknown"
-    assert len(told["unknown"]) == len(UNKNOWNS)
-    assert [one["effect"] for one in told["not_testable"]] == [one.effect for one in UNTESTABLE]
+    printed = learned_json(rich, sequence.judgements, ADVICE)
+    assert json.loads(json.dumps(printed, allow_nan=False))["verdict"] == "unknown"
+    assert len(printed["unknown"]) == len(UNKNOWNS)
+    assert [one["effect"] for one in printed["not_testable"]] == [one.effect for one in UNTESTABLE]
     assert learned_json(poor, sequence.judgements[:1], NONE)["verdict"] == "complete"
 
 
@@ -394,8 +394,8 @@ def test_learn_writes_a_model_a_page_a_picture_and_a_drive(
     assert list(asked[0]) == ["without effects", "with unequal_wheels, yaw over speed, gauss_markov"]
     assert (tmp_path / "all.html").read_text().endswith(" odomcorrupt sim.bag noisy.bag --model robot.toml")
     assert run([*words, "--json", "--force"]) == 0
-    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert told["comparison"]["models"][0]["name"] == sequence.judgements[0].name
+    printed = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert printed["comparison"]["models"][0]["name"] == sequence.judgements[0].name
 
 
 def test_a_drive_that_settles_nothing_is_not_written(monkeypatch, searched, case, tmp_path, capsys):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_held_out import believed, drive, with_truth
+from test_held_out import drive, learned_with, with_truth
 
 from odomcorrupt.study.estimate.problem import undo
 from odomcorrupt.study.select.contribution import Contribution, Span, contributions
@@ -36,7 +36,7 @@ def test_the_share_is_by_how_much_an_independent_error_would_grow():
 @pytest.fixture(scope="module")
 def learned():
     """A robot that is wide by 2 %, and a scale that is nearly nothing."""
-    return believed(with_truth(drive(4, wide=1.02), 5), "wheelbase", "wheel_scale")
+    return learned_with(with_truth(drive(4, wide=1.02), 5), "wheelbase", "wheel_scale")
 
 
 def test_a_large_cause_matters_and_what_chance_makes_of_another_does_not(learned):

@@ -45,7 +45,7 @@ def with_truth(pair, seed):
     return replace(run, truth=Trajectory(run.odometry.stamps_ns, true + noise))
 
 
-def believed(run, *effects, over_time=""):
+def learned_with(run, *effects, over_time=""):
     """Return what a search would have left that included these effects, and an expression over time."""
     laws = [user_effect("late", over_time, {"k": 0.0})] if over_time else []
     fitted = fit([run], [*(effect_from_values(name, {}) for name in effects), *laws], approach=Approach())
@@ -66,14 +66,14 @@ def test_what_was_true_of_one_half_alone_is_dropped_and_what_is_true_of_both_sta
     steps[~late[1:], :2] *= 1.03
     changed = np.concatenate((run.odometry.xyt[:1], run.odometry.xyt[0] + np.cumsum(steps, axis=0)))
     run = replace(run, odometry=Trajectory(run.odometry.stamps_ns, changed))
-    kept, said = keep_what_holds(believed(run, "wheelbase", "wheel_scale"))
+    kept, said = keep_what_holds(learned_with(run, "wheelbase", "wheel_scale"))
     assert [effect.name for effect in kept.fit.effects] == ["wheelbase"]
     (harm,) = (one.harm for one in said if one.harm)
     assert "mm" in harm or "nats" in harm
 
 
 def test_other_recordings_of_the_robot_decide_where_there_are_any():
-    learned = believed(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
+    learned = learned_with(with_truth(drive(4, scale=1.03, wide=1.03), 5), "wheel_scale")
     same, other = with_truth(drive(6, scale=1.03, wide=1.03), 7), with_truth(drive(6), 7)
     assert keep_what_holds(learned, [replace(same, name="same")])[0].fit.effects
     assert not keep_what_holds(learned, [replace(other, name="other")])[0].fit.effects
@@ -101,7 +101,7 @@ def test_the_drift_of_held_out_windows_is_evidence_where_single_intervals_are_no
 
 def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_supports_it():
     law = "along += v * (k * where(t > 60, 1, 0))"
-    learned = believed(with_truth(drive(4, scale=1.03), 5), over_time=law)
+    learned = learned_with(with_truth(drive(4, scale=1.03), 5), over_time=law)
     kept, said = keep_what_holds(learned)
     assert (kept.laws, kept.fit.effects) == ((), ())
     assert "this one drive" in said[0].remark
@@ -110,7 +110,7 @@ def test_a_law_over_the_time_of_one_recording_is_written_only_where_another_one_
 
 
 def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_it():
-    learned = believed(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
+    learned = learned_with(with_truth(drive(4, wide=1.05), 5), "wheelbase", "wheel_scale")
     doubted = replace(learned, margins={"wheelbase": -30.0, "wheel_scale": -30.0})
     assert [effect.name for effect in keep_what_holds(learned)[0].fit.effects] == ["wheelbase", "wheel_scale"]
     kept, said = keep_what_holds(doubted)
@@ -122,13 +122,13 @@ def test_a_name_that_is_hardly_likely_stays_only_where_the_error_grows_without_i
 def test_a_gain_that_held_out_data_do_not_show_caps_the_confidence():
     learned = learn([with_truth(drive(4, wide=1.02), 5)])
     (step,) = learned.steps
-    told = replace(learned, held_out={step.added: (3.0, 2.0)})
+    tested = replace(learned, held_out={step.added: (3.0, 2.0)})
     assert evidence_of(step, learned).own > 7.0
-    assert evidence_of(step, told).own == pytest.approx(7.0)
+    assert evidence_of(step, tested).own == pytest.approx(7.0)
 
 
 def test_what_held_out_data_take_from_an_effect_they_take_from_its_rivals():
-    learned = believed(with_truth(drive(4), 5), "wheelbase")
+    learned = learned_with(with_truth(drive(4), 5), "wheelbase")
     candidates = tuple(SimpleNamespace(gain=gain, refused="", name=str(gain)) for gain in (83.0, 61.0))
     (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
     assert confidence(evidence_of(step, replace(learned, held_out={"wheelbase": (30.0, 4.0)}))) > 0.9
@@ -143,7 +143,7 @@ def test_a_clock_is_found_with_the_model_where_its_effect_hides_it():
 
 
 def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
-    learned = believed(with_truth(drive(4), 5), "accel_slip")
+    learned = learned_with(with_truth(drive(4), 5), "accel_slip")
     candidates = (SimpleNamespace(gain=40.0, refused="", name="accel_slip"),)
     (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
     clear = confidence(evidence_of(step, learned))
@@ -153,7 +153,7 @@ def test_a_clock_that_its_rivals_hide_is_a_rival_of_theirs():
 
 
 def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
-    learned = believed(with_truth(drive(4), 5), "channel_lag", "accel_slip")
+    learned = learned_with(with_truth(drive(4), 5), "channel_lag", "accel_slip")
     lag, slip = learned.rounds
     for gain, sure in ((480.0, False), (90.0, True)):
         plainer = replace(lag, candidates=(SimpleNamespace(gain=gain, refused=""),))
@@ -163,7 +163,7 @@ def test_what_a_far_plainer_lag_leaves_is_no_sure_slip():
 
 
 def test_what_truncated_velocities_may_leave_is_no_sure_scale():
-    learned = believed(with_truth(drive(4, scale=1.02), 5), "wheel_scale")
+    learned = learned_with(with_truth(drive(4, scale=1.02), 5), "wheel_scale")
     for step, sure in ((0.002, True), (0.1, False)):
         cut = effect_from_values("truncated_velocity", {"step": step, "turn": step})
         problem = replace(learned.fit.problem, effects=(*learned.fit.effects, cut))
@@ -172,7 +172,7 @@ def test_what_truncated_velocities_may_leave_is_no_sure_scale():
 
 
 def test_odometry_that_is_given_poses_leaves_even_odds_to_what_a_filter_does():
-    learned = believed(with_truth(drive(4), 5), "wheel_scale")
+    learned = learned_with(with_truth(drive(4), 5), "wheel_scale")
     candidates = (SimpleNamespace(gain=40.0, refused="", name="wheel_scale"),)
     (step,) = (replace(step, candidates=candidates) for step in learned.rounds)
     (run,) = learned.fit.problem.recordings
