@@ -31,6 +31,7 @@ from odomcorrupt.study.select.decisions import error_shares
 from odomcorrupt.study.select.elimination import drop_term
 from odomcorrupt.study.select.library_search import LibrarySearch
 from odomcorrupt.study.select.periodic import flat_spots
+from odomcorrupt.study.select.score import project_out
 from odomcorrupt.study.select.shape_search import ShapeSearch
 from odomcorrupt.study.terms.drive_type import library_families
 from odomcorrupt.study.terms.heading_source import sees_travel
@@ -40,15 +41,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
+    from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
     from odomcorrupt.study.terms.term import Term
 
 __all__ = [
-    "FORBIDDEN",
     "Candidate",
     "channels_of",
+    "contradicts_physics",
     "include",
     "levels_of",
     "library",
@@ -59,8 +61,10 @@ __all__ = [
 ]
 
 FORBIDDEN = "of a sign that it cannot have"
-"""Why a cause is refused that explains the data by what physics does not allow: such data have another flaw."""
+"""Why a cause is refused that explains the data by what it does not allow."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_STILL = 0.02
+"""m/s and rad/s below which a robot stands."""
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
 
@@ -84,6 +88,16 @@ class Candidate:
     def name(self) -> str:
         """Name of the effect."""
         return self.score.term.name
+
+
+def contradicts_physics(name: str, refused: str, decisions: Decisions) -> bool:
+    """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
+
+    Tyres do not slip inwards, and nothing comes before its cause. But what falls short at speed where counts lost above a
+    speed would go farther, is a drive that saturates or slips: the opposite of a cause of commanded or lost motion is
+    some other cause.
+    """
+    return FORBIDDEN in refused and name not in decisions.commanded
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
@@ -185,9 +199,37 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
     if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
         return "no larger than what a filter makes that is given poses and comes late"
     columns = score.term.columns(fit.problem)
+    if _shows_at_rest_only(fit, score, columns):
+        return "shows only while the robot stands, and moves nothing there by itself"
     answers = is_gain_of_turns(fit, columns) and may_be_steering(fit, columns, score.estimate)
     steered = answers or (still and acts_in_curves_only(fit, score.effect))
     return "turns no larger than the noise: it may be a driver who steers back" if steered else ""
+
+
+def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
+    """Tell whether an effect of the motion explains nothing but intervals in which the odometry creeps at best.
+
+    Noise that grows with the motion hardly allows for any creep, so one of a millimetre a second is plain, and any cause
+    fits it that takes slow motion away. What acts at rest, such as a gyro's bias, may well show there alone.
+    """
+    nodes = fit.problem.nodes
+    still = _STILL * (nodes.end_s - nodes.start_s)
+    moving = np.repeat((nodes.distance_m > still) | (np.abs(nodes.odometry_step[:, 2]) > still), 3)
+    if moving.all():
+        return False
+    rest = project_out(fit)
+    column, residual = rest.of(fit.noise.whitener.whiten(columns))[moving], rest.residual[moving]
+    explained = 0.5 * float((column @ np.linalg.lstsq(column, residual, rcond=None)[0]) @ residual)
+    return explained < score.penalty and not _acts_at_rest(fit, score.estimated)
+
+
+def _acts_at_rest(fit: Fit, effect: Effect) -> bool:
+    """Tell whether an effect moves the odometry of a robot that stands."""
+    for m in fit.problem.motions:
+        none = np.zeros(len(m))
+        if error_of(effect, replace(m, v=none, vy=none, omega=none, acceleration=0.0 * m.acceleration)).any():
+            return True
+    return False
 
 
 def _first_order_room(fit: Fit, effect: Effect, p: Parameter, bound: float) -> float:

@@ -13,8 +13,8 @@ import numpy as np
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
-    FORBIDDEN,
     Candidate,
+    contradicts_physics,
     levels_of,
     library,
     objection,
@@ -110,7 +110,8 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     """Return the effect of the library that does in the place of an included law about what the law does, if any.
 
     Other terms have joined the model since the law was included, and beside them a known effect may explain as much: a
-    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused.
+    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused; but the
+    opposite of a cause of commanded or lost motion (see `Decisions.commanded`) is some other cause, and forbids nothing.
     """
     effect = next((e for e in fit.effects if e.name == law.name), None)
     if effect is None or law.best is None:
@@ -124,7 +125,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
         refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
-        if FORBIDDEN in refused:
+        if contradicts_physics(score.term.name, refused, decisions):
             return Candidate(score=score, gain=score.nats, refused=refused)
         if refused:
             continue

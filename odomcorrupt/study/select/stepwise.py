@@ -24,9 +24,9 @@ from odomcorrupt.study.estimate.robust_errors import with_robust_errors
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore_lost
 from odomcorrupt.study.select.candidates import (
-    FORBIDDEN,
     Candidate,
     channels_of,
+    contradicts_physics,
     library_candidates,
     with_shape_refined,
 )
@@ -287,7 +287,8 @@ class _Selection:
         self.contradictions += [
             one
             for one in self.steps[-1].candidates
-            if FORBIDDEN in one.refused and one.score.robust_nats > decisions.replacement_nats
+            if contradicts_physics(one.name, one.refused, decisions)
+            and one.score.robust_nats > decisions.replacement_nats
         ]
         self.open = [one for one in self.open if one.channel not in self._contradicted()]
         tails = not (self.noise or self.open or self.included)
