@@ -93,9 +93,8 @@ class Candidate:
 def contradicts_physics(name: str, refused: str, decisions: Decisions) -> bool:
     """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
 
-    Tyres do not slip inwards, and nothing comes before its cause. But what falls short at speed where counts lost above a
-    speed would go farther, is a drive that saturates or slips: the opposite of a cause of commanded or lost motion is
-    some other cause.
+    Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts that are lost above a speed
+    is a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
     """
     return FORBIDDEN in refused and name not in decisions.commanded
 
@@ -198,6 +197,11 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
             return f"{p.name} would be {value:.3g}, {why}"
     if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
         return "no larger than what a filter makes that is given poses and comes late"
+    return _made_by_noise(fit, score, still=still)
+
+
+def _made_by_noise(fit: Fit, score: Score, *, still: bool) -> str:
+    """Return by which noise an effect may be made that data speak for otherwise, or nothing."""
     columns = score.term.columns(fit.problem)
     if _shows_at_rest_only(fit, score, columns):
         return "shows only while the robot stands, and moves nothing there by itself"
@@ -209,8 +213,8 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
 def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
     """Tell whether an effect of the motion explains nothing but intervals in which the odometry creeps at best.
 
-    Noise that grows with the motion hardly allows for any creep, so one of a millimetre a second is plain, and any cause
-    fits it that takes slow motion away. What acts at rest, such as a gyro's bias, may well show there alone.
+    Noise that grows with the motion hardly allows for creep: a millimetre a second is plain, and any cause fits it that
+    takes slow motion away. What acts at rest, such as a gyro's bias, may well show there alone.
     """
     nodes = fit.problem.nodes
     still = _STILL * (nodes.end_s - nodes.start_s)

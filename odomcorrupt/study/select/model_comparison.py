@@ -110,8 +110,7 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     """Return the effect of the library that does in the place of an included law about what the law does, if any.
 
     Other terms have joined the model since the law was included, and beside them a known effect may explain as much: a
-    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused; but the
-    opposite of a cause of commanded or lost motion (see `Decisions.commanded`) is some other cause, and forbids nothing.
+    known cause is the likelier a priori. One that would need a sign that physics forbids comes back refused.
     """
     effect = next((e for e in fit.effects if e.name == law.name), None)
     if effect is None or law.best is None:
