@@ -93,8 +93,8 @@ class Candidate:
 def contradicts_physics(name: str, refused: str, decisions: Decisions) -> bool:
     """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
 
-    Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts that are lost above a speed
-    is a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
+    Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts lost above a speed is
+    a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
     """
     return FORBIDDEN in refused and name not in decisions.commanded
 
