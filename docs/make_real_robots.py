@@ -319,7 +319,7 @@ def main(folder: Path) -> None:
     lines += ["", "Made by `docs/make_real_robots.py`. Lengths in m, angles in rad unless said; law `diffusion`."]
     lines += [
         "Windows are few, so coverage is coarse: a right model, too, may have 4 of 6 inside the 90 % region.",
-        "Shown is what `odomcorrupt learn` finds: without what makes held-out halves of the learned drives plainly worse.",
+        "Shown is what `odomcorrupt learn` finds, without what makes held-out halves of these drives plainly worse.",
         "",
     ]
     for robot in ROBOTS:
