@@ -38,7 +38,7 @@ from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.geometry.se2 import Array
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
 __all__ = [
     "Candidate",
     "channels_of",
-    "contradicts_physics",
     "include",
     "levels_of",
     "library",
@@ -60,9 +59,10 @@ __all__ = [
     "with_shape_refined",
 ]
 
-FORBIDDEN = "of a sign that it cannot have"
-"""Why a cause is refused that explains the data by what it does not allow."""
+_FORBIDDEN = "of a sign that it cannot have"
+"""Why a cause is refused that explains the data by what it cannot do."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_VAIN = "explains nothing once outliers are weighed again"
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
 _AT_BOUND = 1e-6
@@ -89,14 +89,13 @@ class Candidate:
         """Name of the effect."""
         return self.score.term.name
 
+    def contradicts_physics(self, decisions: Decisions) -> bool:
+        """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
 
-def contradicts_physics(name: str, refused: str, decisions: Decisions) -> bool:
-    """Return whether data speak for an effect of a sign that physics forbids, and so have another flaw.
-
-    Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts lost above a speed is
-    a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
-    """
-    return FORBIDDEN in refused and name not in decisions.commanded
+        Tyres do not slip inwards, and nothing comes before its cause. But the opposite of counts lost above a speed is
+        a drive that saturates or slips there: of a cause of commanded or lost motion it is some other cause.
+        """
+        return _FORBIDDEN in self.refused and self.name not in decisions.commanded
 
 
 def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
@@ -107,9 +106,13 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
-def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
-    """Return all effects of the library as candidates, admitted ones first and by gain."""
-    candidates = list(_candidates(fit, decisions))
+def library_candidates(fit: Fit, decisions: Decisions, vain: Container[str] = ()) -> list[Candidate]:
+    """Return all effects of the library as candidates, admitted ones first and by gain.
+
+    vain : names of effects that were dropped again as soon as they were included in this model
+    """
+    found = _candidates(fit, decisions)
+    candidates = [replace(c, refused=c.refused or _VAIN) if c.name in vain else c for c in found]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)
@@ -193,7 +196,7 @@ def objection(fit: Fit, score: Score, decisions: Decisions, *, level: float, sti
     for p, value, _ in own:
         room = p.high if value > 0.0 else -p.low
         if abs(value) > room and abs(value) > _first_order_room(fit, score.effect, p, np.copysign(room, value)):
-            why = "beyond what is physically possible" if room > 0.0 else FORBIDDEN
+            why = "beyond what is physically possible" if room > 0.0 else _FORBIDDEN
             return f"{p.name} would be {value:.3g}, {why}"
     if score.effect.name != "channel_lag" and of_pulls(fit, score.estimated):
         return "no larger than what a filter makes that is given poses and comes late"

@@ -14,7 +14,6 @@ import numpy as np
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.candidates import (
     Candidate,
-    contradicts_physics,
     levels_of,
     library,
     objection,
@@ -124,9 +123,10 @@ def name_for(fit: Fit, law: Dependence, decisions: Decisions) -> Candidate | Non
     levels = levels_of(search.scores, decisions)
     for score in near[: decisions.shortlist]:
         refused = objection(bare, score, decisions, level=levels[score.term.name], still=still)
-        if contradicts_physics(score.term.name, refused, decisions):
-            return Candidate(score=score, gain=score.nats, refused=refused)
         if refused:
+            candidate = Candidate(score=score, gain=score.nats, refused=refused)
+            if candidate.contradicts_physics(decisions):
+                return candidate
             continue
         with_it = fit.refit((*others, score.estimated), weights=fit.noise.weights)
         gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + law.best.score.penalty

@@ -26,7 +26,6 @@ from odomcorrupt.study.io.encoders import encoder_effects, hides_losses, restore
 from odomcorrupt.study.select.candidates import (
     Candidate,
     channels_of,
-    contradicts_physics,
     library_candidates,
     with_shape_refined,
 )
@@ -150,6 +149,7 @@ class _Selection:
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
+    vain : names of effects that were dropped again as soon as they were included in the model as it is
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
     """
 
@@ -161,6 +161,7 @@ class _Selection:
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
     contradictions: list[Candidate] = field(default_factory=list)
+    vain: set[str] = field(default_factory=set)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
 
@@ -209,7 +210,7 @@ class _Selection:
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
-        candidates = library_candidates(self.fit, decisions)
+        candidates = library_candidates(self.fit, decisions, self.vain)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
         proposal = None
@@ -226,9 +227,16 @@ class _Selection:
         if best is None or best.fit is None or full:
             self._record(candidates)
             return False
+        before = self.fit, self.noise
         self._record(candidates, added=best.name)
         # robust weights are estimated again, because what looked like outliers may be explained now
         self._continue_from(with_shape_refined(best.fit.refit(), best.score, decisions)[0])
+        if {e.name for e in self.fit.effects} == {e.name for e in before[0].effects}:
+            self.fit, self.noise = before
+            self.steps.pop()
+            self.vain.add(best.name)
+        else:
+            self.vain.clear()
         return True
 
     def _record(
@@ -284,12 +292,8 @@ class _Selection:
     def _finish(self) -> None:
         """Note what contradicts physics, name outliers, and drop what is redundant; compare what was included."""
         decisions = self.decisions
-        self.contradictions += [
-            one
-            for one in self.steps[-1].candidates
-            if contradicts_physics(one.name, one.refused, decisions)
-            and one.score.robust_nats > decisions.replacement_nats
-        ]
+        against = [one for one in self.steps[-1].candidates if one.contradicts_physics(decisions)]
+        self.contradictions += [one for one in against if one.score.robust_nats > decisions.replacement_nats]
         self.open = [one for one in self.open if one.channel not in self._contradicted()]
         tails = not (self.noise or self.open or self.included)
         outliers = [] if is_pulled(self.fit) else outlier_effects(self.fit, decisions, tails=tails)
