@@ -62,9 +62,9 @@ __all__ = [
 _FORBIDDEN = "of a sign that it cannot have"
 """Why a cause is refused that explains the data by what it cannot do."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
-_VAIN = "explains nothing once outliers are weighed again"
 _STILL = 0.02
 """m/s and rad/s below which a robot stands."""
+_WITHDRAWN = "gains nothing once outlier segments are weighted again"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
 
@@ -106,13 +106,15 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
-def library_candidates(fit: Fit, decisions: Decisions, vain: Container[str] = ()) -> list[Candidate]:
+def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:
     """Return all effects of the library as candidates, admitted ones first and by gain.
 
-    vain : names of effects that were dropped again as soon as they were included in this model
+    withdrawn : names of effects that this model did not keep
     """
-    found = _candidates(fit, decisions)
-    candidates = [replace(c, refused=c.refused or _VAIN) if c.name in vain else c for c in found]
+    candidates = [
+        replace(c, refused=_WITHDRAWN) if c.name in withdrawn and not c.refused else c
+        for c in _candidates(fit, decisions)
+    ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)
