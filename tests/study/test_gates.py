@@ -12,16 +12,18 @@ from wandering import noisy_path, recording, wander
 from odomcorrupt.effects import effect_from_values, registry
 from odomcorrupt.geometry.increments import Increments, accumulate
 from odomcorrupt.model.noise_laws import Coefficients
-from odomcorrupt.study.estimate.config import choose_approach
+from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.tails import heavy_tails
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
-from odomcorrupt.study.select.candidates import library_candidates
+from odomcorrupt.study.select.candidates import library_candidates, objection
 from odomcorrupt.study.select.closed_loop import of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS
 from odomcorrupt.study.select.elimination import eliminate_untested
+from odomcorrupt.study.select.score import score_terms
 from odomcorrupt.study.select.stepwise import learn
+from odomcorrupt.study.terms.term import LibraryTerm
 
 
 @pytest.mark.parametrize("times", [4.4, 1.9, 0.5])
@@ -94,3 +96,43 @@ def test_a_gain_as_small_as_what_poses_make_of_late_odometry_is_no_name():
     assert not of_pulls(fitted, effect_from_values("wheel_scale", {"e": 0.05}))
     alone = fit([replace(run, pulled_per_s=0.0)], clocks=[Clock(0.06)], approach=choose_approach([run]))
     assert not library_candidates(alone, DECISIONS)[0].refused
+
+
+def creeping(seed, per_s=0.002):
+    """Return a recording whose odometry creeps on while the robot stands, beside a truth of a tenth of a millimetre."""
+    steps = wander(seed, 240.0)
+    still = (np.abs(steps.ds_m) < 1e-9) & (np.abs(steps.dtheta_rad) < 1e-9)
+    said = replace(steps, ds_m=np.where(still, per_s / 50.0, steps.ds_m))
+    return recording(steps, noisy_path(said, QUIET, seed), truth_mm=0.1, truth_rad=1e-4, seed=seed), still
+
+
+def objection_to(fitted, name, **shape):
+    (score,) = score_terms(fitted, [LibraryTerm(effect_from_values(name, shape))], DECISIONS)
+    return score, objection(fitted, score, DECISIONS, level=DECISIONS.level, still=False)
+
+
+def test_creep_at_rest_is_no_dead_band_and_a_bias_at_rest_is_one():
+    run, still = creeping(6)
+    score, refused = objection_to(fit([run], approach=Approach()), "dead_band", speed=0.02, beyond="full", track=0.3)
+    assert score.significant(DECISIONS.level)
+    assert "only while the robot stands" in refused
+    turned = np.cumsum(np.concatenate(([0.0], still))) * 1e-3 / 50.0
+    xyt = run.odometry.xyt + turned[:, None] * [0.0, 0.0, 1.0]
+    biased = replace(run, odometry=replace(run.odometry, xyt=xyt))
+    _, refused = objection_to(fit([biased], approach=Approach()), "gyro_bias")
+    assert refused == ""
+
+
+@pytest.mark.slow
+def test_wheels_that_fall_short_at_speed_contradict_no_physics():
+    # the opposite of counts that are lost there: its sign is no alarm about the data, and the law is no copy of it
+    steps = wander(3, 240.0)
+    half = 0.2 * steps.dtheta_rad
+    fast = 0.6 / 50.0
+    right, left = (u - 0.3 * (u - np.clip(u, -fast, fast)) for u in (steps.ds_m + half, steps.ds_m - half))
+    run = replace(recording(steps, noisy_path(steps, QUIET, 3), seed=3), track_m=0.4)
+    true = accumulate(np.zeros(3), Increments((right + left) / 2.0, steps.dl_m, (right - left) / 0.4))
+    learned = learn([with_truth((run, true), 3)])
+    assert [law.name for law in learned.laws] == ["wheels_over_speed"]
+    assert learned.added == ()
+    assert learned.contradictions == ()
