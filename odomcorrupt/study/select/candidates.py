@@ -62,8 +62,8 @@ __all__ = [
 _FORBIDDEN = "of a sign that it cannot have"
 """Why a cause is refused that explains the data by what it cannot do."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
-_STILL = 0.02
-"""m/s and rad/s below which a robot stands."""
+_STILL, _CREEP = 0.02, 0.1
+"""m/s and rad/s below which a robot stands, and for slow robots in parts of what is usual."""
 _WITHDRAWN = "gains nothing once outlier segments are weighted again"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
@@ -222,8 +222,9 @@ def _shows_at_rest_only(fit: Fit, score: Score, columns: Array) -> bool:
     takes slow motion away. What acts at rest, such as a gyro's bias, may well show there alone.
     """
     nodes = fit.problem.nodes
-    still = _STILL * (nodes.end_s - nodes.start_s)
-    moving = np.repeat((nodes.distance_m > still) | (np.abs(nodes.odometry_step[:, 2]) > still), 3)
+    rates = np.stack((nodes.distance_m, np.abs(nodes.odometry_step[:, 2]))) / (nodes.end_s - nodes.start_s)
+    still = np.minimum(_STILL, _CREEP * np.quantile(rates, 0.9, axis=1, keepdims=True))
+    moving = np.repeat((rates > still).any(axis=0), 3)
     if moving.all():
         return False
     rest = project_out(fit)
