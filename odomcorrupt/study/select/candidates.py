@@ -37,7 +37,7 @@ from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -54,12 +54,14 @@ __all__ = [
     "library",
     "library_candidates",
     "objection",
+    "terms_of",
     "tried",
     "with_shape_refined",
 ]
 
 FORBIDDEN = "of a sign that it cannot have"
 """Why a cause is refused that explains the data by what physics does not allow: such data have another flaw."""
+_CIRCULAR = "makes what is in the model redundant, and is then redundant itself"
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
@@ -94,9 +96,17 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
-def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
-    """Return all effects of the library as candidates, admitted ones first and by gain."""
-    candidates = list(_candidates(fit, decisions))
+def terms_of(fit: Fit) -> frozenset[str]:
+    """Return what a model has, by name and channel."""
+    return frozenset(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))
+
+
+def library_candidates(fit: Fit, decisions: Decisions, circular: Container[str] = ()) -> list[Candidate]:
+    """Return all effects of the library as candidates, admitted ones first and by gain.
+
+    circular : names that are refused: with them the model ends in an earlier one
+    """
+    candidates = [replace(c, refused=_CIRCULAR) if c.name in circular else c for c in _candidates(fit, decisions)]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)

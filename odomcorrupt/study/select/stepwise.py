@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.clocks import clock_nats, find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -28,6 +28,7 @@ from odomcorrupt.study.select.candidates import (
     Candidate,
     channels_of,
     library_candidates,
+    terms_of,
     with_shape_refined,
 )
 from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
@@ -120,12 +121,13 @@ def learn(
     if (other := _dependence_first(found, noise)) is not None and _explains_more(other, found):
         found = other
     found, clocks = _with_other_clock(found, clocks, noise)
+    late_nats = sum(one.nats for one in (*found.included, *found.open) if one.follows_acceleration)
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
     return Learned(
-        clocks=replace(clocks, clocks=final.problem.clocks, errors=errors),
+        clocks=replace(clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),
@@ -151,6 +153,7 @@ class _Selection:
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
+    seen : terms of the models so far, and effects with which each ends in an earlier one
     """
 
     fit: Fit
@@ -163,6 +166,7 @@ class _Selection:
     contradictions: list[Candidate] = field(default_factory=list)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
+    seen: dict[frozenset[str], set[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.noise = list(self.noise)
@@ -209,7 +213,9 @@ class _Selection:
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
-        candidates = library_candidates(self.fit, decisions)
+        before, noise, terms = self.fit, self.noise, terms_of(self.fit)
+        circular = self.seen.setdefault(terms, set())
+        candidates = library_candidates(self.fit, decisions, circular)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
         proposal = None
@@ -229,6 +235,10 @@ class _Selection:
         self._record(candidates, added=best.name)
         # robust weights are estimated again, because what looked like outliers may be explained now
         self._continue_from(with_shape_refined(best.fit.refit(), best.score, decisions)[0])
+        if terms_of(self.fit) in self.seen:
+            self.steps.pop()
+            self.fit, self.noise = before, noise
+            circular.add(best.name)
         return True
 
     def _record(
@@ -340,7 +350,7 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is no
     clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded to.
     """
-    late = any(one.regressor.endswith("acceleration") for one in (*found.included, *found.open))
+    late = any(one.follows_acceleration for one in (*found.included, *found.open))
     offset_s = max(abs(clock.offset_s) for clock in clocks.clocks)
     rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
     alike = bool(rivals) and not np.any(clocks.free)
@@ -364,16 +374,10 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     if more > 0.0:
         found, clocks = second, other
     if np.any(found.fit.free_clocks):
-        return found, replace(clocks, rival_nats=(*clocks.rival_nats, _clock_nats(found.fit) - abs(more)))
+        return found, replace(clocks, rival_nats=(*clocks.rival_nats, clock_nats(found.fit) - abs(more)))
     rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
     nats = max(rivals, default=0.0) - abs(more)
     return found, replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
-
-
-def _clock_nats(fitted: Fit) -> float:
-    """Return what the plainest offset of a fit's clocks gains, nats."""
-    pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
-    return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
 
 
 def _explains_more(one: _Selection, other: _Selection) -> bool:
