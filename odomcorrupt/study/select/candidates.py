@@ -61,8 +61,8 @@ __all__ = [
 
 FORBIDDEN = "of a sign that it cannot have"
 """Why a cause is refused that explains the data by what physics does not allow: such data have another flaw."""
-_CIRCULAR = "makes what is in the model redundant, and is then redundant itself"
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
 
@@ -101,12 +101,15 @@ def terms_of(fit: Fit) -> frozenset[str]:
     return frozenset(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))
 
 
-def library_candidates(fit: Fit, decisions: Decisions, circular: Container[str] = ()) -> list[Candidate]:
+def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:
     """Return all effects of the library as candidates, admitted ones first and by gain.
 
-    circular : names that are refused: with them the model ends in an earlier one
+    withdrawn : names of effects that this model did not keep
     """
-    candidates = [replace(c, refused=_CIRCULAR) if c.name in circular else c for c in _candidates(fit, decisions)]
+    candidates = [
+        replace(c, refused=_WITHDRAWN) if c.name in withdrawn and not c.refused else c
+        for c in _candidates(fit, decisions)
+    ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)
