@@ -55,7 +55,7 @@ _HARM = 1.03
 """Factor by which a correction may make the error of the fitted data larger."""
 _BROKEN = 1.25
 """Factor by which `correct` may leave more on the fitted data than the fit, before a law is replaced."""
-_KEPT = 1.0 / 3.0
+_KEPT = 0.4
 """Part of what a fit gains, in mean squares, that `correct` has to gain with what reads accelerations or places."""
 _LEAST_SHARE = 0.05
 """Part of a law that its mean is at least, where the mean takes its place."""
