@@ -36,6 +36,10 @@ class _Gear(NamedTuple):
     side: float
 
 
+AT_REST = _Gear(0.0, 0.0)
+"""A gear that has not turned yet."""
+
+
 @dataclass(frozen=True, slots=True)
 class Backlash(Effect):
     """f of a wheel = -u while its motor crosses the play: `travel` is lost at each reversal.
@@ -74,7 +78,7 @@ class Backlash(Effect):
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return gears that have not turned yet."""
-        return _Gear(0.0, 0.0), _Gear(0.0, 0.0)
+        return AT_REST, AT_REST
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: minus what the motors do inside their play. Below zero, for slopes, the opposite of it."""
@@ -83,7 +87,7 @@ class Backlash(Effect):
         rate = np.divide(1.0, motion.dt_s, out=np.zeros_like(motion.dt_s), where=motion.dt_s > 0.0)
         lost, gears = [], []
         for u, gear in zip(rims_of(motion.v, motion.omega, track), state, strict=True):
-            inside, after = _crossed(u * motion.dt_s, gear, width)
+            inside, after = crossed(u * motion.dt_s, gear, width)
             lost.append(-sign * inside * rate)
             gears.append(after)
         return TwistError(body_of(Rims(*lost), track, self.heading), tuple(gears))
@@ -99,7 +103,7 @@ class Backlash(Effect):
         return Recorded(steps + body_of(Rims(*extra), track, self.heading), tuple(gears))
 
 
-def _crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
+def crossed(travel: Array, gear: _Gear, width: float) -> tuple[Array, _Gear]:
     """Return how much of a motor's travel (n,) is spent inside the play, and where it then stands.
 
     Its place is bounded by half the play and the sway on both sides; what it does in the middle part moves nothing.

@@ -105,6 +105,18 @@ def test_backlash_loses_its_travel_at_each_reversal_and_not_at_the_first_start(f
     assert once == pytest.approx([math.copysign(0.004, first), 0.0, 0.0], abs=1e-12)
 
 
+def test_castors_turn_the_robot_after_each_reversal_and_the_next_one_turns_it_back():
+    legs = np.concatenate((np.full(100, 0.2), np.full(100, -0.2)))
+    kick = {"angle": 0.03, "way": 0.1}
+    assert not error("castor_kick", kick, motion(legs[:100], 0.0, seconds=2.0)).any()
+    there = error("castor_kick", kick, motion(legs, 0.0, seconds=4.0))
+    # within the way on which they swing, and a parked robot's sway
+    assert not there[130:].any()
+    assert total("castor_kick", kick, motion(legs, 0.0, seconds=4.0)) == pytest.approx([0.0, 0.0, -0.03], abs=1e-12)
+    back = motion(np.concatenate((legs, legs)), 0.0, seconds=8.0)
+    assert total("castor_kick", kick, back) == pytest.approx([0.0, 0.0, -0.03], abs=1e-12)
+
+
 def test_backlash_of_one_wheel_turns_the_robot():
     """A turn to the left on the spot after driving on: the left wheel alone reverses."""
     drive = motion(np.repeat([0.5, 0.0], 50), np.repeat([0.0, 1.0], 50), seconds=2.0, track=0.4)

@@ -188,3 +188,11 @@ def test_what_was_not_testable_lowers_how_sure_a_small_offset_is():
     (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), untested=("backlash",)))
     assert min(sure.sure, large.sure) > 0.9
     assert doubtful.sure < 0.6
+
+
+def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure():
+    clocks = Clocks((Clock(-0.009),), ((True, False),), ((0.0005, 0.0),))
+    (doubtful,) = clocks_found(replace(clocks, left_nats=80.0))
+    (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), left_nats=80.0))
+    assert doubtful.sure < 0.8
+    assert large.sure > 0.9

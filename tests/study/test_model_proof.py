@@ -18,6 +18,7 @@ from odomcorrupt.model.model_file import format_model, parse_model
 from odomcorrupt.model.motion_model import MotionModel, Noise
 from odomcorrupt.model.noise_laws import Coefficients
 from odomcorrupt.study.io.recording import Trajectory
+from odomcorrupt.study.validate import round_trip
 from odomcorrupt.study.validate.round_trip import _driven, verified_model
 
 NOISE = Noise("diffusion", Coefficients(0.01, 0.01, 0.005, 0.001))
@@ -100,6 +101,17 @@ def test_a_law_that_reads_more_out_of_rough_odometry_than_the_fit_did_is_left_ou
     found = verified_model(MotionModel(NOISE, (brakes,)), [run])
     assert found.model.effects == ()
     assert "`correct` with it leaves" in found.changes[0]
+
+
+@pytest.mark.parametrize(("left_m", "kept"), [(0.0178, True), (0.0199, False)])
+def test_a_law_of_which_a_correction_keeps_hardly_anything_is_left_out(monkeypatch, left_m, kept):
+    # the next drive has none of what little it gains on the fitted one
+    brakes = user_effect("brakes", "along += k * where(a < -0.6, 1, 0)", {"k": 0.3})
+    monkeypatch.setattr(round_trip, "_corrected_error", lambda effects, *_: left_m if effects else 0.0202)
+    monkeypatch.setattr(round_trip, "_fitted_error", lambda model, _: 0.0153 if model.effects else 0.0202)
+    found, said = round_trip._as_delivered(MotionModel(NOISE, (brakes,)), [], 1)
+    assert bool(found.effects) == kept
+    assert ("left out" in said[0]) != kept
 
 
 def test_all_runs_but_the_first_are_of_minutes_and_together_reach_both_ends():

@@ -122,8 +122,8 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
                 own = 0.5 * (value / error) ** 2
                 # what could not be tried, play in gears of which no track is known, may do as much
                 alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
-                rivals = tuple(min(nats, own) for nats in clocks.rival_nats) if name == "time_offset" else ()
-                sure = confidence(Evidence(own, (*alike, *rivals)))
+                rivals, left = (clocks.rival_nats, clocks.left_nats) if name == "time_offset" else ((), 0.0)
+                sure = confidence(Evidence(own, (*alike, *(min(nats, own) for nats in rivals)), left))
                 yield ClockFound(name, i, float(value), float(error), sure)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.io.recording import Recording
 
-__all__ = ["Clocks", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
+__all__ = ["Clocks", "clock_nats", "find_clocks", "levelled", "nuisance_of", "with_rounding"]
 
 _CLOCK_LIMIT = float(np.sqrt(chi2.isf(1e-4, 1)))
 _CLOCK_HARM = 1.15
@@ -56,6 +56,7 @@ class Clocks:
         not significant beside all
     untested : rivals that could not be tried, for want of a track: a small offset may as well be theirs
     truths : noise of the truth of each recording, of the fits of their clocks
+    left_nats : what dependences on accelerations gain beside the clocks
     """
 
     clocks: tuple[Clock, ...]
@@ -67,6 +68,7 @@ class Clocks:
     rival_nats: tuple[float, ...] = ()
     untested: tuple[str, ...] = ()
     truths: tuple[TruthNoise, ...] = ()
+    left_nats: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,12 @@ def find_clocks(recordings: Sequence[Recording], approach: Approach) -> Clocks:
         tuple(n for n in RIVALS if _untested(registry()[n]) and any(r.track_m is None for r in recordings)),
         tuple(f.fit.noise.truth for f in each),
     )
+
+
+def clock_nats(fitted: Fit) -> float:
+    """Return what the plainest offset of a fit's clocks gains, nats."""
+    pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
+    return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
 
 
 def with_rounding(

@@ -18,6 +18,8 @@ __all__ = ["CrossCorrelation", "Spread", "likeness"]
 _SMOOTHING_S = 0.5
 _MOST = 200_000
 _FASTEST = 3.0
+_GAP_S = 5.0
+"""What a path does in a gap so long (an outage, fixes without ambiguities resolved) it does not show."""
 _HARDLY = 0.03
 """Yaw rate (rad/s, root mean square) of a robot that drives sideways instead of turning."""
 
@@ -113,7 +115,10 @@ def _signals(t_s: Array, xyt: Array, grid: Array, smoothing_s: float, *, by_cour
         turn = slopes(t_s, xyt[:, 2:], grid, smoothing_s)[:, 0]
     out = np.stack((np.clip(turn, -_FASTEST, _FASTEST), speed), axis=1)
     out[:, 1] = np.minimum(out[:, 1], 1.5 * np.percentile(speed, 95.0))
-    out[(grid < t_s[0]) | (grid > t_s[-1])] = np.nan
+    unseen = (grid < t_s[0]) | (grid > t_s[-1])
+    for gap in np.flatnonzero(np.diff(t_s) > _GAP_S):
+        unseen |= (grid > t_s[gap] - 0.5 * smoothing_s) & (grid < t_s[gap + 1] + 0.5 * smoothing_s)
+    out[unseen] = np.nan
     return out
 
 

@@ -55,6 +55,7 @@ __all__ = [
     "library",
     "library_candidates",
     "objection",
+    "terms_of",
     "tried",
     "with_shape_refined",
 ]
@@ -64,7 +65,7 @@ _FORBIDDEN = "of a sign that it cannot have"
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
 _STILL, _CREEP = 0.02, 0.1
 """m/s and rad/s below which a robot stands, and for slow robots in parts of what is usual."""
-_WITHDRAWN = "gains nothing once outlier segments are weighted again"
+_WITHDRAWN = "gains nothing once outlier segments are weighted again, or leads back to an earlier model"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
 
@@ -104,6 +105,11 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     have = {effect.name for effect in fit.effects}
     families = library_families(problem.recordings, problem.motions, have)
     return families if "flat_spot" in have else [*families, *flat_spots(fit)]
+
+
+def terms_of(fit: Fit) -> frozenset[str]:
+    """Return what a model has, by name and channel."""
+    return frozenset(f"{e.name} {getattr(e, 'channel', '')}" for e in (*fit.effects, *fit.random))
 
 
 def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:

@@ -92,6 +92,11 @@ class Dependence:
     expression: str
 
     @property
+    def follows_acceleration(self) -> bool:
+        """Whether its regressor is an acceleration, as where clocks, and whatever resembles them, are wrong."""
+        return self.regressor.endswith("acceleration")
+
+    @property
     def name(self) -> str:
         """Name of the effect that it is in a model, where a basis function explains it; else ""."""
         return self.best.term.name if self.best is not None else ""

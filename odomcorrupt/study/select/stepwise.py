@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from odomcorrupt.study.estimate.clocks import find_clocks, levelled, with_rounding
+from odomcorrupt.study.estimate.clocks import clock_nats, find_clocks, levelled, with_rounding
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.correlation_length import with_correlation_lengths
 from odomcorrupt.study.estimate.drift_error import ten_second_error
@@ -27,6 +27,7 @@ from odomcorrupt.study.select.candidates import (
     Candidate,
     channels_of,
     library_candidates,
+    terms_of,
     with_shape_refined,
 )
 from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
@@ -118,12 +119,13 @@ def learn(
     if (other := _dependence_first(found, noise)) is not None and _explains_more(other, found):
         found = other
     found, clocks = _with_other_clock(found, clocks, noise)
+    late_nats = sum(one.nats for one in (*found.included, *found.open) if one.follows_acceleration)
     kept = {effect.name for effect in found.fit.effects}
     included = tuple(one for one in found.included if one.name in kept)
     final = with_robust_errors(found.fit, kept - given)
     errors = with_rounding(final.clock_errors.tolist(), clocks.free, recordings)
     return Learned(
-        clocks=replace(clocks, clocks=final.problem.clocks, errors=errors),
+        clocks=replace(clocks, clocks=final.problem.clocks, errors=errors, left_nats=late_nats),
         first_clocks=clocks if same_data else None,
         rounds=tuple(found.steps),
         noise=tuple(found.noise),
@@ -150,6 +152,7 @@ class _Selection:
     contradictions : effects that would explain the data with a sign that physics forbids
     withdrawn : names of effects that were admitted, and did not last beside the model as it is
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
+    seen : terms of the models so far
     """
 
     fit: Fit
@@ -163,6 +166,7 @@ class _Selection:
     withdrawn: set[str] = field(default_factory=set)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
+    seen: set[frozenset[str]] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.noise = list(self.noise)
@@ -209,6 +213,7 @@ class _Selection:
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
+        self.seen.add(terms_of(self.fit))
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
@@ -229,7 +234,7 @@ class _Selection:
         # robust weights are estimated again, because what looked like outliers may be explained now
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
-        if best.name not in {effect.name for effect in larger.effects}:
+        if best.name not in {effect.name for effect in larger.effects} or terms_of(larger) in self.seen:
             self.withdrawn.add(best.name)
             return True
         self._record(candidates, added=best.name)
@@ -341,7 +346,7 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     crossed, whenever the speed changes. What it leaves of that is a dependence on the acceleration. Where there is no
     clock, what resembles one may be its own: stamps that are rounded are late by half of what they are rounded to.
     """
-    late = any(one.regressor.endswith("acceleration") for one in (*found.included, *found.open))
+    late = any(one.follows_acceleration for one in (*found.included, *found.open))
     offset_s = max(abs(clock.offset_s) for clock in clocks.clocks)
     rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
     alike = bool(rivals) and not np.any(clocks.free)
@@ -365,16 +370,10 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
     if more > 0.0:
         found, clocks = second, other
     if np.any(found.fit.free_clocks):
-        return found, replace(clocks, rival_nats=(*clocks.rival_nats, _clock_nats(found.fit) - abs(more)))
+        return found, replace(clocks, rival_nats=(*clocks.rival_nats, clock_nats(found.fit) - abs(more)))
     rivals = [step.candidates[0].gain for step in found.steps if step.added in _LIKE_CLOCKS]
     nats = max(rivals, default=0.0) - abs(more)
     return found, replace(clocks, ambiguous_nats=max(nats, clocks.ambiguous_nats, 0.0))
-
-
-def _clock_nats(fitted: Fit) -> float:
-    """Return what the plainest offset of a fit's clocks gains, nats."""
-    pairs = zip(fitted.problem.clocks, fitted.clock_errors[:, 0].tolist(), strict=True)
-    return max((0.5 * (clock.offset_s / error_s) ** 2 for clock, error_s in pairs if error_s > 0.0), default=0.0)
 
 
 def _explains_more(one: _Selection, other: _Selection) -> bool:

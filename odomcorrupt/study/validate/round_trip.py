@@ -55,6 +55,8 @@ _HARM = 1.03
 """Factor by which a correction may make the error of the fitted data larger."""
 _BROKEN = 1.25
 """Factor by which `correct` may leave more on the fitted data than the fit, before a law is replaced."""
+_KEPT = 0.4
+"""Part of what a fit gains, in mean squares, that `correct` has to gain with what reads accelerations or places."""
 _LEAST_SHARE = 0.05
 """Part of a law that its mean is at least, where the mean takes its place."""
 _AT_BOUND = 1e-6
@@ -252,14 +254,18 @@ def _as_delivered(model: MotionModel, drives: Sequence[_Drive], runs: int) -> tu
     if not left_m > (1.0 + _OTHER_ERROR) * fitted_m:
         return model, []
     errors = f"leaves {left_m * 1e3:.1f} mm after 10 s on the fitted data, the fit {fitted_m * 1e3:.1f} mm"
-    if left_m > _BROKEN * fitted_m:
+    plain_m = _corrected_error([e for e in model.effects if e not in reading], model, drives)
+    # what little of its gain is left was fitted to these data: others have none of it
+    hardly = left_m**2 > _KEPT * fitted_m**2 + (1.0 - _KEPT) * plain_m**2
+    if hardly or left_m > _BROKEN * fitted_m:
         means = [_mean_of(model, law, drives) for law in reading if isinstance(law, UserEffect)]
         others = [*(m for m in means if m is not None), *(_without(model, effect) for effect in reversed(reading))]
         usable = [one for one in others if not _failure(one[0], drives, runs)]
         errors_m = [_corrected_error(other.effects, other, drives) for other, _ in usable]
-        if errors_m and min(errors_m) < left_m:
+        if errors_m and (hardly or min(errors_m) < left_m):
             other, change = usable[int(np.argmin(errors_m))]
-            return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}"]
+            other, more = _as_delivered(other, drives, runs)
+            return other, [f"{change}, which leaves {min(errors_m) * 1e3:.1f} mm: `correct` with it {errors}", *more]
     names = " and ".join(effect.name for effect in reading)
     why = "reads accelerations or places, and from one pose to the next these are rougher than the fit's smooth ones"
     return model, [f"`correct` with this model {errors}: {names} {why}"]

@@ -1,0 +1,62 @@
+"""Castors swing round after each reversal, and turn the robot as they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from odomcorrupt.drive_types import PIVOTING
+from odomcorrupt.effects.backlash import AT_REST, crossed
+from odomcorrupt.effects.effect import About, Effect, Motion, State, TwistError, parameter, stacked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.random import Generator
+
+_WAYS_M = (0.05, 0.1, 0.2)
+"""A castor trails by 10 to 50 mm and has swung round after two to four times that."""
+
+
+@dataclass(frozen=True, slots=True)
+class CastorKick(Effect):
+    """f = (0, 0, angle v / way) while the castors swing round, 0 once they trail.
+
+    Where they stand is the play operator on the robot's travel: after a reversal they are round within `way`. What a
+    reversal does the next one undoes, so that forth and back leaves no turn.
+    """
+
+    name = "castor_kick"
+    odd = True
+    summary = "castors swing round after each reversal and turn the robot"
+    drives = PIVOTING
+    about = About(
+        equation="f_yaw = angle v / way within `way` after each reversal of the travel, 0 elsewhere",
+        typical="0.5 to 3 degrees within 5 to 20 cm (an estimate: castors off the middle, a load on one side)",
+        source="engineering judgement; the play operator, as in Visintin 1994, Differential Models of Hysteresis",
+        confused_with=("backlash", "unequal_wheels"),
+        drive="drive a metre forth and back, many times, with long straights between",
+    )
+
+    angle: float = parameter("rad", "turn left after a reversal to forwards", low=-0.3, high=0.3, typical=0.02)
+    way: float = parameter(
+        "m", "travel within which the castors swing round", low=0.01, high=0.5, typical=0.1, identity=0.1,
+        amplitude=False,
+    )  # fmt: skip
+
+    @classmethod
+    def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castors are of a size on any drive
+        """Return castors that swing round at once, and later."""
+        return tuple(replace(cls(), way=way) for way in _WAYS_M)
+
+    def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
+        """Return castors that trail."""
+        return AT_REST
+
+    def twist_error(self, motion: Motion, state: State) -> TwistError:
+        """Return f: a turn in proportion to the travel on which castors swing."""
+        swing, after = crossed(motion.v * motion.dt_s, state, self.way)
+        rate = np.divide(self.angle / self.way, motion.dt_s, out=np.zeros_like(swing), where=motion.dt_s > 0.0)
+        return TwistError(stacked(0.0, 0.0, rate * swing, motion.v), after)

@@ -1,0 +1,40 @@
+"""A search never comes back to a model that it had: what led there is passed over, and the better model stays."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from odomcorrupt.study.select import stepwise
+from odomcorrupt.study.select.decisions import DECISIONS
+
+
+def model(*names):
+    fit = SimpleNamespace(effects=tuple(SimpleNamespace(name=name) for name in names), random=())
+    fit.refit = lambda *_, **__: fit
+    return fit
+
+
+NOTHING, SLIP, LAG = model(), model("accel_slip"), model("channel_lag")
+NEXT = {(): ("accel_slip", SLIP), ("accel_slip",): ("channel_lag", LAG), ("channel_lag",): ("accel_slip", SLIP)}
+"""Of each model what is best beside it, and what the two end in: either makes the other redundant."""
+
+
+def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
+    def candidates(fit, _, circular):
+        name, then = NEXT[tuple(e.name for e in fit.effects)]
+        return [
+            SimpleNamespace(name=name, fit=then, gain=20.0, score=None, refused="circular" if name in circular else "")
+        ]
+
+    monkeypatch.setattr(stepwise, "library_candidates", candidates)
+    monkeypatch.setattr(stepwise, "with_shape_refined", lambda fit, score, _: (fit, score))
+    monkeypatch.setattr(stepwise, "without_redundant", lambda fit, *_: fit)
+    for name, does in {
+        "_correlated": lambda *_: None,
+        "propose": lambda *_, **__: None,
+        "_finish": lambda _: None,
+    }.items():
+        monkeypatch.setattr(stepwise._Selection, name, does)
+    found = stepwise._Selection(NOTHING, [], set(), DECISIONS).run()
+    assert found.fit is LAG
+    assert [step.added for step in found.steps] == ["accel_slip", "channel_lag", None]
