@@ -139,10 +139,11 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     known = any(e.name == "gyro_bias" for e in fit.effects)
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
-    found: dict[str, Fit] = {}
+    alike, held = {}, [(False, False)] * len(fit.free_clocks)
     for word in ("wheels", "gyro"):
         same = [replace(e, heading=word) if e in either else e for e in fit.effects]  # type: ignore[type-var]
-        found[word] = fit if words == {word} else fit.refit(same)
+        # robust weights and a clock that strays between two samples would move the likelihood by more than the word
+        alike[word] = fit.refit(same, weights=fit.noise.weights, free_clocks=held)
     least = decisions.known_gyro_nats if known else decisions.unusual_nats
-    better = found["gyro"].log_likelihood > found["wheels"].log_likelihood + least
-    return found["gyro" if better else "wheels"]
+    better = "gyro" if alike["gyro"].log_likelihood > alike["wheels"].log_likelihood + least else "wheels"
+    return fit if words == {better} else fit.refit(alike[better].effects)
