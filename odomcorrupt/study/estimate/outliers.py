@@ -126,8 +126,7 @@ def _joined(first: Event, second: Event) -> Event:
 
 def _across_gaps(fit: Fit) -> list[Event]:
     """Return every gap of the truth as an event: how far odometry and truth part from its one end to the other."""
-    problem, nodes, found = fit.problem, fit.problem.nodes, []
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], _usual(fit)
     for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
         own = np.flatnonzero(problem.run == r)
         gaps = own[1:][~nodes.linked[own[1:]]]
@@ -142,6 +141,7 @@ def _across_gaps(fit: Fit) -> list[Event]:
         # noise grows with the root of time, and that of the heading swings the way since the gap began
         spread = usual * np.sqrt(np.maximum((end - begin) / problem.approach.spacing_s, 1.0))[:, None]
         spread[:, :2] += (spread[:, 2] * np.hypot(said[:, 0], said[:, 1]))[:, None]
+        apart *= np.isfinite(usual)
         plain = np.linalg.norm((apart / spread)[:, : 3 if problem.headings else 2], axis=1)
         found += [
             Event(
@@ -187,6 +187,14 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
     return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
+def _usual(fit: Fit) -> Array:
+    """Return the usual residual (3,) of an interval; infinite for travel where no truth measured it (gyros alone)."""
+    usual: Array = 1.4826 * np.median(np.abs(fit.problem.nodes.residual), axis=0) + 1e-12
+    if not any(recording.positioned for recording in fit.problem.recordings):
+        usual[:2] = np.inf
+    return usual
+
+
 def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
     return _described(fit, np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else [])
 
@@ -194,12 +202,12 @@ def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
 def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
     flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    usual = _usual(fit)
     found = []
     for group in groups:
         step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
         # in the frame of its beginning: while a robot turns, what is off ahead comes back from the side
-        residual = nodes.residual[group].copy()
+        residual = nodes.residual[group] * np.isfinite(usual)
         residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         most = float(np.linalg.norm(residual / usual, axis=1).max())
@@ -325,9 +333,8 @@ def _lost(event: Event, track_m: float | None) -> float:
 
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
     """Tell whether stretches that stand out are nearly all of the squared error of a fit."""
-    nodes, inside = fit.problem.nodes, during(fit, stretches)
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
-    square = np.sum((nodes.residual / usual) ** 2, axis=1)
+    inside = during(fit, stretches)
+    square = np.sum((fit.problem.nodes.residual / _usual(fit)) ** 2, axis=1)
     return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 
