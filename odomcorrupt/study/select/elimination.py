@@ -139,11 +139,18 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     known = any(e.name == "gyro_bias" for e in fit.effects)
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
-    alike, held = {}, [(False, False)] * len(fit.free_clocks)
+    found: dict[str, Fit] = {}
+    # a clock that strays between two samples, and robust weights with it, move the likelihood by more than the word
+    clocked = bool(np.any(fit.free_clocks))
+    held = [(False, False)] * len(fit.free_clocks)
     for word in ("wheels", "gyro"):
         same = [replace(e, heading=word) if e in either else e for e in fit.effects]  # type: ignore[type-var]
-        # robust weights and a clock that strays between two samples would move the likelihood by more than the word
-        alike[word] = fit.refit(same, weights=fit.noise.weights, free_clocks=held)
+        if clocked:
+            found[word] = fit.refit(same, weights=fit.noise.weights, free_clocks=held)
+        else:
+            found[word] = fit if words == {word} else fit.refit(same)
     least = decisions.known_gyro_nats if known else decisions.unusual_nats
-    better = "gyro" if alike["gyro"].log_likelihood > alike["wheels"].log_likelihood + least else "wheels"
-    return fit if words == {better} else fit.refit(alike[better].effects)
+    better = "gyro" if found["gyro"].log_likelihood > found["wheels"].log_likelihood + least else "wheels"
+    if words == {better}:
+        return fit
+    return found[better].refit(free_clocks=fit.free_clocks) if clocked else found[better]
