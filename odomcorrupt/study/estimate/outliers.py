@@ -97,6 +97,8 @@ def single_events(fit: Fit) -> list[Event]:
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
     found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
+    if not any(recording.positioned for recording in fit.problem.recordings):
+        found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
     apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
     joined: list[Event] = []
@@ -141,7 +143,6 @@ def _across_gaps(fit: Fit) -> list[Event]:
         # noise grows with the root of time, and that of the heading swings the way since the gap began
         spread = usual * np.sqrt(np.maximum((end - begin) / problem.approach.spacing_s, 1.0))[:, None]
         spread[:, :2] += (spread[:, 2] * np.hypot(said[:, 0], said[:, 1]))[:, None]
-        apart *= np.isfinite(usual)
         plain = np.linalg.norm((apart / spread)[:, : 3 if problem.headings else 2], axis=1)
         found += [
             Event(
@@ -207,7 +208,7 @@ def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     for group in groups:
         step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
         # in the frame of its beginning: while a robot turns, what is off ahead comes back from the side
-        residual = nodes.residual[group] * np.isfinite(usual)
+        residual = nodes.residual[group].copy()
         residual[:, :2] = rotate(residual[:, :2], heading - heading[0])
         apart = np.linalg.norm(residual.sum(axis=0) / usual)
         most = float(np.linalg.norm(residual / usual, axis=1).max())
