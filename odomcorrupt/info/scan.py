@@ -30,13 +30,14 @@ __all__ = ["BagScan", "EdgeRecord", "OdometryRecord", "TopicRecord", "scan_bag"]
 
 @dataclass(slots=True)
 class TopicRecord:
-    """A topic: type, number of messages, first and last log time."""
+    """A topic: type, number of messages, first and last log time, and the longest time between two messages."""
 
     topic: str
     msgtype: str
     count: int = 0
     first_ns: int = 2**62
     last_ns: int = -(2**62)
+    longest_gap_ns: int = 0
 
     @property
     def rate_hz(self) -> float | None:
@@ -156,6 +157,9 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
 def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> None:
     record = topics.setdefault(channel.topic, TopicRecord(channel.topic, channel.msgtype))
     times = block.table["log_ns"][block.table["channel"] == channel.id]
+    # blocks of a bag may overlap in time: only what comes after all before ends a gap
+    known = times if record.count == 0 else np.append(record.last_ns, times)
+    record.longest_gap_ns = max(record.longest_gap_ns, int(np.diff(np.maximum.accumulate(known)).max(initial=0)))
     record.count += len(times)
     record.first_ns = min(record.first_ns, int(times.min()))
     record.last_ns = max(record.last_ns, int(times.max()))

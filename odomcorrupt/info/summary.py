@@ -27,6 +27,9 @@ __all__ = ["SCHEMA", "brief", "summarise", "summary_text"]
 SCHEMA = 2
 """Version of the values that `summarise` returns."""
 
+SCANS = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/PointCloud2")
+_GAP_S, _GAP_PERIODS = 2.0, 5.0
+"""A gap between scans that is reported is longer than so many seconds, and than so many usual periods."""
 AGREE_M = 0.01
 """Odometry and TF that differ by less agree."""
 
@@ -55,7 +58,13 @@ def summarise(
         "odom_frame": None if frames is None else frames.odom,
         "base_frame": None if frames is None else frames.base,
         "topics": [
-            {"topic": t.topic, "type": t.msgtype, "messages": t.count, "rate_hz": t.rate_hz}
+            {
+                "topic": t.topic,
+                "type": t.msgtype,
+                "messages": t.count,
+                "rate_hz": t.rate_hz,
+                "longest_gap_s": t.longest_gap_ns * 1e-9,
+            }
             for t in scan.topics.values()
         ],
         "odometry": [_odometry(o, scan, frames, moved=o.topic in moved) for o in drives],
@@ -88,6 +97,11 @@ def brief(values: dict[str, Any], name: str) -> Summary:
     if values["still_true"]:
         lines.append(Line("true", f"{', '.join(values['still_true'])}: these still hold the true motion", "warning"))
     lines += [Line("odd", sentence, "warning") for o in values["odometry"] for sentence in o["oddities"]]
+    lines += [
+        Line("odd", f"{t['topic']}: no scans for {t['longest_gap_s']:.1f} s", "warning")
+        for t in values["topics"]
+        if t["type"] in SCANS and t["rate_hz"] and t["longest_gap_s"] > max(_GAP_S, _GAP_PERIODS / t["rate_hz"])
+    ]
     lines += [Line("note", remark, "warning") for remark in values["remarks"]]
     words = ["odomcorrupt", "preview", name]
     return Summary((*lines, *((command_line(words),) if values["odometry_source"] is not None else ())))

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Deskewing", "Motion"]
 
-_KNOTS = 5
-"""Poses looked up within each sweep, an odd number: the middle is one of them."""
+_KNOTS = 17
+"""Poses looked up within each sweep, an odd number: the middle is one of them. Between them motion is uniform: with 5
+in 0.2 s, headings err by 2e-4 s^2 times the angular acceleration, and that looks like slip at starts and stops."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """Scans with something wrong about them: found out and put right, or refused in one line."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -108,13 +109,16 @@ def test_a_laser_is_left_out_on_demand_and_the_refusal_of_a_corridor_says_how(tm
     assert not recording.positioned
 
 
-def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path):
+def test_a_map_in_two_parts_is_drawn_of_the_larger_one_and_scans_that_are_missing_are_said(tmp_path, capsys):
     path = raycaster.drive(tmp_path / "run.mcap", stated=(0.1, 0.0, 0.0), rate_hz=2.0, missing_s=(20.0, 24.0))
-    run = laser_run(path, "run", None, "/scan")
-    assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(run) for note in part.notes)
-    assert largest_part(run)[1] == ""
-    later = run.path.t_s > 22.0
-    cut = replace(run, path=replace(run.path, part=later.astype(np.int64)))
+    assert run(["info", str(path), "--json"]) == 0
+    topics = {topic["topic"]: topic for topic in json.loads(capsys.readouterr().out)["topics"]}
+    assert topics["/scan"]["longest_gap_s"] == pytest.approx(4.5)
+    matched = laser_run(path, "run", None, "/scan")
+    assert any("no scans for 4.5 s from 19.7 s on" in note for part in truth_of(matched) for note in part.notes)
+    assert largest_part(matched)[1] == ""
+    later = matched.path.t_s > 22.0
+    cut = replace(matched, path=replace(matched.path, part=later.astype(np.int64)))
     kept, said = largest_part(cut)
     assert kept.path.t_s.max() < 22.0
     assert "2 parts that no scan connects: the map is of 0-19 s alone; left out: 25-" in said

@@ -11,7 +11,7 @@ from odomcorrupt.cli import run
 from odomcorrupt.simulation import Tracker, simulate
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
-from odomcorrupt.study.estimate.outliers import slip_bursts
+from odomcorrupt.study.estimate.outliers import single_events, slip_bursts
 from odomcorrupt.study.io import Source, read_runs
 from odomcorrupt.study.io.gyro import SCALE_ACCURACY as GYRO_SCALE
 from odomcorrupt.study.select.candidates import library_candidates
@@ -122,6 +122,21 @@ def test_slips_of_wheels_are_not_named_where_a_gyro_alone_is_the_truth(tmp_path)
     )
     assert slip_bursts(jumped) is not None
     assert outlier_effects(jumped, DECISIONS, tails=True) == []
+
+
+def test_what_happened_once_is_a_turn_where_a_gyro_alone_is_the_truth(tmp_path):
+    simulated = drive(31, duration_s=90.0, yaw_from="encoders")
+    fitted = fit(runs := list(read_runs(Source(bag(tmp_path / "run.mcap", simulated)))), approach=choose_approach(runs))
+    nodes, jump = fitted.problem.nodes, np.zeros((len(fitted.problem.nodes), 3))
+    jump[40], jump[80] = (0.02, 0.03, 0.5), (0.02, 0.03, 0.0)
+    jumped = replace(
+        fitted,
+        problem=replace(fitted.problem, nodes=replace(nodes, residual=nodes.residual + jump)),
+        noise=replace(fitted.noise, weights=1.0 + 8.0 * jump.any(axis=1)),
+    )
+    (event,) = single_events(jumped)
+    assert (event.along_m, event.across_m) == (0.0, 0.0)
+    assert event.yaw_rad == pytest.approx(0.5, abs=0.05)
 
 
 def test_a_model_needs_travel_and_a_gyro_has_none(tmp_path, capsys):

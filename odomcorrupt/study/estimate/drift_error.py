@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from odomcorrupt.study.estimate.truth_bias import scale_errors
 from odomcorrupt.study.estimate.windows import phased_misses
 from odomcorrupt.study.io.headings import with_recomputed_headings
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.study.estimate.gauss_newton import Fit
+    from odomcorrupt.study.io.recording import Recording
 
 __all__ = ["Drift", "drift", "ten_second_error"]
 
@@ -57,10 +60,21 @@ class Drift(NamedTuple):
         return bool(np.mean([np.mean(d) for d in more]) > errors * deviation)
 
 
-def drift(fitted: Fit) -> Drift:
-    """Return how far odometry drifts in 10 s, a fit's effects taken out, on the fitted recordings themselves."""
+def drift(fitted: Fit, *, truths_scaled: bool = False) -> Drift:
+    """Return how far odometry drifts in 10 s, a fit's effects taken out, on the fitted recordings themselves.
+
+    truths_scaled : whether the scale errors that the fit sees in the truths (a laser's) are taken out of these, too
+    """
     left = [with_recomputed_headings(recording) for recording in fitted.problem.left]
+    if truths_scaled:
+        errors = scale_errors(fitted.problem, fitted.noise).tolist()
+        left = [_scaled(recording, 1.0 / (1.0 + error)) for recording, error in zip(left, errors, strict=True)]
     return Drift(tuple(phased_misses(left)))
+
+
+def _scaled(recording: Recording, factor: float) -> Recording:
+    """Return a recording with all lengths of its truth multiplied."""
+    return replace(recording, truth=replace(recording.truth, xyt=recording.truth.xyt * (factor, factor, 1.0)))
 
 
 def ten_second_error(fitted: Fit) -> float:

@@ -97,6 +97,8 @@ def single_events(fit: Fit) -> list[Event]:
     whole = [np.arange(group[0], group[-1] + 1) for group in groups]
     found = [event for event in _described(fit, whole) if event.lasting]
     found = [event for event in (*found, *_across_gaps(fit)) if event.plain > _PLAINLY_ODD]
+    if not any(recording.positioned for recording in fit.problem.recordings):
+        found = [replace(event, along_m=0.0, across_m=0.0) for event in found]
     found.sort(key=lambda event: (event.recording, event.start_s))
     apart_s = _SAME_EVENT * fit.problem.approach.spacing_s
     joined: list[Event] = []
@@ -126,8 +128,7 @@ def _joined(first: Event, second: Event) -> Event:
 
 def _across_gaps(fit: Fit) -> list[Event]:
     """Return every gap of the truth as an event: how far odometry and truth part from its one end to the other."""
-    problem, nodes, found = fit.problem, fit.problem.nodes, []
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    problem, nodes, found, usual = fit.problem, fit.problem.nodes, [], _usual(fit)
     for r, (recording, clock) in enumerate(zip(problem.recordings, problem.clocks, strict=True)):
         own = np.flatnonzero(problem.run == r)
         gaps = own[1:][~nodes.linked[own[1:]]]
@@ -187,6 +188,14 @@ def _standing_out(fit: Fit) -> NDArray[np.int64]:
     return np.flatnonzero(np.sum((innovations / usual) ** 2, axis=1) > chi2.isf(_ODD, innovations.shape[1]))
 
 
+def _usual(fit: Fit) -> Array:
+    """Return the usual residual (3,) of an interval; infinite for travel where no truth measured it (gyros alone)."""
+    usual: Array = 1.4826 * np.median(np.abs(fit.problem.nodes.residual), axis=0) + 1e-12
+    if not any(recording.positioned for recording in fit.problem.recordings):
+        usual[:2] = np.inf
+    return usual
+
+
 def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
     return _described(fit, np.split(flagged, np.flatnonzero(np.diff(flagged) > 1) + 1) if len(flagged) else [])
 
@@ -194,7 +203,7 @@ def _events_of(fit: Fit, flagged: NDArray[np.int64]) -> list[Event]:
 def _described(fit: Fit, groups: Sequence[NDArray[np.int64]]) -> list[Event]:
     problem, nodes = fit.problem, fit.problem.nodes
     flagged = np.concatenate(groups) if len(groups) else np.zeros(0, dtype=np.int64)
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
+    usual = _usual(fit)
     found = []
     for group in groups:
         step, heading = nodes.odometry_step[group], nodes.truth_xyt[group, 2] + nodes.truth_step[group, 2]
@@ -325,9 +334,8 @@ def _lost(event: Event, track_m: float | None) -> float:
 
 def _is_the_error(fit: Fit, stretches: Sequence[Event]) -> bool:
     """Tell whether stretches that stand out are nearly all of the squared error of a fit."""
-    nodes, inside = fit.problem.nodes, during(fit, stretches)
-    usual = 1.4826 * np.median(np.abs(nodes.residual), axis=0) + 1e-12
-    square = np.sum((nodes.residual / usual) ** 2, axis=1)
+    inside = during(fit, stretches)
+    square = np.sum((fit.problem.nodes.residual / _usual(fit)) ** 2, axis=1)
     return bool(square[inside].sum() > _NEARLY_ALL * square.sum())
 
 

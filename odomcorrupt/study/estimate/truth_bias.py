@@ -14,17 +14,19 @@ from odomcorrupt.effects import registry
 
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.noise_likelihood import NoiseFit
     from odomcorrupt.study.estimate.problem import Problem
 
-__all__ = ["SHARED", "bias_roots", "has_bias"]
+__all__ = ["SHARED", "bias_roots", "has_bias", "scale_errors"]
 
 SPEED_BIAS = 1e-3
 """Deviation of a scale error of matches that grows with speed, per m/s: motion within a sweep."""
 TURN_BIAS = 1e-3
 """Deviation of a scale error of turns, and of one that grows with speed, per m/s: 4e-4 was seen where nothing else
 could err."""
-LAG_BIAS_S = 0.01
-"""Deviation of a lag of turns behind travel, seconds: where in a sweep walls are seen decides its effective time."""
+LAG_BIAS_S, GYRO_LAG_S = 1e-3, 0.01
+"""Deviation of a lag of turns behind travel, seconds: of sweeps, below 0.7 ms in simulated drives, and of a gyro as
+the truth, which has a filter."""
 LOCAL_BIAS = 1e-3
 """Deviation of the scale of a part of the map: keyframes half a metre apart are placed to a millimetre or two."""
 CELL_M = 2.0
@@ -58,7 +60,7 @@ def bias_roots(problem: Problem) -> Array:
     by_gyro = np.array([float(not r.positioned) for r in runs])[problem.run]
     kind = registry().get("channel_lag")
     if kind is not None:
-        lag_s = LAG_BIAS_S * np.maximum(matched, by_gyro)
+        lag_s = np.maximum(LAG_BIAS_S * matched, GYRO_LAG_S * by_gyro)
         columns += [lag_s[:, None] * part for part in np.moveaxis(problem.columns(kind()), 2, 0)]
     columns += [_of_turn(-GYRO_WANDER_RADPS * by_gyro * part) for part in _stretches(problem, duration)]
     cell = np.floor(nodes.truth_xyt[:, :2] / CELL_M).astype(np.int64)
@@ -71,6 +73,13 @@ def bias_roots(problem: Problem) -> Array:
         if here.any():
             columns.append(_of_travel(LOCAL_BIAS * along * here[:, None]))
     return np.stack(columns, axis=2)
+
+
+def scale_errors(problem: Problem, noise: NoiseFit) -> Array:
+    """Return the posterior mean (R,) of the scale error of each recording's truth: positive where it is too long."""
+    factor = noise.whitener.whiten(bias_roots(problem)[:, :, :1]).T @ noise.innovations
+    scales: Array = np.array([r.truth_scale_error for r in problem.recordings]) * factor
+    return scales
 
 
 def _smooth_motion(problem: Problem) -> tuple[Array, Array, Array]:

@@ -19,6 +19,7 @@ from odomcorrupt.effects.expression import CHANNELS
 from odomcorrupt.errors import EffectError
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
+from odomcorrupt.study.estimate.truth_bias import has_bias
 from odomcorrupt.study.estimate.windows import WINDOW_S
 from odomcorrupt.study.select.closed_loop import (
     acts_in_curves_only,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.geometry.se2 import Array
+    from odomcorrupt.study.estimate.drift_error import Drift
     from odomcorrupt.study.estimate.gauss_newton import Fit
     from odomcorrupt.study.select.decisions import Decisions
     from odomcorrupt.study.select.score import Score
@@ -290,11 +292,18 @@ def tried(
     if beyond:
         return Candidate(score=score, fit=with_it, gain=gain, refused=beyond)
     before, after = drift(fit), drift(with_it)
-    spoiled = after.worse_than(
-        before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
-    )
+    spoiled = _worse(after, before, decisions)
+    if spoiled and has_bias(fit.problem):
+        # a scale that drifts from the truth's own wrong one to another wrong one spoils nothing
+        spoiled = _worse(drift(with_it, truths_scaled=True), drift(fit, truths_scaled=True), decisions)
     refused = "gains nothing when everything is fitted together" if gain <= least else _SPOILS if spoiled else ""
     return Candidate(score=score, fit=with_it, gain=gain, rmse=(before.rmse, after.rmse), refused=refused)
+
+
+def _worse(after: Drift, before: Drift, decisions: Decisions) -> bool:
+    return after.worse_than(
+        before, factor=decisions.drift_factor, plain=decisions.drift_plain, errors=decisions.drift_errors
+    )
 
 
 def channels_of(fit: Fit, effect: Effect) -> list[str]:

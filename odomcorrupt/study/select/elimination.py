@@ -146,9 +146,17 @@ def one_heading(fit: Fit, given: Container[str], decisions: Decisions) -> Fit:
     if heading_source_of(fit.problem.recordings) or not words or ("gyro" not in words and not known):
         return fit
     found: dict[str, Fit] = {}
+    # a clock that strays between two samples, and robust weights with it, move the likelihood by more than the word
+    clocked = bool(np.any(fit.free_clocks))
+    held = [(False, False)] * len(fit.free_clocks)
     for word in ("wheels", "gyro"):
         same = [replace(e, heading=word) if e in either else e for e in fit.effects]  # type: ignore[type-var]
-        found[word] = fit if words == {word} else fit.refit(same)
+        if clocked:
+            found[word] = fit.refit(same, weights=fit.noise.weights, free_clocks=held)
+        else:
+            found[word] = fit if words == {word} else fit.refit(same)
     least = decisions.known_gyro_nats if known else decisions.unusual_nats
-    better = found["gyro"].log_likelihood > found["wheels"].log_likelihood + least
-    return found["gyro" if better else "wheels"]
+    better = "gyro" if found["gyro"].log_likelihood > found["wheels"].log_likelihood + least else "wheels"
+    if words == {better}:
+        return fit
+    return found[better].refit(free_clocks=fit.free_clocks) if clocked else found[better]
