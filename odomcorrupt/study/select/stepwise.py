@@ -34,12 +34,11 @@ from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
-    absorb,
-    backward_eliminate,
     eliminate_random,
     eliminate_untested,
     iterate,
     one_heading,
+    without_redundant,
 )
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.model_comparison import (
@@ -150,6 +149,7 @@ class _Selection:
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
+    withdrawn : names of effects that were admitted, and did not last beside the model as it is
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
     """
 
@@ -161,6 +161,7 @@ class _Selection:
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
     contradictions: list[Candidate] = field(default_factory=list)
+    withdrawn: set[str] = field(default_factory=set)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
 
@@ -179,7 +180,7 @@ class _Selection:
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
-            self._continue_from(proposal.candidate.fit)
+            self._continue_from(without_redundant(proposal.candidate.fit, self.given, self.decisions))
 
     def _name_laws(self) -> bool:
         """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
@@ -193,7 +194,7 @@ class _Selection:
                 self.fit = self.fit.refit([e for e in self.fit.effects if e.name != law.name])
             else:
                 self._record([name], added=name.name)
-                self._continue_from(name.fit)
+                self._continue_from(without_redundant(name.fit, self.given, self.decisions))
             return True
         return False
 
@@ -202,14 +203,14 @@ class _Selection:
         return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
-        """Take a model with one more term, without what the term makes redundant."""
-        fit = absorb(backward_eliminate(fit, self.given, self.decisions), self.given, self.decisions)
+        """Take a model that has one more term."""
+        self.withdrawn.clear()
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
-        candidates = library_candidates(self.fit, decisions)
+        candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
         proposal = None
@@ -226,9 +227,14 @@ class _Selection:
         if best is None or best.fit is None or full:
             self._record(candidates)
             return False
-        self._record(candidates, added=best.name)
         # robust weights are estimated again, because what looked like outliers may be explained now
-        self._continue_from(with_shape_refined(best.fit.refit(), best.score, decisions)[0])
+        larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
+        larger = without_redundant(larger, self.given, decisions)
+        if best.name not in {effect.name for effect in larger.effects}:
+            self.withdrawn.add(best.name)
+            return True
+        self._record(candidates, added=best.name)
+        self._continue_from(larger)
         return True
 
     def _record(
@@ -295,8 +301,7 @@ class _Selection:
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
-        self.fit = one_heading(self.fit, self.given, decisions)
-        self.fit = eliminate_untested(self.fit, self.given, decisions)
+        self.fit = eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # what they do is no noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
