@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from odomcorrupt.errors import BagError
@@ -41,6 +42,7 @@ class RosType(NamedTuple):
     digest: str
 
 
+@cache  # every output of a batch asks
 def ros_type(msgtype: str, encoding: str) -> RosType:
     """Return the definition of a common type, for messages of the encoding "ros1" or "cdr"."""
     # rosbags is slow to import, and only needed for a type that is not in the bag.

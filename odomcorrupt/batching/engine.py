@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import importlib
 import multiprocessing
+import os
 import signal
 import sys
+import threading
+import time
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from odomcorrupt.batching.job import Task
@@ -31,6 +35,10 @@ LARGE_BYTES = 2 << 30
 
 RESTARTS = 3
 """Maximum number of restarts of a pool whose worker died."""
+
+
+GRACE_S = 5.0
+"""Time in which a worker whose batch is dead removes its files."""
 
 
 class Shard:
@@ -113,7 +121,7 @@ def run_local(tasks: Sequence[Task], jobs: int, audience: Audience) -> None:
 
 def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
     """Run tasks in a process pool and remove finished ones from `left`; a worker that dies ends the pool."""
-    context = multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("fork" if _alone() else "spawn")
     news = context.Queue() if audience.shown else None
     with ProcessPoolExecutor(jobs, context, _prepare_worker, (news,)) as pool:
         futures = {pool.submit(_attempt_numbered, number, task): number for number, task in left.items()}
@@ -134,6 +142,14 @@ def _run_in_pool(left: dict[int, Task], jobs: int, audience: Audience) -> None:
             raise
 
 
+def _alone() -> bool:
+    """Whether this process has no thread but one: its copy then is whole, and need not start Python again."""
+    try:
+        return len([*Path("/proc/self/task").iterdir()]) == 1
+    except OSError:  # no Linux
+        return False
+
+
 _news: Any = None
 """In a worker: queue for progress messages; None without a listener."""
 
@@ -144,14 +160,34 @@ def _prepare_worker(news: Any) -> None:
     if news is not None:
         # unread progress messages must not keep a worker alive
         news.cancel_join_thread()
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    # an interrupt reaches all processes of a terminal: the parent passes it on, once
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _terminated)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _terminated(number: int, _frame: object) -> None:
+    """End this worker, its files removed; no second signal interrupts that."""
+    signal.signal(number, signal.SIG_IGN)
+    sys.exit(128 + number)
+
+
+def _end_with_parent() -> None:
+    """End this worker once the batch is dead: it would wait for more work for ever, and hold the batch's lock."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+        time.sleep(GRACE_S)
+        os._exit(1)
 
 
 def _attempt_numbered(number: int, task: Task) -> list[Failure]:
     """Run a task in a worker."""
-    if _news is None:
-        return attempt(task)
-    return attempt(task, lambda part, past_s: _news.put((number, part, past_s)))
+    try:
+        return attempt(task, None if _news is None else lambda part, past_s: _news.put((number, part, past_s)))
+    except SystemExit as ended:  # the pool would send it to the batch as an answer
+        os._exit(int(ended.code or 0))
 
 
 def _pass_on(news: Any, tasks: Mapping[int, Task], audience: Audience) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Self
 
@@ -148,12 +149,19 @@ def _first_touch(travel: Array, gear: _Gear) -> tuple[float, int, float]:
 
 def _bounded(start: float, travel: Array, top: float) -> Array:
     """Return the places (n + 1,) of something that is carried along but held within +- top, one after the other."""
-    place, places = start, [start]
-    for step in travel.tolist():
-        place += step
-        if place > top:
-            place = top
-        elif place < -top:
-            place = -top
-        places.append(place)
+    place, places, steps = start, [start], travel.tolist()
+    turns = {sign: np.flatnonzero(sign * travel < 0.0).tolist() for sign in (1, -1)}
+    i = 0
+    while i < len(steps):
+        place += steps[i]
+        i += 1
+        if -top <= place <= top:
+            places.append(place)
+            continue
+        # it stays at the bound until the travel turns
+        place, back = (top, turns[1]) if place > top else (-top, turns[-1])
+        after = bisect_left(back, i)
+        until = back[after] if after < len(back) else len(steps)
+        places += [place] * (until - i + 1)
+        i = until
     return np.array(places)

@@ -330,6 +330,6 @@ def check_bounds(effect: Effect) -> None:
 
 def stacked(along: Array | float, across: Array | float, yaw: Array | float, like: Array) -> Array:
     """Return f (n, 3) from its three rows; scalars are spread over the shape of `like`."""
-    f = np.empty((len(like), 3))
-    f[:, 0], f[:, 1], f[:, 2] = along, across, yaw
-    return f
+    rows = np.empty((3, len(like)))  # each dense in memory: most of what follows takes one row at a time
+    rows[0], rows[1], rows[2] = along, across, yaw
+    return rows.T

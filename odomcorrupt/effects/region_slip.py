@@ -68,7 +68,10 @@ class RegionSlip(Effect):
                 continue
             # what lies in a cell of the grid counts once: the sums below then do not grow with the rate
             cell = np.round((xy - low) / (radius / 4.0)).astype(np.int64)
-            places, which = np.unique(cell, axis=0, return_inverse=True)
+            # one number sorts as its two do, in a tenth of the time
+            wide = int(cell[:, 1].max()) + 1
+            numbers, which = np.unique(cell @ (wide, 1), return_inverse=True)
+            places = np.stack(np.divmod(numbers, wide), axis=1)
             share = np.bincount(which.ravel(), way) / way.sum()
             centres = np.unique(np.round(places / 4.0).astype(np.int64), axis=0) * 4
             for centre in centres:

@@ -76,7 +76,7 @@ class LineFits:
         self._middle, self._spread = np.empty(len(at_s)), np.empty(len(at_s))
         for rows, samples in self._blocks():
             t = self._since(samples)
-            st, stt = self._sums(np.stack((t, t**2), axis=1), rows, samples).T
+            st, stt = self._sums(np.stack((t, t**2)), rows, samples)
             self._middle[rows] = st / count[rows]
             self._spread[rows] = np.maximum(stt - st**2 / count[rows], 1e-12)
 
@@ -85,17 +85,16 @@ class LineFits:
 
         Where no value changes they are zero: what sums round off would pass for motion at rest.
         """
-        width = values.shape[1]
-        slope = np.empty((len(self._first), width))
+        of_each = np.ascontiguousarray(values.T)
+        slope = np.empty((len(of_each), len(self._first)))
         for rows, samples in self._blocks():
-            x = values[samples] - values[samples.start]
-            both = np.concatenate((x, x * self._since(samples)[:, None]), axis=1)
-            sums = self._sums(both, rows, samples)
-            slope[rows] = sums[:, width:] - sums[:, :width] * self._middle[rows, None]
-        slope /= self._spread[:, None]
-        changes = np.concatenate(([0], np.cumsum((values[1:] != values[:-1]).any(axis=1))))
-        slope[changes[self._first] == changes[self._last - 1]] = 0.0
-        return slope
+            x = of_each[:, samples] - of_each[:, [samples.start]]
+            own, with_time = np.split(self._sums(np.concatenate((x, x * self._since(samples))), rows, samples), 2)
+            slope[:, rows] = with_time - own * self._middle[rows]
+        slope /= self._spread
+        changes = np.concatenate(([0], np.cumsum((of_each[:, 1:] != of_each[:, :-1]).any(axis=0))))
+        slope[:, changes[self._first] == changes[self._last - 1]] = 0.0
+        return slope.T
 
     def _blocks(self) -> Iterator[tuple[slice, slice]]:
         """Yield blocks of windows, and the samples that they hold."""
@@ -109,10 +108,10 @@ class LineFits:
         return since
 
     def _sums(self, values: Array, rows: slice, samples: slice) -> Array:
-        """Return the sums (windows, c) of values (samples, c) over each window of a block."""
-        running = np.zeros((len(values) + 1, values.shape[1]))
-        np.cumsum(values, axis=0, out=running[1:])
-        summed: Array = running[self._last[rows] - samples.start] - running[self._first[rows] - samples.start]
+        """Return the sums (c, windows) of values (c, samples) over each window of a block."""
+        running = np.zeros((len(values), values.shape[1] + 1))
+        np.cumsum(values, axis=1, out=running[:, 1:])
+        summed: Array = running[:, self._last[rows] - samples.start] - running[:, self._first[rows] - samples.start]
         return summed
 
 

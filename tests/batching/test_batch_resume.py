@@ -70,6 +70,34 @@ def test_killed_at_any_moment_it_leaves_whole_files_and_goes_on(here, monkeypatc
     assert not list(here.glob("runs/.*.partial"))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+@pytest.mark.parametrize("threads", ["1", pytest.param("2", marks=pytest.mark.slow)], ids=["copied", "started"])
+def test_workers_of_a_killed_batch_end_and_leave_nothing(here, threads):
+    words = [sys.executable, "-m", "odomcorrupt", "batch", "in.mcap", "runs", "--runs", "400", "--jobs", "2", *TYPED]
+    # threads of a linear algebra library forbid that a worker is a copy of the batch
+    process = subprocess.Popen(words, stderr=subprocess.DEVNULL, env={**os.environ, "OPENBLAS_NUM_THREADS": threads})
+    deadline = time.monotonic() + 30
+    while not list(here.glob("runs/.making*")) and time.monotonic() < deadline:
+        time.sleep(0.002)
+    workers = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    process.kill()
+    process.wait()
+    assert len(workers) >= 2
+    while any(_runs(pid) for pid in workers) and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert not any(_runs(pid) for pid in workers)
+    assert batch(1) == 0
+    assert not list(here.glob("runs/.*.partial"))
+
+
+def _runs(pid):
+    """Tell whether a process runs; one that nobody has asked how it ended does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
 @pytest.fixture
 def dead():
     """Return the number of a process that is no more."""

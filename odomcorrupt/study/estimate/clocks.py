@@ -222,9 +222,11 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
     One alone may do what it takes all of them to imitate.
     """
     nuisance, approach = nothing.fit.onward.effects[: len(nuisance_of(runs))], clock.fit.problem.approach
+    still = pose_problem(runs, nuisance, approach=approach)
 
     def likelihood(effects: Sequence[Effect], offset_s: float = 0.0) -> float:
         clocks, effects = [Clock(offset_s)] * len(runs), (*nuisance, *effects)
+        posed = pose_problem(runs, effects, clocks, approach=approach, before=still)
         return fit(
             runs,
             effects,
@@ -232,9 +234,8 @@ def _preferred(runs: Sequence[Recording], clock: _Found, nothing: _Found, rivals
             free_clocks=[(offset_s != 0.0, False)] * len(runs),
             approach=approach,
             start=clock.fit.noise.free,
-            weights=carried(
-                clock.fit.noise.weights, clock.fit.problem, pose_problem(runs, effects, clocks, approach=approach)
-            ),
+            weights=carried(clock.fit.noise.weights, clock.fit.problem, posed),
+            known=posed,
         ).log_likelihood
 
     without, with_it = likelihood(()), likelihood((), clock.clock.offset_s)

@@ -128,23 +128,29 @@ class Intervals:
 
     def column(self, error: Array) -> Array:
         """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
-        return np.ascontiguousarray(np.add.reduceat(self.carried(error), self.first, axis=1).T)
+        column = np.zeros((len(self), 3))
+        for i, row in enumerate(self._carried(error)):
+            if row is not None:
+                column[:, i] = np.add.reduceat(row, self.first)
+        return column
 
     def carried(self, error: Array) -> Array:
         """Return (3, n): what errors (n0, 3) of the odometry's increments do to the residual, step by step."""
-        carried = np.zeros((3, len(self.source)))
+        nothing = np.zeros(len(self.source))
+        return np.stack([nothing if row is None else row for row in self._carried(error)])
+
+    def _carried(self, error: Array) -> tuple[Array | None, Array | None, Array | None]:
+        """Return the rows (n,) of `carried`, None where nothing moves."""
         along, across, yaw = (np.take(part, self.source) * self.share if part.any() else None for part in error.T)
         (c, s), (ahead, left) = self.axis.T, self.lever.T
+        x = y = None
         if along is not None:
-            carried[0], carried[1] = c * along, s * along
+            x, y = c * along, s * along
         if across is not None:
-            carried[0] -= s * across
-            carried[1] += c * across
+            x, y = _added(x, -s * across), _added(y, c * across)
         if yaw is not None:
-            carried[0] -= yaw * left
-            carried[1] += yaw * ahead
-            carried[2] = yaw
-        return carried
+            x, y = _added(x, -yaw * left), _added(y, yaw * ahead)
+        return x, y, yaw
 
     def covariance(self, law: Law, k: Coefficients, steps: Increments) -> Array:
         """Return (K, 3, 3): the covariance of the residual that a law puts on the odometry's increments."""
@@ -178,6 +184,11 @@ class Intervals:
             total[i, j] += summed
             if i != j:
                 total[j, i] += summed
+
+
+def _added(row: Array | None, more: Array) -> Array:
+    """Return the sum of both, in the place of the first."""
+    return more if row is None else np.add(row, more, out=row)
 
 
 def lay_nodes(recording: Recording, spacing_s: float) -> Intervals:

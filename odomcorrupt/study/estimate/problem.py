@@ -104,8 +104,8 @@ class Problem:
         """Return (K, 3, p): what a small change of each of the effect's p amplitudes does to the residuals."""
         blocks = []
         for p in amplitudes(effect):
-            error = [-self._shown(effect, p, m) * m.dt_s[:, None] for m in self.motions]
-            blocks.append(self.nodes.column(np.concatenate(error)))
+            error = [self._shown(effect, p, m).T * -m.dt_s for m in self.motions]
+            blocks.append(self.nodes.column(np.concatenate(error, axis=1).T))
         # an expression of numbers alone has none
         return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
 

@@ -9,12 +9,13 @@ blunt for, and can be included in the model.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import groupby, islice, product
+from itertools import groupby, islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odomcorrupt.effects.expression import CHANNELS
+from odomcorrupt.study.estimate.problem import by_column
 from odomcorrupt.study.select.closed_loop import hardly_turns, may_be_steering
 from odomcorrupt.study.select.decisions import penalty
 from odomcorrupt.study.select.periodic import waves
@@ -199,21 +200,23 @@ def _curves(fit: Fit) -> list[tuple[tuple[str, str, str], Array, ColumnScore]]:
     amounts = {"m": travel, "rad": turn, "s": np.concatenate([m.dt_s for m in motions])}
     names, groups, centres = [], [], []
     regressors = curve_regressors(motions)
-    for name, (channel, per) in product(regressors, [*((c, "m") for c in CHANNELS), ("yaw", "rad"), ("yaw", "s")]):
-        shapes = [regressors[name](m) for m in motions]
-        held = np.concatenate([values for values, _ in shapes]) * amounts[per][:, None]
-        amount = np.abs(held).sum(axis=0)
-        used = amount > 0.01 * np.abs(amounts[per]).sum()
-        if used.sum() < 2:
-            continue
-        columns = []
-        for hat in held[:, used].T:
-            error = np.zeros((len(hat), 3))
-            error[:, CHANNELS.index(channel)] = -hat
-            columns.append(nodes.column(error))
-        names.append((name, channel, per))
-        groups.append(np.stack(columns, axis=2))
-        centres.append(shapes[0][1][used])
+    for name, regressor in regressors.items():
+        shapes = [regressor(m) for m in motions]
+        hats = np.concatenate([values.T for values, _ in shapes], axis=1)
+        for per, channels in (("m", CHANNELS), ("rad", ("yaw",)), ("s", ("yaw",))):
+            held = hats * -amounts[per]
+            used = np.abs(held).sum(axis=1) > 0.01 * np.abs(amounts[per]).sum()
+            if used.sum() < 2:
+                continue
+            for channel in channels:
+                columns = []
+                for hat in held[used]:
+                    error = np.zeros((3, len(hat)))
+                    error[CHANNELS.index(channel)] = hat
+                    columns.append(nodes.column(error.T))
+                names.append((name, channel, per))
+                groups.append(by_column(np.stack(columns)))
+                centres.append(shapes[0][1][used])
     return list(zip(names, centres, score_columns(fit, groups), strict=True))
 
 

@@ -78,7 +78,7 @@ def _hats(value: Callable[[Motion], Array], knots: Array) -> Callable[[Motion], 
 def _linear_hats(values: Array, knots: Array) -> Array:
     """Return piecewise linear hats (n, m) that sum to one, flat beyond the outer knots."""
     clipped = np.clip(values, knots[0], knots[-1])
-    return np.stack([np.interp(clipped, knots, unit) for unit in np.eye(len(knots))], axis=1)
+    return np.stack([np.interp(clipped, knots, unit) for unit in np.eye(len(knots))]).T
 
 
 def _harmonics(motion: Motion) -> tuple[Array, Array]:
