@@ -69,7 +69,7 @@ def command(
     models = {name: Model.load(name) for name in names}
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=track)
+        runs = reading.read(paths, voice, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, _short_names(models))
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])

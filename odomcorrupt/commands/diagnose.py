@@ -48,7 +48,7 @@ def command(
     # a model that cannot be read is said before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=model.motion_model.track_m if model else None)
+        runs = reading.read(paths, voice, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))

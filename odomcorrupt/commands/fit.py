@@ -76,7 +76,7 @@ def command(
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=begin.motion_model.track_m if begin else None)
+        runs = reading.read(paths, voice, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
