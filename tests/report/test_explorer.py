@@ -72,13 +72,18 @@ def test_code_between_backticks_and_nothing_else_is_marked_up():
     assert prose("one ` alone") == "one ` alone"
 
 
-def test_third_model_has_tick_labels_and_a_legend_of_its_own(comparison):
+def test_every_panel_has_tick_labels_and_models_without_one_are_named(comparison):
     base, robot = comparison.judgements
+    five = replace(comparison, judgements=(base, *(replace(robot, name=f"{n}.toml") for n in "bcde")))
+    figure = draw_paths(five)
+    assert [panel.get_title().split("\n")[0] for panel in figure.axes] == ["base.toml", "c.toml", "d.toml", "e.toml"]
+    assert figure.get_supxlabel() == "not drawn: b.toml"
+    for panel in figure.axes:
+        ticks = panel.xaxis.get_tick_params(which="major"), panel.yaxis.get_tick_params(which="major")
+        assert (ticks[0]["labelbottom"], ticks[1]["labelleft"]) == (True, True)
     three = replace(comparison, judgements=(base, robot, replace(robot, name="a/very/long/name/of/a/model/file.toml")))
-    panels = draw_paths(three).axes
-    assert len(panels) == 3
-    # nothing is below the second panel any more
-    assert panels[1].xaxis.get_tick_params(which="major")["labelbottom"]
+    assert len(draw_paths(three).axes) == 3
+    assert draw_paths(three).get_supxlabel() == ""
     names = [text.get_text() for text in draw_errors(three).subfigs[0].legends[0].get_texts()]
     assert any("…" in name and len(name) < 40 for name in names)
 
