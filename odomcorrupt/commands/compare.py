@@ -76,7 +76,8 @@ def command(
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
-    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else ""), files=files)
+    use = f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(names[-1])}"
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else use), files=files)
     return REJECTED if fail_if_rejected and result.fails else 0
 
 
