@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 __all__ = ["errors_of", "plain_answer"]
 
+KEPT_AS = {"e": "depth"}
+"""Parameters of a cause that simulate holds apart, by the name that the library's effect has for them."""
 SURE = float(np.sqrt(chi2.isf(1e-4, 1)))
 
 
@@ -53,6 +55,8 @@ def errors_of(truth: dict[str, Any], cause: str, found: dict[str, Any]) -> dict[
     name = cause if cause in found else same_class(cause)
     if name not in found:
         return None
+    if cause == "eccentric_wheel":
+        truth = {KEPT_AS.get(key, key): value for key, value in truth.items()}
     values, errors = found[name]["values"], found[name]["errors"]
     if cause == "slope":
         sought = truth["creep"] * np.exp(1j * truth["direction"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from hidden import as_recording, ten_second_error
 
-from laboratory.answer import errors_of, plain_answer
+from laboratory.answer import plain_answer
 from laboratory.drives import judges, learning_run
 from laboratory.information import expected_information
 from laboratory.invariance import variants
@@ -41,8 +41,6 @@ def ask(case: Case, real: str) -> dict[str, Any]:
     learned, seconds = _learned(recording)
     answer = plain_answer(learned)
     row: dict[str, Any] = {"answer": answer, "learn_s": seconds, "truth": run.answer["causes"]}
-    if case.causes:
-        row["errors"] = {c: errors_of(run.answer["causes"][c], c, answer["found"]) for c in case.causes}
     if case.arm in ("single", "outside"):
         row["expected"] = expected_information(case)
     judged, floor = judges(case)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from laboratory.answer import errors_of
 from laboratory.verdicts import HIGH, alternatives, extras, first_name, is_excited, is_separable, names, right
 
 if TYPE_CHECKING:
@@ -81,14 +82,21 @@ def single(rows: Rows) -> Lines:
         "size", "first name right (excited, separable)", "in the list (excited)", "listed", "first right, all drives",
         "parameter error, median / p90; within 10 %", "false extras a drive",
     )  # fmt: skip
-    covered = [
-        hit for row in rows if is_excited(row) for e in row.get("errors", {}).values() if e for hit in e["covered"]
-    ]
+    covered = [hit for row in rows if is_excited(row) for e in _errors_of(row) for hit in e["covered"]]
     return [*table(head, out), f"95 % intervals that cover: {part(covered, '90 to 98 %')}.", ""]
 
 
+def _errors_of(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the parameter errors of the causes that were found, judged again: a run keeps what was found, too."""
+    if "found" not in row.get("answer", {}):
+        return []
+    found = row["answer"]["found"]
+    errors = (errors_of(truth, cause, found) for cause, truth in row.get("truth", {}).items())
+    return [e for e in errors if e is not None]
+
+
 def _errors(rows: Rows) -> str:
-    found = [e["relative"] for row in rows for e in row.get("errors", {}).values() if e]
+    found = [e["relative"] for row in rows for e in _errors_of(row)]
     if not found:
         return "none"
     return f"{100 * np.median(found):.1f} / {100 * np.quantile(found, 0.9):.1f} %; {part([e <= 0.1 for e in found])}"

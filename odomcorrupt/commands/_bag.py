@@ -132,7 +132,7 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
 
     """
     if (given.get("tf", "odometry") != "odometry") != (given.get("new_odom_frame") is not None):
-        raise click.UsageError("--tf correction (or subtraction) and --new-odom-frame FRAME go together; give both or neither")
+        raise click.UsageError(
             "--tf correction, or subtraction, and --new-odom-frame FRAME go together; give both or neither"
         )
     options: Any = {name: given[name] for name in _ALIKE if name in given}

@@ -1,4 +1,4 @@
-"""Causes that no library has: the driver is named, the law is believed, and the error falls."""
+"""Causes that no library has: the regressor is named, its law is included, and the error falls."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from hidden import as_recording, ten_second_error
 from odomcorrupt.effects.user import user_effect
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.simulation import simulate, simulate_without
+from odomcorrupt.simulation.fault_draws import SIZES
 from odomcorrupt.study.estimate.config import choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.select.decisions import DECISIONS
@@ -130,3 +131,12 @@ def test_the_law_of_a_cause_that_no_library_has_brings_the_error_down(seed, caus
     after = ten_second_error([judged], learned.fit.effects)
     assert after < 1.25 * floor
     assert ten_second_error([judged]) > 1.3 * floor
+
+
+@pytest.mark.slow
+def test_an_effect_that_does_not_last_leaves_room_for_what_it_imitated():
+    # slip under acceleration was admitted, redundant once outliers were weighted again, and admitted again, six times
+    run = simulate(191_407, ["braking_drag"], duration_s=600.0, size=SIZES["medium"], route="loops")
+    learned = learn([as_recording(run)])
+    assert not learned.added
+    assert [(one.regressor, one.channel) for one in learned.laws] == [("acceleration", "along")]

@@ -37,7 +37,7 @@ from odomcorrupt.study.terms.heading_source import sees_travel
 from odomcorrupt.study.terms.term import LibraryTerm
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Container, Iterator, Sequence
 
     from odomcorrupt.effects.effect import Effect, Parameter
     from odomcorrupt.study.estimate.gauss_newton import Fit
@@ -61,6 +61,7 @@ __all__ = [
 FORBIDDEN = "of a sign that it cannot have"
 """Why a cause is refused that explains the data by what physics does not allow: such data have another flaw."""
 _SPOILS = f"makes the {WINDOW_S:g} s error larger"
+_WITHDRAWN = "gains nothing once outlier segments are weighted again"
 _AT_BOUND = 1e-6
 """Part of a parameter's range from its bound within which a fit has run into it."""
 
@@ -94,9 +95,15 @@ def library(fit: Fit) -> list[tuple[LibraryTerm, ...]]:
     return families if "flat_spot" in have else [*families, *flat_spots(fit)]
 
 
-def library_candidates(fit: Fit, decisions: Decisions) -> list[Candidate]:
-    """Return all effects of the library as candidates, admitted ones first and by gain."""
-    candidates = list(_candidates(fit, decisions))
+def library_candidates(fit: Fit, decisions: Decisions, withdrawn: Container[str] = ()) -> list[Candidate]:
+    """Return all effects of the library as candidates, admitted ones first and by gain.
+
+    withdrawn : names of effects that this model did not keep
+    """
+    candidates = [
+        replace(c, refused=_WITHDRAWN) if c.name in withdrawn and not c.refused else c
+        for c in _candidates(fit, decisions)
+    ]
     best = max((c.gain for c in candidates if not c.refused), default=0.0)
     excused = [_excused(c, decisions) if c.refused == _SPOILS and c.gain > best else c for c in candidates]
     ranked = sorted(excused, key=_rank, reverse=True)

@@ -31,6 +31,7 @@ __all__ = [
     "eliminate_untested",
     "iterate",
     "one_heading",
+    "without_redundant",
 ]
 
 _ITERATIONS, _ALIKE = 6, 0.03
@@ -73,6 +74,11 @@ def absorb(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
     fewer = backward_eliminate(fit.refit(whole), keep, decisions)
     lost = len(fit.effects) - len(fewer.effects)
     return fewer if fit.log_likelihood - fewer.log_likelihood < decisions.drop_nats * lost else fit
+
+
+def without_redundant(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:
+    """Return the fit without what its last term made redundant, and with effects that act as a whole."""
+    return absorb(backward_eliminate(fit, keep, decisions), keep, decisions)
 
 
 def eliminate_untested(fit: Fit, keep: Container[str], decisions: Decisions) -> Fit:

@@ -34,12 +34,11 @@ from odomcorrupt.study.select.closed_loop import is_pulled, of_pulls
 from odomcorrupt.study.select.decisions import DECISIONS, Decisions, penalty
 from odomcorrupt.study.select.dependence import Dependence, basis_scores, dependences
 from odomcorrupt.study.select.elimination import (
-    absorb,
-    backward_eliminate,
     eliminate_random,
     eliminate_untested,
     iterate,
     one_heading,
+    without_redundant,
 )
 from odomcorrupt.study.select.heterogeneity import disagreements
 from odomcorrupt.study.select.model_comparison import (
@@ -97,13 +96,11 @@ def learn(
     most : how many effects are included at most, default `decisions.max_effects`
     work : takes note of every stage
     """
-    work = work or Work()
-    work.begin_clocks()
+    (work := work or Work()).begin_clocks()
     if most is not None:
         decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
-    hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     recordings = with_correlation_lengths(recordings, approach)
@@ -141,7 +138,7 @@ def learn(
         disagreements=disagreements(final, decisions.heterogeneity_level),
         contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
-        hides_losses=hidden,
+        hides_losses=hides_losses(as_given[0]),
     )
 
 
@@ -150,11 +147,11 @@ class _Selection:
     """A model on its way through the selection.
 
     fit, noise : the model as it is, and its random effects
-    given : names of effects that are not dropped
-    work : takes note of every step
+    given, work : names of effects that are not dropped; what takes note of every step
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
+    withdrawn : names of effects that were admitted, and did not last beside the model as it is
     compared, compared_at : included effects of the library against basis functions in their place, and in which fit
     """
 
@@ -167,6 +164,7 @@ class _Selection:
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
     contradictions: list[Candidate] = field(default_factory=list)
+    withdrawn: set[str] = field(default_factory=set)
     compared: dict[str, ModelComparison] = field(default_factory=dict)
     compared_at: Fit | None = None
 
@@ -185,7 +183,7 @@ class _Selection:
         self.included.append(proposal.dependence)
         self._record(candidates, dependence=proposal.dependence)
         if proposal.candidate.fit is not None:
-            self._continue_from(proposal.candidate.fit)
+            self._continue_from(without_redundant(proposal.candidate.fit, self.given, self.decisions))
 
     def _name_laws(self) -> bool:
         """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
@@ -199,7 +197,7 @@ class _Selection:
                 self.fit = self.fit.refit([e for e in self.fit.effects if e.name != law.name])
             else:
                 self._record([name], added=name.name)
-                self._continue_from(name.fit)
+                self._continue_from(without_redundant(name.fit, self.given, self.decisions))
             return True
         return False
 
@@ -208,16 +206,15 @@ class _Selection:
         return {channel for one in self.contradictions for channel in channels_of(self.fit, one.score.effect)}
 
     def _continue_from(self, fit: Fit) -> None:
-        """Take a model with one more term, without what the term makes redundant."""
-        self.work.within_step("refits")
-        fit = absorb(backward_eliminate(fit, self.given, self.decisions), self.given, self.decisions)
+        """Take a model that has one more term."""
+        self.withdrawn.clear()
         self.noise, self.fit = eliminate_random(self.noise, fit, self.decisions)
 
     def _step(self) -> bool:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
         self.work.begin_step()
-        candidates = library_candidates(self.fit, decisions)
+        candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
         proposal = None
@@ -235,19 +232,24 @@ class _Selection:
         if best is None or best.fit is None or full:
             self._record(candidates)
             return False
-        self._record(candidates, added=best.name)
+        self.work.within_step("refits")
         # robust weights are estimated again, because what looked like outliers may be explained now
-        self._continue_from(with_shape_refined(best.fit.refit(), best.score, decisions)[0])
+        larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
+        larger = without_redundant(larger, self.given, decisions)
+        if best.name not in {effect.name for effect in larger.effects}:
+            self.withdrawn.add(best.name)
+            return True
+        self._record(candidates, added=best.name)
+        self._continue_from(larger)
         return True
 
     def _record(
         self, candidates: Sequence[Candidate], *, added: str | None = None, dependence: Dependence | None = None
     ) -> None:
-        nats = self.decisions.alternative_nats
-        one = Step(
-            before=self.fit, candidates=tuple(candidates), added=added, dependence=dependence, alternative_nats=nats
-        )
-        self.steps.append(one)
+        self.steps.append(Step(
+            before=self.fit, candidates=tuple(candidates), added=added, dependence=dependence,
+            alternative_nats=self.decisions.alternative_nats,
+        ))  # fmt: skip
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
         """Return the random coefficient that explains plainly more than the best effect, if there is room for one."""
@@ -300,8 +302,7 @@ class _Selection:
         if outliers:
             self.noise, self.fit = beside_bursts(self.noise, self.fit, decisions)
         self.noise += outliers
-        self.fit = one_heading(self.fit, self.given, decisions)
-        self.fit = eliminate_untested(self.fit, self.given, decisions)
+        self.fit = eliminate_untested(one_heading(self.fit, self.given, decisions), self.given, decisions)
         if bursts := [one.effect for one in outliers if one.effect.name == "slip_burst"]:
             # what they do is no noise of every step
             self.fit = self.fit.refit((*self.fit.effects, *bursts))
@@ -386,8 +387,7 @@ def _explains_more(one: _Selection, other: _Selection) -> bool:
 
     Known effects are the likelier a priori; not where the other model needed a basis function besides.
     """
-    decisions = other.decisions
-    least = decisions.alternative_nats if other.included else decisions.replacement_nats
+    least = other.decisions.alternative_nats if other.included else other.decisions.replacement_nats
     return _more_nats(one, other) > least
 
 
