@@ -12,16 +12,37 @@ import termios
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from odomcorrupt.bags.block import TABLE, Block
 from odomcorrupt.commands import _progress
 
-OFFICE = str(Path(__file__).parents[1] / "fixtures" / "office.mcap")
+FIXTURES = Path(__file__).parents[1] / "fixtures"
+OFFICE = str(FIXTURES / "office.mcap")
 
 
 def block(log_s):
     table = np.array([(1, int(log_s * 1e9), 0, 0)], dtype=TABLE)
     return Block(np.zeros(3_000_000, dtype=np.uint8), table)
+
+
+def on_a_terminal(columns, *words):
+    """Return what a command writes to a pseudo-terminal."""
+    master, slave = pty.openpty()
+    termios.tcsetwinsize(slave, (24, columns))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "odomcorrupt", *words],
+        **dict.fromkeys(("stdin", "stdout", "stderr"), slave),
+        env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
+    )
+    os.close(slave)
+    said = b""
+    with contextlib.suppress(OSError):
+        while piece := os.read(master, 65536):
+            said += piece
+    os.close(master)
+    assert process.wait() == 0
+    return said.decode()
 
 
 def test_a_terminal_gets_seconds_and_megabytes_and_wiped(monkeypatch, capsys):
@@ -44,23 +65,44 @@ def test_what_is_no_terminal_gets_nothing(monkeypatch, capsys):
 
 def test_progress_is_reported_on_terminals_only_and_wiped_away(tmp_path):
     """Run under a pseudo-terminal of 60 columns: the last thing on it is the folded summary."""
-    master, slave = pty.openpty()
-    termios.tcsetwinsize(slave, (24, 60))
-    streams = dict.fromkeys(("stdin", "stdout", "stderr"), slave)
-    done = subprocess.run(
-        [sys.executable, "-m", "odomcorrupt", OFFICE, str(tmp_path / "out.mcap"), "--seed", "1"],
-        **streams, check=False,
-        env={name: value for name, value in os.environ.items() if name != "COLUMNS"},
-    )  # fmt: skip
-    os.close(slave)
-    said = b""
-    with contextlib.suppress(OSError):
-        while piece := os.read(master, 65536):
-            said += piece
-    os.close(master)
-    assert done.returncode == 0
-    assert b"\r\x1b[K" in said
-    lines = said.rsplit(b"\x1b[K", 1)[1].decode().splitlines()
+    said = on_a_terminal(60, OFFICE, str(tmp_path / "out.mcap"), "--seed", "1")
+    assert "\r\x1b[K" in said
+    lines = said.rsplit("\x1b[K", 1)[1].splitlines()
     assert lines[0].startswith("\x1b[32mMOVED")
     plain = [re.sub(r"\x1b\[\d+m", "", line) for line in lines if str(tmp_path) not in line]
     assert 50 < max(map(len, plain)) <= 60
+
+
+def test_what_reading_took_is_no_estimate_of_what_follows_it(monkeypatch):
+    now_s = 100.0
+    monkeypatch.setattr(_progress.time, "monotonic", lambda: now_s)
+    stages, said = _progress.Stages(), []
+    monkeypatch.setattr(stages, "_say", said.append)
+    ticks = iter([False, True])
+    monkeypatch.setattr(stages._ended, "wait", lambda _: next(ticks))
+    stages.reading("matching scans", 0.5)
+    now_s = 160.0
+    stages("search", 0.0)
+    now_s = 170.0
+    stages("fit", 0.25)
+    now_s = 174.0
+    stages._tick()
+    assert said == ["fit, 74 s, 43 % done, about 26 s left"]
+
+
+@pytest.mark.slow
+def test_a_search_says_its_stage_the_share_done_and_the_time_left():
+    """The share begins below a quarter, never falls, never reaches the end before it, and takes several values."""
+    recordings = [str(FIXTURES / name) for name in ("mystery.mcap", "mystery_other.mcap")]
+    *lines, verdict = on_a_terminal(100, "learn", recordings[0], "--validate", recordings[1]).split("\r\x1b[K")
+    seconds = [int(found[1]) for line in lines if (found := re.search(r", (\d+) s\b", line))]
+    shares = [int(found[1]) for line in lines if (found := re.search(r"(\d+) % done", line))]
+    assert seconds == sorted(seconds)
+    assert shares == sorted(shares)
+    assert 0 < shares[0] <= 25
+    assert 60 <= shares[-1] < 100
+    assert len(set(shares)) >= 5
+    for stage in ("reading", "search, step 1: screening effects", "held-out data"):
+        assert any(stage in line for line in lines)
+    assert any(re.search(r"% done, about \d+ s left", line) for line in lines)
+    assert "MISSING" in verdict

@@ -35,6 +35,7 @@ REFUSED = {
     f"integrate {OFFICE} --runs 3": "--runs 3: without --twist-noise all runs are the same",
     f"integrate {OFFICE} --twist-noise -1 0": "twist noise: -1.0 m/s, 0.0 rad/s; both must be zero or more",
     f"{OFFICE} out.mcap --tf correction": "--tf correction and --new-odom-frame FRAME go together",
+    f"{OFFICE} out.mcap --tf subtraction": "--tf subtraction and --new-odom-frame FRAME go together",
     f"batch {OFFICE} runs --runs 2 --layout split --output trajectories {NOISE}": "is for whole bags",
     f"batch {OFFICE} runs --runs 2 --shard 1/2 --dask tcp://x:1 {NOISE}": "--shard and --dask: both spread the runs",
     f"batch {OFFICE} runs --runs 2 --shard 1/2 --alpha 0 0 0 0": "--shard: all shards need the same --seed; give one",

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from odomcorrupt.api.recordings import PathLikes, Recordings
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
-    from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot, Watch
+    from odomcorrupt.study.pipeline import DiagnosedModel, LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.work import Watch
 
 __all__ = ["Diagnosis", "Findings", "diagnose"]
 

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from odomcorrupt.api.recordings import PathLikes
     from odomcorrupt.report.text.summary import Summary
     from odomcorrupt.study.estimate.gauss_newton import Fit as ModelFit
-    from odomcorrupt.study.pipeline import LearnedRobot, Watch
+    from odomcorrupt.study.pipeline import LearnedRobot
     from odomcorrupt.study.validate.compare import Judgement
+    from odomcorrupt.study.work import Watch
 
 __all__ = ["Learned", "learn"]
 

@@ -198,7 +198,7 @@ def read_recordings(
     relative : path or several, optional
         CSV file of relative motions (t0,t1,dx,dy,dyaw) that are to be the truth: one for all, or one for each.
     progress : callable, optional
-        Called with what takes long, and which part of it is done.
+        Called with what is done next, and the share of the reading that is done.
 
     Returns
     -------
@@ -247,8 +247,18 @@ def read_recordings(
 def _read(sources: Sequence[Source], progress: Callable[[str, float], None] | None = None) -> Recordings:
     from odomcorrupt.study.io.reader import read_runs
 
-    runs = Recordings(tuple(run for source in sources for run in read_runs(source, progress)), tuple(sources))
+    found: list[Recording] = []
+    for n, source in enumerate(sources):
+        if progress is not None:
+            progress("reading", n / len(sources))
+        found += read_runs(source, progress and _nth(progress, n, len(sources)))
+    runs = Recordings(tuple(found), tuple(sources))
     return runs.in_frame(runs.geodetic_origin)
+
+
+def _nth(progress: Callable[[str, float], None], n: int, count: int) -> Callable[[str, float], None]:
+    """Return what is called with the share of one of several recordings."""
+    return lambda stage, share: progress(stage, (n + share) / count)
 
 
 def as_paths(paths: PathLikes) -> list[Path]:

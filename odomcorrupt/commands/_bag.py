@@ -131,8 +131,10 @@ def bag_words(given: Mapping[str, Any]) -> BagOptions:
         Where --tf correction and its frame do not come together.
 
     """
-    if (given.get("tf", "odometry") != "odometry") != (given.get("new_odom_frame") is not None):
-        raise click.UsageError("--tf correction and --new-odom-frame FRAME go together; give both or neither")
+    tf = given.get("tf", "odometry")
+    if (tf != "odometry") != (given.get("new_odom_frame") is not None):
+        word = "correction" if tf == "odometry" else tf
+        raise click.UsageError(f"--tf {word} and --new-odom-frame FRAME go together; give both or neither")
     options: Any = {name: given[name] for name in _ALIKE if name in given}
     for name in ("twist", "covariance"):
         if name in given:

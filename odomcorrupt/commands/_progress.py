@@ -14,20 +14,16 @@ if TYPE_CHECKING:
     from odomcorrupt.batching.job import Task
     from odomcorrupt.batching.runner import Failure
 
-__all__ = ["Progress", "Rate", "Stages", "left_words", "part_done"]
+__all__ = ["Progress", "Rate", "Stages", "left_words"]
 
 PAUSE_S = 0.2
 """Time between two updates of the line."""
 FIRST_S = 1.0
 """Nothing is said of what takes less."""
-
-
-def time_left(share: float, spent_s: float) -> str:
-    """Return the share done and the time left in words; "" before anything is known."""
-    if not 0.0 < share <= 1.0 or spent_s <= 0.0:
-        return ""
-    left_s = spent_s * (1.0 - share) / share
-    return f"{100.0 * share:.0f} % done, about {_duration(left_s)} left"
+_READING, _MATCHING = 0.25, 0.5
+"""Part of the work that reading usually is, without and with scans to match."""
+_KNOWN = 0.05
+"""Share that has to be done before the time left is estimated from it."""
 
 
 def _duration(seconds: float) -> str:
@@ -80,24 +76,45 @@ class Progress(_Line):
 
 
 class Stages(_Line):
-    """Says which stage of the work is under way, the share that is done and the time left."""
+    """Says which stage of the work is under way, the share that is done and the time left.
+
+    Reading comes first. Its part of the work is not known: a quarter is usual, half where scans are matched. The time
+    left after it is estimated from what came after it alone.
+    """
 
     def __init__(self, stage: str = "reading", *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
-        self._stage, self._share = stage, 0.0
+        self._stage, self._share, self._end_s = stage, 0.0, 0.0
+        self._read: tuple[float, float] | None = None
         self._ended = threading.Event()
         self._ticker = threading.Thread(target=self._tick, daemon=True)
 
+    def reading(self, stage: str, share: float) -> None:
+        """Take note of a stage of reading, and of the share of all reading done before it."""
+        part = _READING if stage == "reading" else _MATCHING
+        self._note(stage, part * share, part * share, self._begun_s)
+
     def __call__(self, stage: str, share: float) -> None:
-        """Take note of a stage that begins, and of the share of the work done before it."""
-        self._stage, self._share = stage, share
+        """Take note of a stage that begins, and of the share of the work after reading done before it."""
+        if self._read is None:
+            self._read = self._share, time.monotonic()
+        first, since_s = self._read
+        self._note(stage, first + (1.0 - first) * share, share, since_s)
+
+    def _note(self, stage: str, share: float, part: float, since_s: float) -> None:
+        """Take note of the share of the work that is done, and of that which was done since a time."""
+        now_s = time.monotonic()
+        end_s = now_s + (now_s - since_s) * (1.0 - part) / part if part >= _KNOWN else 0.0
+        self._stage, self._share, self._end_s = stage, max(self._share, share), end_s
 
     def _tick(self) -> None:
         while not self._ended.wait(PAUSE_S):
-            spent_s = time.monotonic() - self._begun_s
-            if spent_s >= FIRST_S:
-                left = time_left(self._share, spent_s)
-                self._say(f"{self._stage}, {spent_s:.0f} s" + (f", {left}" if left else ""))
+            now_s = time.monotonic()
+            if now_s - self._begun_s >= FIRST_S:
+                words = [self._stage, f"{now_s - self._begun_s:.0f} s"]
+                words += [f"{int(100.0 * self._share)} % done"] if self._share > 0.0 else []
+                words += [f"about {_duration(self._end_s - now_s)} left"] if self._end_s > now_s + 1.0 else []
+                self._say(", ".join(words))
 
     def __enter__(self) -> Self:
         if self.shown:
@@ -109,12 +126,6 @@ class Stages(_Line):
         if self._ticker.is_alive():
             self._ticker.join()
         super().__exit__()
-
-
-def part_done(what: str, share: float) -> None:
-    """Say on stderr what is being done and how far it has got, where that is a terminal."""
-    if sys.stderr.isatty():
-        click.echo(f"\r\x1b[K{what}: {share:.0%}\r", nl=False, err=True)
 
 
 class Rate(_Line):

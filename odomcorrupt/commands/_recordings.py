@@ -14,7 +14,7 @@ import click
 
 from odomcorrupt.commands._bag import unpack_option
 from odomcorrupt.commands._options import TRACK, Number, Share, added
-from odomcorrupt.commands._progress import Stages, part_done
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.drive_types import AUTO, DRIVE_TYPES
 from odomcorrupt.extras import require
 
@@ -49,12 +49,18 @@ class Reading:
         require("scipy", "the study needs it", "study")
         return Stages(quiet=voice.quiet)
 
-    def read(self, paths: Sequence[Path], voice: Voice, *, track: float | None = None) -> Recordings:
+    def read(self, paths: Sequence[Path], voice: Voice, stages: Stages, *, track: float | None = None) -> Recordings:
         """Return the recordings; `track` is that of a model, where the command line names none."""
-        return self.read_with_held_out(paths, (), voice, track=track)[0]
+        return self.read_with_held_out(paths, (), voice, stages, track=track)[0]
 
     def read_with_held_out(
-        self, paths: Sequence[Path], held_out: Sequence[Path], voice: Voice, *, track: float | None = None
+        self,
+        paths: Sequence[Path],
+        held_out: Sequence[Path],
+        voice: Voice,
+        stages: Stages,
+        *,
+        track: float | None = None,
     ) -> tuple[Recordings, Recordings | None]:
         """Return recordings, and those that are held out (None without any); several truth bags cover both in order."""
         from odomcorrupt.api.recordings import describe, read_recordings
@@ -68,12 +74,14 @@ class Reading:
         }
 
         def read(own: Sequence[Path], rows: slice) -> Recordings:
+            first, part = (rows.start or 0) / count, len(own) / count
             truths, motions = (files[rows] if len(files) > 1 else files for files in (self.truth_bags, self.relative))
             runs = read_recordings(
                 [_spooled(path) if str(path) == "-" else path for path in own],
                 names=["stdin" if str(path) == "-" else "" for path in own],
                 track_m=self.track if self.track is not None else track,
-                truth_bag=truths, relative=motions, progress=part_done, **alike,
+                truth_bag=truths, relative=motions,
+                progress=lambda stage, share: stages.reading(stage, first + part * share), **alike,
             )  # fmt: skip
             for recording in runs:
                 voice.detail("\n  ".join([describe(recording), *recording.notes]))

@@ -69,14 +69,15 @@ def command(
     models = {name: Model.load(name) for name in names}
     track = next((m.motion_model.track_m for m in models.values() if m.motion_model.track_m is not None), None)
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=track)
+        runs = reading.read(paths, voice, stages, track=track)
         stages("comparison", 0.0)
         result = compare(runs, _short_names(models))
     words = shlex.join([*map(str, paths), *reading.words(), names[-1]])
     files: dict[Path, Callable[[], object]] = {p: partial(result.plot, p, picture=name) for p, name in plots.items()}
     if report is not None:
         files[report] = lambda: write_text(report, result.report())
-    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else ""), files=files)
+    use = f"odomcorrupt sim.bag noisy.bag --model {shlex.quote(names[-1])}"
+    voice.show(replace(result, following=f"odomcorrupt diagnose {words}" if result.fails else use), files=files)
     return REJECTED if fail_if_rejected and result.fails else 0
 
 

@@ -34,8 +34,10 @@ def command(
     message unless --step says otherwise.
 
     \b
-    odomcorrupt convert-alpha 0.2 0.2 0.2 0.2 --from quadratic --step 0.25m --to diffusion
-    odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion --to quadratic --to-step 0.25m,0.2rad
+    odomcorrupt convert-alpha 0.2 0.2 0.2 0.2 --from quadratic --step 0.25m \\
+        --to diffusion
+    odomcorrupt convert-alpha 5deg 2deg/m 0.05 0.01 --from diffusion \\
+        --to quadratic --to-step 0.25m,0.2rad
     """  # noqa: D301 - click wants a real backspace
     from odomcorrupt.errors import ModelError
     from odomcorrupt.model.motion_model import Noise, parse_alpha

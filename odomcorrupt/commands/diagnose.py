@@ -48,7 +48,7 @@ def command(
     # a model that cannot be read is said before minutes of work
     model = Model.load(names[0]) if names else None
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=model.motion_model.track_m if model else None)
+        runs = reading.read(paths, voice, stages, track=model.motion_model.track_m if model else None)
         result = diagnose(runs, names[0] if names else None, watch=stages)
     words = [*map(str, paths), *reading.words()]
     result = replace(result, following=_following(result, words, names))
@@ -56,15 +56,15 @@ def command(
 
 
 def _following(result: Diagnosis, words: list[str], models: list[str]) -> str:
-    """Return the command that adds what is missing; "" where nothing is."""
+    """Return the command that adds what is missing, or shows how a model does that misses nothing."""
     if not all(run.positioned for run in result.recordings):
         # a model needs travel, too
         return ""
-    if result.result.search.laws:
+    if result.result.search.laws or not (result.missing or models):
         # a dependence is written by `learn` alone, and what is added holds beside it only
         return f"odomcorrupt learn {shlex.join(words)} -o robot.toml"
     if not result.missing:
-        return ""
+        return f"odomcorrupt compare {shlex.join([*words, *models])}"
     start = ["--start", models[0]] if models else []
     added = [word for effect in result.missing for word in ("--add", effect)]
     return f"odomcorrupt fit {shlex.join([*words, *start, *added])} -o robot.toml"

@@ -51,7 +51,7 @@ def _number(flag: str, kind: Number, default: float, metavar: str, text: str) ->
 def command(
     model: Path, *, target: str, controller: str, output: Path | None, overwrite: bool, voice: Voice, **given: Any
 ) -> None:
-    """Print a model as YAML to paste; -v adds what it assumes and cannot express, in comments, as -o writes it.
+    """Print a model as YAML; -v as a block to paste, with what it assumes and cannot express, as -o writes it.
 
     Wheel multipliers come from wheel_scale, unequal_wheels and wheelbase; alphas and covariances from the noise law.
     """
@@ -59,7 +59,7 @@ def command(
     from odomcorrupt.export.nav2 import amcl_alphas
     from odomcorrupt.export.robot_localization import Steady, twist_variances
     from odomcorrupt.export.ros2_control import wheel_multipliers
-    from odomcorrupt.export.yaml_text import amcl_text, twists_text, wheels_text, without_comments
+    from odomcorrupt.export.yaml_text import amcl_text, condensed, twists_text, wheels_text
     from odomcorrupt.model.model_file import read_model
 
     refuse_existing(output, overwrite=overwrite)
@@ -77,7 +77,7 @@ def command(
         text = wheels_text(robot, wheel_multipliers(robot, given["track"]), controller)
     values = {"schema": 2, "to": target, "yaml": text}
     if output is None:
-        voice.say(without_comments(text, robot), text, values)
+        voice.say(condensed(text, robot), text, values)
         return
     load = {
         "nav2": ["ros2", "run", "nav2_amcl", "amcl", "--ros-args", "--params-file", output],

@@ -11,7 +11,7 @@ import click
 
 from odomcorrupt.commands._options import FILE
 from odomcorrupt.commands._recordings import recording_options, split_arguments
-from odomcorrupt.commands._standard import overwrite_option, standard_options, written
+from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words, written
 from odomcorrupt.files import refuse_existing
 
 if TYPE_CHECKING:
@@ -76,12 +76,13 @@ def command(
     begin = None if start is None else Model.load(start)
     require_effects(begin, add)
     with reading.stages(voice) as stages:
-        runs = reading.read(paths, voice, track=begin.motion_model.track_m if begin else None)
+        runs = reading.read(paths, voice, stages, track=begin.motion_model.track_m if begin else None)
         stages("fit", 0.0)
         result = fit(runs, add, start=begin, law=law)
     words = [*map(str, paths), *reading.words()]
-    following = f"odomcorrupt compare {shlex.join([*words, str(output or 'base.toml')])}"
-    shown = replace(result, following=following if output is not None else "")
+    shown = replace(result, following=f"odomcorrupt compare {shlex.join([*words, str(output)])}")
+    if output is None:
+        shown = replace(result, following=shlex.join(["odomcorrupt", "fit", *typed_words(), "-o", "robot.toml"]))
     voice.show(shown, files=written(output, lambda path: result.model.save(path, overwrite=True)))
 
 

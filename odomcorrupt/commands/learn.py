@@ -61,7 +61,7 @@ def command(
     check_picture(plot, overwrite=overwrite)
     check_advice(drive, report, overwrite=overwrite)
     with reading.stages(voice) as stages:
-        runs, held_out = reading.read_with_held_out(paths, validate, voice)
+        runs, held_out = reading.read_with_held_out(paths, validate, voice, stages)
         result = learn(runs, validate=held_out or (), watch=stages)
     evaluated_on = [*map(str, validate or paths), *reading.words()]
     usable = not result.comparison.fails and result.result.reproduction.holds

@@ -11,7 +11,7 @@ import click
 from odomcorrupt.commands._bag import ODOM_TOPIC, unpack_option
 from odomcorrupt.commands._model import AlphaCommand, choose_model, model_options
 from odomcorrupt.commands._options import FILE, POSE, Number, check_picture, need_pictures, one_of, save_picture
-from odomcorrupt.commands._progress import Stages, part_done
+from odomcorrupt.commands._progress import Stages
 from odomcorrupt.commands._standard import overwrite_option, standard_options, typed_words
 from odomcorrupt.files import refuse_existing, write_bytes, write_text
 from odomcorrupt.report.text.summary import Line, Summary, command_line
@@ -131,7 +131,8 @@ def _by_laser(bag: Path, output: Path | None, given: dict[str, Any], voice: Voic
     chosen = choose_model(given)
     seed = draw_seed() if given["seed"] is None else given["seed"]
     odom = parse_address(given["odom_topic"]) if given["odom_topic"] is not None else None
-    run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], part_done))
+    with Stages(quiet=voice.quiet) as stages:
+        run, parts = largest_part(laser_run(bag, str(bag), odom, given["scan"], stages))
     odometry = run.odometry.trajectory()
     noise = NoisyPath(chosen.motion_model, seed, given["run"]).feed(odometry.stamps_ns, odometry.xyt)
     maps = laser_maps(run, noise.error_xyt, given["resolution"])

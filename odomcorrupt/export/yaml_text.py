@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import TYPE_CHECKING
 
@@ -16,19 +17,27 @@ if TYPE_CHECKING:
     from odomcorrupt.export.ros2_control import WheelMultipliers
     from odomcorrupt.model.motion_model import MotionModel
 
-__all__ = ["amcl_text", "numbers_of", "twists_text", "unexpressed", "wheels_text", "without_comments"]
+__all__ = ["amcl_text", "condensed", "numbers_of", "twists_text", "unexpressed", "wheels_text"]
 
 _UNKNOWN = 1e6
 """Variance of what a planar robot's odometry does not measure."""
 _WIDTH = 80
 
 
-def without_comments(text: str, model: MotionModel) -> str:
-    """Return a snippet with one comment in the place of all: which effects of the model it may not express."""
+def condensed(text: str, model: MotionModel) -> str:
+    """Return a snippet in flow style, with one comment: which effects of the model it may not express."""
     left = unexpressed(text, model)
     said = f"# not expressed: {', '.join(left)} (-v says why)" if left else "# -v says what these numbers assume"
-    lines = [line for line in text.splitlines() if not line.lstrip().startswith("#")]
-    return "\n".join([said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them", *lines])
+    lines = [said if len(said) <= _WIDTH else "# some effects are not expressed: -v names them"]
+    bare = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("#"))
+    for node in re.split(r"\n(?=\S)", bare):
+        head, *entries = re.split(r"\n {4}(?=\S)", node)
+        name = head.split(":")[0]
+        # a key and its number stay on one line
+        flow = ", ".join(" ".join(entry.split()).replace(": ", ":\0") for entry in entries)
+        lines += textwrap.wrap(f"{name}: {{ros__parameters: {{{flow}}}}}", _WIDTH, subsequent_indent="  ",
+                               break_long_words=False, break_on_hyphens=False)  # fmt: skip
+    return "\n".join(lines).replace("\0", " ")
 
 
 def unexpressed(text: str, model: MotionModel) -> list[str]:

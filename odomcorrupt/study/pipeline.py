@@ -5,7 +5,6 @@ Clocks come first: they are estimated once, by the search, and every later step 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -21,6 +20,7 @@ from odomcorrupt.study.validate.held_out import keep_what_holds
 from odomcorrupt.study.validate.model_sequence import sequence_comparison
 from odomcorrupt.study.validate.reproduction import Reproduction, reproduction_of
 from odomcorrupt.study.validate.round_trip import RoundTrip, verified_model
+from odomcorrupt.study.work import Watch, Work, silent
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,17 +29,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.io.recording import Recording
     from odomcorrupt.study.select.stepwise import Learned
 
-__all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "Watch", "diagnose_model", "learn_robot"]
+__all__ = ["LAW", "DiagnosedModel", "LearnedRobot", "diagnose_model", "learn_robot"]
 
 LAW = "diffusion"
 """Noise law of what is learned: the only one whose drift does not depend on the message rate."""
-
-Watch = Callable[[str, float], None]
-"""Called before each stage with its name and the share of the work that is done."""
-
-
-def _silent(_stage: str, _share: float) -> None:
-    """Report no progress."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
@@ -74,7 +67,7 @@ class LearnedRobot:
 
 
 def learn_robot(
-    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = _silent
+    recordings: Sequence[Recording], held_out: Sequence[Recording] = (), *, watch: Watch = silent
 ) -> LearnedRobot:
     """Return the model that recordings of one robot support, and how it does on recordings it was not fitted to.
 
@@ -84,14 +77,16 @@ def learn_robot(
     held_out : to judge the model on; without any it is cross-validated on halves of the recordings
     watch : called before each stage
     """
-    watch("search for missing effects", 0.0)
+    work = Work(watch, following=5.5)
     recordings, held_out = (
         with_correlation_lengths(some, choose_approach(some)) if some else some for some in (recordings, held_out)
     )
-    search, parts = keep_what_holds(learn(recordings), held_out)
-    watch("what the data leave open", 0.6)
+    search = learn(recordings, work=work)
+    work.begin("each part on held-out data", 1.5, 4.0)
+    search, parts = keep_what_holds(search, held_out)
+    work.begin("what the data leave open", 0.7, 3.3)
     advice = advise(search)
-    watch("fit", 0.8)
+    work.begin("fit", 0.8, 2.5)
     base = fit_robot(recordings, (), law_name=LAW, clocks=search.clocks)
     random = [gain.effect for gain in search.noise]
     found = (*search.fit.effects, *random)
@@ -101,7 +96,7 @@ def learn_robot(
     names = [*search.added, *(one.title for one in search.laws), *(effect.name for effect in random)]
     if names:
         models["with " + ", ".join(names)] = proof.model
-    watch("comparison on held-out data", 0.9)
+    work.begin("comparison on held-out data", 2.5, 0.0)
     judged_on = held_out or recordings
     comparison = compare(judged_on, models, clocks=None if held_out else search.first_clocks)
     parts_do = contributions(search.fit, judged_on, comparison.clocks.clocks)
@@ -139,7 +134,7 @@ class DiagnosedModel:
 
 
 def diagnose_model(
-    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = _silent
+    recordings: Sequence[Recording], model: MotionModel | None = None, *, name: str = "", watch: Watch = silent
 ) -> DiagnosedModel:
     """Return what a model misses on recordings; None is noise alone.
 
@@ -153,11 +148,11 @@ def diagnose_model(
     watch : called before each stage
     """
     start = () if model is None else (*model.effects, *model.setup.effects)
-    watch("search for missing effects", 0.0)
-    search = learn(recordings, start, law_name=LAW if model is None else model.noise.law_name)
-    watch("what the data leave open", 0.6)
+    work = Work(watch, following=3.7)
+    search = learn(recordings, start, law_name=LAW if model is None else model.noise.law_name, work=work)
+    work.begin("what the data leave open", 0.7, 3.0)
     advice = advise(search)
-    watch("comparison of the additions", 0.8)
+    work.begin("comparison of the additions", 3.0, 0.0)
     sequence = sequence_comparison(search, recordings, name or "without effects")
     search = replace(search, contributions=contributions(search.fit))
     return DiagnosedModel(search=search, advice=advice, sequence=sequence)

@@ -56,7 +56,7 @@ class Tab:
         self.seen = said
         return said
 
-    def show(self, page, width, height=900, *, phone=False, dark=False):
+    def show(self, page, width, height=900, *, phone=False, dark=False, scripts=True):
         """Load a file as a screen of this size shows it."""
         self.complaints.clear()
         self.asked.clear()
@@ -66,11 +66,13 @@ class Tab:
         )  # fmt: skip
         scheme = "dark" if dark else "light"
         self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+        self.ask("Emulation.setScriptExecutionDisabled", value=not scripts)
         self.ask("Page.navigate", url=page.as_uri())
         while self.seen.get("method") != "Page.loadEventFired":
             self._read()
         # two frames later observers have run and all is laid out
-        self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        if scripts:
+            self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def run(self, script):
         """Return the value of an expression in the page."""

@@ -77,3 +77,13 @@ def test_two_pictures_do_not_share_a_file(case, tmp_path, capsys):
     assert compare(case, case.robot, "--plot", file, "--plot", f"nees={file}") == 2
     assert "another picture" in capsys.readouterr().err
     assert not file.exists()
+
+
+@pytest.mark.parametrize(("name", "word"), [("base", "diagnose"), ("robot", "sim.bag")])
+def test_a_verdict_ends_with_what_to_type_next(case, capsys, name, word):
+    """A rejected model is to be diagnosed, and one that holds to be used."""
+    assert compare(case, getattr(case, name)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (first,) = [i for i, line in enumerate(lines) if line.startswith("next")]
+    assert lines[first].split()[:3] == ["next", "odomcorrupt", word]
+    assert lines[-1].split()[-1] == str(getattr(case, name))

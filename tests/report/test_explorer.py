@@ -72,13 +72,23 @@ def test_code_between_backticks_and_nothing_else_is_marked_up():
     assert prose("one ` alone") == "one ` alone"
 
 
-def test_third_model_has_tick_labels_and_a_legend_of_its_own(comparison):
+def test_every_panel_has_tick_labels_and_models_without_one_are_named(comparison):
     base, robot = comparison.judgements
+    five = replace(comparison, judgements=(base, *(replace(robot, name=f"{n}.toml") for n in "bcde")))
+    figure = draw_paths(five)
+    assert [panel.get_title(loc="left").split("\n")[0] for panel in figure.axes] == [
+        "base.toml",
+        "c.toml",
+        "d.toml",
+        "e.toml",
+    ]
+    assert figure.get_supxlabel() == "not drawn: b.toml"
+    for panel in figure.axes:
+        ticks = panel.xaxis.get_tick_params(which="major"), panel.yaxis.get_tick_params(which="major")
+        assert (ticks[0]["labelbottom"], ticks[1]["labelleft"]) == (True, True)
     three = replace(comparison, judgements=(base, robot, replace(robot, name="a/very/long/name/of/a/model/file.toml")))
-    panels = draw_paths(three).axes
-    assert len(panels) == 3
-    # nothing is below the second panel any more
-    assert panels[1].xaxis.get_tick_params(which="major")["labelbottom"]
+    assert len(draw_paths(three).axes) == 3
+    assert draw_paths(three).get_supxlabel() == ""
     names = [text.get_text() for text in draw_errors(three).subfigs[0].legends[0].get_texts()]
     assert any("…" in name and len(name) < 40 for name in names)
 
@@ -91,7 +101,7 @@ def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, 
     (tmp_path / "long.html").write_text(report_html(found, version="0"))
     (tmp_path / "page.html").write_text(page)
     for name, width, phone, dark in (
-        ("page", 1280, False, False), ("page", 1280, False, True), ("page", 360, True, False),
+        ("page", 1280, False, False), ("page", 1280, False, True), ("page", 390, True, False),
         ("long", 360, True, True),
     ):  # fmt: skip
         tab.show(tmp_path / f"{name}.html", width, phone=phone, dark=dark)
@@ -119,8 +129,19 @@ def test_real_browser_shows_and_works_the_page_at_every_width(page, comparison, 
                   "return [b.x + 4, b.y + 4]; })()")  # fmt: skip
     tab.ask("Input.dispatchMouseEvent", type="mouseMoved", x=box[0], y=box[1])
     assert "0.00 m driven" in tab.run("document.querySelector('.tip').textContent")
+    before = tab.run("document.querySelector('#plane g').getAttribute('transform')")
+    for kind, x in (("mousePressed", box[0]), ("mouseMoved", box[0] + 80), ("mouseReleased", box[0] + 80)):
+        tab.ask("Input.dispatchMouseEvent", type=kind, x=x, y=box[1], button="left", buttons=1, clickCount=1)
+    after = tab.run("document.querySelector('#plane g').getAttribute('transform')")
+    moved = [float(at.strip(")").split()[4]) for at in (before, after)]
+    assert moved[1] - moved[0] == pytest.approx(80.0, abs=0.5)
     rows = "document.querySelectorAll('[data-model=\"1\"] tbody tr:not([hidden])').length"
     shown = tab.run(rows)
     tab.run("document.querySelectorAll('fieldset')[2].querySelector('input').click()")
     assert tab.run(rows) == shown - 1
     assert tab.complaints == []
+    tab.show(tmp_path / "page.html", 1280, scripts=False)
+    assert tab.run("[...document.images].every((one) => one.complete && one.clientHeight > 100)")
+    assert tab.run(
+        "document.querySelector('#explorer').hidden && document.querySelector('noscript p').clientHeight > 0"
+    )

@@ -150,21 +150,20 @@ def _left(sequence: Comparison) -> list[str]:
 
 
 def _detectable(advice: Advice) -> list[str]:
-    """Return the sizes that would have been seen, side by side to save height."""
+    """Return the smallest detectable sizes, side by side to save height."""
     if not advice.limits:
         return []
-    cells = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
-    half = -(-len(cells) // 2)
-    rows = [cells[i] + (cells[i + half] if i + half < len(cells) else ["", ""]) for i in range(half)]
-    heads = ("effect", "would have been seen from", "", "")
-    return ["<h2>Sizes that would have been seen</h2>", table(heads, rows)]
+    rows = [[escape(f"{e.effect} {e.parameter}"), escape(limit_size(e))] for e in advice.limits]
+    half = -(-len(rows) // 2)
+    halves = [table(("effect", "smallest size"), some) for some in (rows[:half], rows[half:]) if some]
+    return ["<h2>Smallest detectable sizes</h2>", f'<div class="beside">{"".join(halves)}</div>']
 
 
 def _legend(version: str) -> str:
     return (
         "Held-out: every model on the way was refitted on one half of each recording and evaluated on the other, both "
-        "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Sizes that would have been seen are "
-        f"4.2 standard errors. Made by odomcorrupt {version}."
+        "ways. Nats: log likelihood; 10 nats are odds of twenty thousand to one. Detectable is what is "
+        f"4.2 standard errors large. Made by odomcorrupt {version}."
     )
 
 

@@ -185,12 +185,12 @@
     for (const x of ticks(left, right, Math.max(w / 110, 2))) {
       const px = screen(x, 0)[0];
       svg("line", { x1: px, x2: px, y1: 0, y2: h, class: "grid" }, image);
-      svg("text", { x: px + 3, y: h - 4 }, image, `${x} m`);
+      if (px > 24) svg("text", { x: px + 3, y: h - 4 }, image, `${x} m`);
     }
     for (const y of ticks(bottom, top, Math.max(h / 90, 2))) {
       const py = screen(0, y)[1];
       svg("line", { x1: 0, x2: w, y1: py, y2: py, class: "grid" }, image);
-      svg("text", { x: 3, y: py - 3 }, image, `${y}`);
+      if (py < h - 18) svg("text", { x: 3, y: py - 3 }, image, `${y} m`);
     }
     const [tx, ty] = screen(0, 0), s = state.view.scale;
     const g = svg("g", { transform: `matrix(${s} 0 0 ${-s} ${tx} ${ty})` }, image);

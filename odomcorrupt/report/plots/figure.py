@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+
+    from odomcorrupt.study.validate.compare import Judgement
 
 __all__ = ["BLACK", "BLUE", "COLOURS", "GREEN", "MARKERS", "ORANGE", "RED", "SKY", "drawing", "model_panels",
            "new_figure", "plain_logarithm", "rendered", "short_name"]  # fmt: skip
@@ -43,7 +45,6 @@ _MOST_PANELS = 4
 _LONGEST = 34
 """Characters of a model's name in a legend."""
 _DPI = 150
-_T = TypeVar("_T")
 
 
 @contextmanager
@@ -97,8 +98,8 @@ def plain_logarithm(axis: Axis) -> None:
 
 
 def model_panels(
-    models: Sequence[_T], pair_in: float, single_in: float, more_in: float
-) -> tuple[Figure, list[tuple[Axes, _T]]]:
+    models: Sequence[Judgement], pair_in: float, single_in: float, more_in: float
+) -> tuple[Figure, list[tuple[Axes, Judgement]]]:
     """Return a figure with a panel for each model: all of four, else the first, which the others improve, and the last.
 
     Parameters
@@ -107,7 +108,8 @@ def model_panels(
     pair_in, single_in : height of a row of two panels, and of a panel alone, inches
     more_in : what the legend takes
     """
-    shown = list(models) if len(models) <= _MOST_PANELS else [models[0], *models[1 - _MOST_PANELS :]]
+    over = max(len(models) - _MOST_PANELS, 0)
+    shown = [models[0], *models[1 + over :]]
     columns = min(len(shown), 2)
     rows = -(-len(shown) // columns)
     figure = new_figure(9.0, more_in + (pair_in if columns == 2 else single_in) * rows)
@@ -115,7 +117,9 @@ def model_panels(
     panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axes in panels[len(shown) :]:
         axes.remove()
-    # what stands above a panel that is not there gets the tick labels it had
-    for axes in panels[len(shown) - columns : len(shown)]:
-        axes.tick_params(labelbottom=True)
+    for axes in panels[: len(shown)]:
+        axes.tick_params(labelbottom=True, labelleft=True)
+    if over:
+        names = ", ".join(short_name(one.name) for one in models[1 : 1 + over])
+        figure.supxlabel(f"not drawn: {names}", x=0.01, ha="left", fontsize=9)
     return figure, list(zip(panels, shown, strict=False))

@@ -132,7 +132,7 @@ def _apart_words(search: Learned) -> str:
     said = []
     for one in {one.name: one for one in reversed([*clocks_found(search.clocks)])}.values():
         late, early = ("odometry", "truth") if one.value > 0.0 else ("truth", "odometry")
-        by = f"{abs(one.value) * 1e3:.2g} ms"
+        by = f"{float(f'{abs(one.value) * 1e3:.2g}'):g} ms"
         offset = one.name == "time_offset"
         said.append(f"the {late} is stamped {by} later than the {early}" if offset else "the two clocks run apart")
     if search.of_setup:

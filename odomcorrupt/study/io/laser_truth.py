@@ -127,8 +127,8 @@ def match_run(odometry: Samples, sweeps: Sweeps, progress: Callable[[str, float]
     _check_overlap(sweeps, odometry)
     calibration = calibrate(sweeps, guide, origin_ns)
     sweeps = calibration.sweeps
-    tracked = make_map(sweeps, calibration, _part(progress, "matching scans"))
-    found = relocalised(calibration, tracked, _part(progress, "placing scans in the map"))
+    tracked = make_map(sweeps, calibration, _part(progress, "matching scans", 0.0, 0.8))
+    found = relocalised(calibration, tracked, _part(progress, "placing scans in the map", 0.8, 1.0))
     if len(found) < _FEWEST:
         raise RecordingError(
             f"{sweeps.place}: {len(found)} of {len(sweeps)} sweeps fit a map of the others; name another topic with "
@@ -231,5 +231,7 @@ def _check_overlap(sweeps: Sweeps, odometry: Samples) -> None:
         )
 
 
-def _part(progress: Callable[[str, float], None] | None, what: str) -> Callable[[float], None] | None:
-    return None if progress is None else lambda share: progress(what, share)
+def _part(
+    progress: Callable[[str, float], None] | None, what: str, first: float, last: float
+) -> Callable[[float], None] | None:
+    return None if progress is None else lambda share: progress(what, first + (last - first) * share)

@@ -59,6 +59,7 @@ from odomcorrupt.study.select.random_effects import (
 from odomcorrupt.study.select.result import Learned, Step
 from odomcorrupt.study.select.screening import CoarseDesign
 from odomcorrupt.study.terms.term import LibraryTerm
+from odomcorrupt.study.work import Work
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,6 +83,7 @@ def learn(
     law_name: str = "diffusion",
     decisions: Decisions = DECISIONS,
     most: int | None = None,
+    work: Work | None = None,
 ) -> Learned:
     """Return the model that recordings of one robot select, starting from the given effects.
 
@@ -92,13 +94,13 @@ def learn(
     law_name : the noise law, see `odomcorrupt.model.noise_laws`
     decisions : every number that decides what is included, kept, replaced or dropped
     most : how many effects are included at most, default `decisions.max_effects`
-
+    work : takes note of every stage
     """
+    (work := work or Work()).begin_clocks()
     if most is not None:
         decisions = replace(decisions, max_effects=most)
     start = (*start, *mounting_of(recordings, start))
     as_given, encoders = recordings, encoder_effects(recordings[0])
-    hidden = hides_losses(recordings[0])
     recordings = [restore_lost(recording, encoders) for recording in recordings]
     approach = choose_approach(recordings, law_name)
     recordings = with_correlation_lengths(recordings, approach)
@@ -115,7 +117,7 @@ def learn(
     )
     noise = [RandomCoefficient(e, decisions.counted_nats) for e in encoders]
     given = {e.name for e in start}
-    found = _Selection(fitted, noise, given, decisions).run()
+    found = _Selection(fitted, noise, given, decisions, work).run()
     if (other := _dependence_first(found, noise)) is not None and _explains_more(other, found):
         found = other
     found, clocks = _with_other_clock(found, clocks, noise)
@@ -137,7 +139,7 @@ def learn(
         disagreements=disagreements(final, decisions.heterogeneity_level),
         contradictions=tuple({one.name: one for one in found.contradictions}.values()),
         decisions=decisions,
-        hides_losses=hidden,
+        hides_losses=hides_losses(as_given[0]),
     )
 
 
@@ -146,7 +148,7 @@ class _Selection:
     """A model on its way through the selection.
 
     fit, noise : the model as it is, and its random effects
-    given : names of effects that are not dropped
+    given, work : names of effects that are not dropped; what takes note of every step
     steps : so far
     included, open : dependences that are in the model, and those that it leaves
     contradictions : effects that would explain the data with a sign that physics forbids
@@ -159,6 +161,7 @@ class _Selection:
     noise: list[RandomCoefficient]
     given: set[str]
     decisions: Decisions
+    work: Work
     steps: list[Step] = field(default_factory=list)
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
@@ -214,11 +217,13 @@ class _Selection:
         """Include the term that explains most, and return whether there was one."""
         decisions, self.open = self.decisions, []
         self.seen.add(terms_of(self.fit))
+        self.work.begin_step()
         candidates = library_candidates(self.fit, decisions, self.withdrawn)
         best = candidates[0] if candidates and not candidates[0].refused else None
         correlated = self._correlated(best.gain if best is not None else 0.0)
         proposal = None
         if best is None or correlated is not None:
+            self.work.within_step("screening dependences")
             proposal = self.propose(alone=best is None)
         if correlated is not None:
             explained = max((proposal.candidate.gain if proposal else 0.0, *(one.nats for one in self.open)))
@@ -231,6 +236,7 @@ class _Selection:
         if best is None or best.fit is None or full:
             self._record(candidates)
             return False
+        self.work.within_step("refits")
         # robust weights are estimated again, because what looked like outliers may be explained now
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
@@ -244,15 +250,10 @@ class _Selection:
     def _record(
         self, candidates: Sequence[Candidate], *, added: str | None = None, dependence: Dependence | None = None
     ) -> None:
-        self.steps.append(
-            Step(
-                before=self.fit,
-                candidates=tuple(candidates),
-                added=added,
-                dependence=dependence,
-                alternative_nats=self.decisions.alternative_nats,
-            )
-        )
+        self.steps.append(Step(
+            before=self.fit, candidates=tuple(candidates), added=added, dependence=dependence,
+            alternative_nats=self.decisions.alternative_nats,
+        ))  # fmt: skip
 
     def _correlated(self, gain: float) -> RandomCoefficient | None:
         """Return the random coefficient that explains plainly more than the best effect, if there is room for one."""
@@ -331,7 +332,7 @@ def _dependence_first(found: _Selection, noise: list[RandomCoefficient]) -> _Sel
     outdone = any(own.margin < 0.0 for own in found.compared.values())
     if first.added is None or not (found.included or found.open or outdone):
         return None
-    other = _Selection(first.before, noise, found.given, decisions)
+    other = _Selection(first.before, noise, found.given, decisions, found.work)
     proposal = other.propose(alone=False)
     if proposal is None or proposal.candidate.gain < first.candidates[0].gain + decisions.replacement_nats:
         return None
@@ -365,7 +366,7 @@ def _with_other_clock(found: _Selection, clocks: Clocks, noise: list[RandomCoeff
         start=first.noise.free,
         random=[e for e in first.random if e.name in found.given],
     )
-    second = _Selection(begin, noise, found.given, found.decisions).run()
+    second = _Selection(begin, noise, found.given, found.decisions, found.work).run()
     more = _more_nats(second, found)
     if more > 0.0:
         found, clocks = second, other
@@ -381,8 +382,7 @@ def _explains_more(one: _Selection, other: _Selection) -> bool:
 
     Known effects are the likelier a priori; not where the other model needed a basis function besides.
     """
-    decisions = other.decisions
-    least = decisions.alternative_nats if other.included else decisions.replacement_nats
+    least = other.decisions.alternative_nats if other.included else other.decisions.replacement_nats
     return _more_nats(one, other) > least
 
 
