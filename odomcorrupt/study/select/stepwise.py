@@ -161,7 +161,7 @@ class _Selection:
     noise: list[RandomCoefficient]
     given: set[str]
     decisions: Decisions
-    work: Work
+    work: Work = field(default_factory=Work)
     steps: list[Step] = field(default_factory=list)
     included: list[Dependence] = field(default_factory=list)
     open: list[Dependence] = field(default_factory=list)
