@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ordinary.cases import FIRST_SEED, SITUATIONS
+from ordinary.cases import PILOT_SEED, SITUATIONS
 from ordinary.causes import CAUSES, matches
 
 __all__ = [
@@ -138,5 +138,5 @@ def refusals(row: Row) -> list[str]:
 
 def reproduce(row: Row) -> str:
     """Return the command that asks about this drive again."""
-    pilot = " --pilot" if row["case"]["seed"] < FIRST_SEED else ""
+    pilot = " --pilot" if row["case"]["seed"] < PILOT_SEED + 10_000 else ""
     return f"python benchmarks/ordinary.py run again.jsonl{pilot} --key {row['key']} --keep again"
