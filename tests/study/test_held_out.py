@@ -22,6 +22,7 @@ from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.io.clock import Clock
 from odomcorrupt.study.io.recording import Trajectory
 from odomcorrupt.study.select.confidence import confidence, evidence_of
+from odomcorrupt.study.select.contribution import Contribution, Span
 from odomcorrupt.study.select.stepwise import Learned, Step, learn
 from odomcorrupt.study.validate.compare import clocks_beside
 from odomcorrupt.study.validate.evaluation import Evaluation
@@ -196,3 +197,12 @@ def test_a_clock_beside_which_errors_depend_on_the_acceleration_is_the_less_sure
     (large,) = clocks_found(replace(clocks, clocks=(Clock(-0.2),), left_nats=80.0))
     assert doubtful.sure < 0.8
     assert large.sure > 0.9
+
+
+def test_what_is_a_hundredth_of_another_effect_may_be_what_its_form_leaves():
+    learned = learned_with(with_truth(drive(4), 5), "wheelbase", "wheel_scale")
+    step = learned.rounds[1]
+    for part, at_most in ((0.01, 0.5), (0.1, 1.0)):
+        spans = {"wheelbase": Span(0.5, 0.1, 4.0), "wheel_scale": Span(part * 0.5, 0.1, 4.0)}
+        moved = replace(learned, contributions={name: Contribution(span, None) for name, span in spans.items()})
+        assert at_most - 0.1 < confidence(evidence_of(step, moved)) <= at_most

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
+from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.config import NODE_S
 from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
 from odomcorrupt.study.estimate.whitener import interval_covariance
@@ -35,6 +36,8 @@ _NAMED_NATS = 10.0
 _ARM_M = 0.2
 """How far wheels are from the middle, about: a turn on the spot moves them, too."""
 _STILL_M, _USUAL = 1e-3, 0.2
+_STRONG = 3.0
+"""How many times its median an effect acts at most where tails are measured beside it."""
 _RANGE, _SIZE = 120.0, 1 << 14
 
 
@@ -49,7 +52,7 @@ def heavy_tails(fit: Fit) -> tuple[Effect, float] | None:
     # where most of what stands out comes back, it is the truth that errs
     if lasting < _FEWEST or lasting < _MOSTLY * len(odd_ones):
         return None
-    driven = _driven(fit) & ~during(fit, single_events(fit))
+    driven = _driven(fit) & _beside_effects(fit) & ~during(fit, single_events(fit))
     channels = _of_odometry(fit, driven)
     if not channels:
         return None
@@ -86,6 +89,22 @@ def _driven(fit: Fit) -> NDArray[np.bool_]:
     moving = travel > _STILL_M
     driven: NDArray[np.bool_] = travel > _USUAL * np.median(travel[moving]) if moving.any() else moving
     return driven
+
+
+def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
+    """Return in which intervals (K,) the effects of the model do no more than they usually do.
+
+    Tails are independent of them, and what stands out where a lag or slip acts most is what its form leaves of it.
+    """
+    if not fit.effects:
+        return np.ones(len(fit.problem.nodes), dtype=bool)
+    explained = sum(
+        fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
+        for effect in fit.effects
+    )
+    size = np.linalg.norm(fit.noise.whitener.whiten(explained).reshape(-1, 3), axis=1)
+    beside: NDArray[np.bool_] = size <= _STRONG * np.median(size)
+    return beside
 
 
 def _likelihood(values: Array, inverse_dof: float, draws: int) -> float:

@@ -39,6 +39,8 @@ _USUAL_TRACK_M, _MOVES_MPS = 0.4, 1e-5
 """A track on which to see whether an effect acts on single wheels, and what it then does."""
 _MISFIT = 0.2
 """Part of what an effect explains up to which another one of its kind may be an imperfection of it."""
+_FORM = 0.03
+"""Part of what the largest effect moves the odometry by in 10 s up to which another may be an imperfection of it."""
 HELD_OUT_ERRORS = 2.0
 """A gain on held-out data may be larger than it was seen by so many of its standard errors."""
 
@@ -139,10 +141,14 @@ def _may_be_remainder(name: str, learned: Learned) -> bool:
 
 
 def _may_be_misfit(step: Step, learned: Learned) -> bool:
-    """Return whether an effect of changes of speed may be what a far plainer one of that kind leaves.
+    """Return whether an effect may be what the form of a far larger one leaves.
 
-    No lag is exactly a filter or a delay, and no play exactly rigid: what remains of it depends on the acceleration.
+    No form is exact to a hundredth: a steered wheel is off by the tangent of its angle. Nor is a lag just a filter or
+    a delay, or play rigid: what remains of these depends on the acceleration.
     """
+    moved = {name: one.ten_seconds.moved_m for name, one in learned.contributions.items()}
+    if step.added in moved and moved[step.added] < _FORM * max(moved.values()):
+        return True
     others = [other.candidates[0].gain for other in learned.steps if other.added in RIVALS and other is not step]
     return step.added in RIVALS and step.candidates[0].gain < _MISFIT * max(others, default=0.0)
 
