@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from wandering import noisy_path, recording, wander
 
 from odomcorrupt.model.motion_model import TruthNoise
 from odomcorrupt.model.noise_laws import LAWS, Coefficients
-from odomcorrupt.study.estimate.confidence_intervals import coefficient_intervals
+from odomcorrupt.study.estimate import confidence_intervals
+from odomcorrupt.study.estimate.confidence_intervals import Interval, coefficient_intervals
 from odomcorrupt.study.estimate.config import Approach, choose_approach
 from odomcorrupt.study.estimate.gauss_newton import fit
 from odomcorrupt.study.estimate.intervals import cut_at
-from odomcorrupt.study.estimate.noise_likelihood import NoiseLikelihood
+from odomcorrupt.study.estimate.noise_likelihood import HIGHEST, NoiseLikelihood
 from odomcorrupt.study.estimate.problem import pose_problem
 from odomcorrupt.study.estimate.selected_inverse import inverse_band
 from odomcorrupt.study.estimate.variance_components import VarianceComponents
@@ -142,3 +144,15 @@ def test_odometry_cut_at_nodes_keeps_every_sample_once_and_in_order():
         np.testing.assert_array_equal(cut.t_s[cut.at_node], node_s)
         np.testing.assert_array_equal(cut.source, np.searchsorted(odo_s, wanted, side="right") - 1)
         np.testing.assert_allclose(cut.xyt, run.odometry.at(wanted, run.origin_ns), atol=1e-15)
+
+
+def test_a_coefficient_that_nothing_bounds_is_profiled_no_further_than_a_coefficient_may_be():
+    def evaluate(free):
+        assert np.exp(free).max() < HIGHEST
+        return free
+
+    flat = SimpleNamespace(maximise=lambda free, **_: free, evaluate=evaluate, posterior=lambda _: 0.0)
+    fitted = SimpleNamespace(noise=SimpleNamespace(free=np.log([0.5, 0.02])))
+    low, high = (confidence_intervals._edge(flat, fitted, 0, np.log(0.5), way, 0.0) for way in (-1.0, 1.0))
+    assert (low, high) == (0.0, np.inf)
+    assert Interval("rot_rot", 0.5, low, high).standard_error == pytest.approx(0.5 / 1.96)

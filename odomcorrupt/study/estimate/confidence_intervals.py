@@ -7,6 +7,7 @@ the profile likelihood stays within 1.92 nats of its top (95 %), and it may begi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,7 +42,9 @@ class Interval:
 
     @property
     def standard_error(self) -> float:
-        """A symmetric stand-in for the interval, where one number is wanted."""
+        """A symmetric error in place of the interval; from its lower side where the upper one is open."""
+        if not isfinite(self.high):
+            return (self.value - self.low) / 1.96
         return (self.high - self.low) / (2.0 * 1.96)
 
 
@@ -79,6 +82,8 @@ def _edge(likelihood: NoiseLikelihood, fitted: Fit, position: int, best: float, 
         outside = inside + direction * step
         if outside <= np.log(LOWEST):
             return 0.0
+        if outside >= np.log(HIGHEST):
+            return float("inf")
         free[position] = outside
         profiled = likelihood.maximise(free, fixed=position)
         drop = top - likelihood.posterior(likelihood.evaluate(profiled))
