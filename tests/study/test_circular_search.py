@@ -38,3 +38,28 @@ def test_what_leads_back_to_an_earlier_model_is_passed_over(monkeypatch):
     found = stepwise._Selection(NOTHING, [], set(), DECISIONS).run()
     assert found.fit is LAG
     assert [step.added for step in found.steps] == ["accel_slip", "channel_lag", None]
+
+
+def test_a_law_that_physics_contradicts_does_not_come_again_for_ever(monkeypatch):
+    bare, law = model(), model("yaw_over_speed")
+    law.refit = lambda *_, **__: bare
+    dependence = SimpleNamespace(name="yaw_over_speed", channel="yaw")
+    forbidden = SimpleNamespace(fit=None, score=SimpleNamespace(effect=None), name="accel_slip")
+    for name, does in {
+        "library_candidates": lambda *_: [],
+        "CoarseDesign": lambda _: None,
+        "basis_scores": lambda *_: [],
+        "dependences": lambda *_: [],
+        "channels_of": lambda *_: [],
+        "best_replacement": lambda *_: None,
+        "best_dependence": lambda *_: SimpleNamespace(dependence=dependence, candidate=SimpleNamespace(fit=law)),
+        "name_for": lambda *_: forbidden,
+        "without_redundant": lambda fit, *_: fit,
+    }.items():
+        monkeypatch.setattr(stepwise, name, does)
+    for name in ("_correlated", "_finish", "_compare"):
+        monkeypatch.setattr(stepwise._Selection, name, lambda *_: None)
+    bare.problem = law.problem = None
+    found = stepwise._Selection(bare, [], set(), DECISIONS).run()
+    assert found.fit is bare
+    assert [step.name for step in found.contradictions] == ["accel_slip"]

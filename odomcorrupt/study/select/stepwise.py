@@ -192,7 +192,7 @@ class _Selection:
         """Put known effects in the place of laws that do no more than copy them; return whether the model changed."""
         for law in list(self.included):
             name = name_for(self.fit, law, self.decisions)
-            if name is None:
+            if name is None or self._had(name.fit):
                 continue
             self.included.remove(law)
             if name.fit is None:
@@ -240,7 +240,7 @@ class _Selection:
         # robust weights are estimated again, because what looked like outliers may be explained now
         larger = with_shape_refined(best.fit.refit(), best.score, decisions)[0]
         larger = without_redundant(larger, self.given, decisions)
-        if best.name not in {effect.name for effect in larger.effects} or terms_of(larger) in self.seen:
+        if best.name not in {effect.name for effect in larger.effects} or self._had(larger):
             self.withdrawn.add(best.name)
             return True
         self._record(candidates, added=best.name)
@@ -275,7 +275,12 @@ class _Selection:
         effects = [(e, self.compared[e.name]) for e in self.fit.effects if alone and e.name in self.compared]
         # what the data contradict in one place is no better in another: it would come and go
         replacement = best_replacement(self.fit, effects, decisions, self._contradicted())
-        return replacement or best_dependence(self.fit, self.open, decisions)
+        proposal = replacement or best_dependence(self.fit, self.open, decisions)
+        return None if proposal is None or self._had(proposal.candidate.fit) else proposal
+
+    def _had(self, fit: Fit | None) -> bool:
+        """Return whether a model has the terms of an earlier one: a search that comes back would never end."""
+        return fit is not None and terms_of(fit) in self.seen
 
     def _compare(self, design: CoarseDesign) -> None:
         added = {step.added for step in self.steps}
