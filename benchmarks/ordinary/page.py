@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["page"]
 
+FINDINGS = Path(__file__).parent / "findings.md"
 Rows = list[dict[str, Any]]
 Lines = list[str]
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0001)
@@ -32,6 +34,9 @@ def page(rows: Rows) -> str:
         "What `learn` says of recordings as users have them, written by `python benchmarks/ordinary.py page`; how it",
         "is judged: [protocol.md](../benchmarks/ordinary/protocol.md).",
         "",
+        "## Findings",
+        "",
+        FINDINGS.read_text(encoding="utf8"),
         "## Goals",
         "",
         *_goals(rows),
