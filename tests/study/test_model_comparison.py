@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from odomcorrupt.errors import FitError
 from odomcorrupt.study.select.decisions import DECISIONS
-from odomcorrupt.study.select.model_comparison import best_dependence
+from odomcorrupt.study.select.model_comparison import best_dependence, best_replacement
 
 
 class Unfit:
@@ -22,3 +22,6 @@ def test_a_term_whose_first_estimate_is_too_far_off_to_be_fitted_is_passed_over(
     form = SimpleNamespace(term=SimpleNamespace(name="along over acceleration"), estimated="a step of -140 %")
     found = SimpleNamespace(best=SimpleNamespace(score=form, others=()), name="along over acceleration", nats=50.0)
     assert best_dependence(Unfit(), [found], DECISIONS) is None
+    effect = SimpleNamespace(name="wheel_scale")
+    compared = SimpleNamespace(better=lambda _: [SimpleNamespace(**vars(found), channel="along")], penalty=0.0)
+    assert best_replacement(Unfit(), [(effect, compared)], DECISIONS) is None

@@ -16,7 +16,7 @@ import numpy as np
 
 from odomcorrupt.effects.effect import amplitudes, choices
 from odomcorrupt.effects.expression import CHANNELS
-from odomcorrupt.errors import EffectError
+from odomcorrupt.errors import EffectError, FitError
 from odomcorrupt.geometry.motion import error_of
 from odomcorrupt.study.estimate.drift_error import drift
 from odomcorrupt.study.estimate.truth_bias import has_bias
@@ -349,7 +349,10 @@ def with_shape_refined(fit: Fit, score: Score, decisions: Decisions) -> tuple[Fi
         return fit, score
     values = [getattr(effect, p.name) for p in amplitudes(effect)]
     others = [e for e in fit.effects if e is not effect]
-    shaped = fit.refit((*others, moved.effect(values)))
+    try:
+        shaped = fit.refit((*others, moved.effect(values)))
+    except FitError:  # too far off to start from
+        return fit, score
     if not shaped.log_likelihood > fit.log_likelihood + decisions.reshape_nats:
         return fit, score
     return shaped, replace(score, term=moved)

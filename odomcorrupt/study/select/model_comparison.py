@@ -145,7 +145,7 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
         if one.nats < plainest - decisions.alternative_nats:
             break
         forms = [score for score in (basis.score, *basis.others) if score.term.name not in have]
-        fits = [(with_it, score) for score in forms if (with_it := _with(fit, score)) is not None]
+        fits = [(with_it, score) for score in forms if (with_it := _with(fit, (*fit.effects, score.estimated)))]
         if not fits:
             continue
         # a step and a hinge are each compared at their own best threshold
@@ -159,10 +159,10 @@ def best_dependence(fit: Fit, found: Sequence[Dependence], decisions: Decisions)
     return best
 
 
-def _with(fit: Fit, score: Score) -> Fit | None:
-    """Return the fit with a term, or None where its first estimate is too far off to start from."""
+def _with(fit: Fit, effects: Sequence[Effect]) -> Fit | None:
+    """Return the fit with other effects, or None where their first estimates are too far off to start from."""
     try:
-        return fit.refit((*fit.effects, score.estimated))
+        return fit.refit(effects)
     except FitError:
         return None
 
@@ -197,7 +197,9 @@ def best_replacement(
             if one.best is None or one.channel in contradicted or one.name in {e.name for e in others}:
                 continue
             score = one.best.score
-            with_it = fit.refit((*others, score.estimated))
+            with_it = _with(fit, (*others, score.estimated))
+            if with_it is None:
+                continue
             gain = with_it.log_likelihood - fit.log_likelihood - score.penalty + own.penalty
             least = best.candidate.gain if best else decisions.replacement_nats
             candidate = tried(fit, with_it, score, decisions, gain=gain, least=least)
