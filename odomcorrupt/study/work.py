@@ -1,4 +1,4 @@
-"""Share of a study's work that is done: a search ends with the first step that includes nothing, nobody knows which."""
+"""Share of a study's work that is done: the number of steps of a search is not known before."""
 
 from __future__ import annotations
 

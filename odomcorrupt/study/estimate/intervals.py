@@ -128,10 +128,9 @@ class Intervals:
 
     def column(self, error: Array) -> Array:
         """Return (K, 3): what errors (n0, 3) of the odometry's increments, at their mid heading, do to the residual."""
-        column = np.zeros((len(self), 3))
+        column = np.empty((len(self), 3))
         for i, row in enumerate(self._carried(error)):
-            if row is not None:
-                column[:, i] = np.add.reduceat(row, self.first)
+            column[:, i] = 0.0 if row is None else np.add.reduceat(row, self.first)
         return column
 
     def carried(self, error: Array) -> Array:
@@ -143,9 +142,7 @@ class Intervals:
         """Return the rows (n,) of `carried`, None where nothing moves."""
         along, across, yaw = (np.take(part, self.source) * self.share if part.any() else None for part in error.T)
         (c, s), (ahead, left) = self.axis.T, self.lever.T
-        x = y = None
-        if along is not None:
-            x, y = c * along, s * along
+        x, y = (None, None) if along is None else (c * along, s * along)
         if across is not None:
             x, y = _added(x, -s * across), _added(y, c * across)
         if yaw is not None:

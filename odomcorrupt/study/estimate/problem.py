@@ -109,6 +109,11 @@ class Problem:
         # an expression of numbers alone has none
         return by_column(np.stack(blocks)) if blocks else np.zeros((len(self.nodes), 3, 0))
 
+    def explained(self, effect: Effect) -> Array:
+        """Return (K, 3): what an effect as it is takes off the residuals, to first order."""
+        values: Array = self.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
+        return values
+
     def _shown(self, effect: Effect, p: Parameter, motion: Motion) -> Array:
         """Return the derivative (n, 3) of what the truth follows with respect to a parameter."""
         slope = _slope(effect, p.name, p.step, motion)

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.special import gammaln, kve
 
 from odomcorrupt.effects import effect_from_values
-from odomcorrupt.effects.effect import amplitudes
 from odomcorrupt.study.estimate.config import NODE_S
 from odomcorrupt.study.estimate.outliers import during, odd_steps, single_events
 from odomcorrupt.study.estimate.whitener import interval_covariance
@@ -98,10 +97,7 @@ def _beside_effects(fit: Fit) -> NDArray[np.bool_]:
     """
     if not fit.effects:
         return np.ones(len(fit.problem.nodes), dtype=bool)
-    explained = sum(
-        fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
-        for effect in fit.effects
-    )
+    explained = np.sum([fit.problem.explained(effect) for effect in fit.effects], axis=0)
     size = np.linalg.norm(fit.noise.whitener.whiten(explained).reshape(-1, 3), axis=1)
     beside: NDArray[np.bool_] = size <= _STRONG * np.median(size)
     return beside

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects import registry
-from odomcorrupt.effects.effect import amplitudes, choices, parameters
+from odomcorrupt.effects.effect import choices, parameters
 from odomcorrupt.study.estimate.random_process import CORRELATED_NOISE
 from odomcorrupt.study.select.random_effects import is_remainder, remeasured
 from odomcorrupt.study.select.score import score_terms
@@ -43,8 +43,8 @@ def drop_term(fit: Fit, effect: Effect) -> Fit:
 
     To first order, and with the noise as it is with the effect: to test what might stand in its place.
     """
-    explained = fit.problem.columns(effect) @ np.array([getattr(effect, p.name) for p in amplitudes(effect)])
-    noise = replace(fit.noise, innovations=fit.noise.innovations + fit.noise.whitener.whiten(explained))
+    explained = fit.noise.whitener.whiten(fit.problem.explained(effect))
+    noise = replace(fit.noise, innovations=fit.noise.innovations + explained)
     others = tuple(e for e in fit.effects if e is not effect)
     return replace(fit, noise=noise, problem=replace(fit.problem, effects=others, left=()))
 
