@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from odomcorrupt.corruption.transform import Options
     from odomcorrupt.mapping.map_condition import MapCondition
+    from odomcorrupt.model.motion_model import MotionModel
 
 __all__ = ["choose_condition", "choose_condition_of_run", "map_options"]
 
@@ -52,7 +53,9 @@ def choose_condition(
     return read_condition(name, bag=bag, odom_frame=odom_frame, radius_m=given["radius"], recover=recover, **asked)
 
 
-def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, options: Options) -> MapCondition | None:
+def choose_condition_of_run(
+    given: Mapping[str, Any], source: Path | None, options: Options, model: MotionModel
+) -> MapCondition | None:
     """Return what the options ask of the corruption of a bag, None where they name no map; a source of None is a pipe.
 
     Raises
@@ -80,7 +83,7 @@ def choose_condition_of_run(given: Mapping[str, Any], source: Path | None, optio
         )
     frame = ""
     if source is not None and given["map_pose"] is None:
-        frame = read_odom_frame(source, options, recover=given["recover"])
+        frame = read_odom_frame(source, options, model.odometry_topic, recover=given["recover"])
     return choose_condition(given, source, frame, recover=given["recover"])
 
 

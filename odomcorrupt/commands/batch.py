@@ -157,7 +157,7 @@ def _jobs(inputs: tuple[Path, ...], target: Path, given: dict[str, Any]) -> list
         container=container,
         output=given["output"],
         split=given["layout"] == "split",
-        condition=choose_condition_of_run(given, inputs[0], options),
+        condition=choose_condition_of_run(given, inputs[0], options, model),
         suffix=_SUFFIXES.get(given["to"]),
         model_words=None if given["fleet"] else tuple(_words(_MODEL_WORDS, given)),
         map_words=tuple(_map_words(given)),

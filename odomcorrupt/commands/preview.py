@@ -53,7 +53,7 @@ def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> 
     check_picture(output, overwrite=given["overwrite"])
     source, seed = source_of(input_), given["seed"]
     options = Options(given["odom_topic"], given["odom_frame"], given["base_frame"])
-    condition = choose_condition_of_run(given, source, options)
+    condition = choose_condition_of_run(given, source, options, model)
     with open_reader(source, recover=given["recover"]) as reader, Progress(quiet=voice.quiet) as progress:
         drive = read_clean_drive(reader, model, options, progress)
         losses = list(reader.losses)

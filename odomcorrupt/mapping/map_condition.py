@@ -88,8 +88,10 @@ def read_map_from_odom(path: Path, map_frame: str, odom_frame: str, *, recover: 
     return None
 
 
-def read_odom_frame(path: Path, options: Options, *, recover: bool = False) -> str:
+def read_odom_frame(path: Path, options: Options, learned_from: str | None = None, *, recover: bool = False) -> str:
     """Return the frame that the odometry of a bag is in, by its first message.
+
+    learned_from : topic of the odometry if the bag has several: the one that the model was learned from
 
     Raises
     ------
@@ -97,7 +99,7 @@ def read_odom_frame(path: Path, options: Options, *, recover: bool = False) -> s
         Where no odometry is there.
 
     """
-    source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame)
+    source = OdometrySource(options.odom_topic, options.odom_frame, options.base_frame, learned_from)
     with open_reader(path, recover=recover) as reader:
         source.prepare(reader, reader.name)
         for block in reader.blocks():
