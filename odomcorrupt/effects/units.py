@@ -1,4 +1,4 @@
-"""Units of an expression's amplitudes, as the quantities beside them have it: k of yaw += k * v is in rad/m."""
+"""Units of an expression's amplitudes, derived from their factors: k of yaw += k * v is in rad/m."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ _OF = {
     "theta": _Dimension(rad=1),
 }  # fmt: skip
 _KEEPING = ("abs", "min", "max", "hypot")
-"""Functions whose value has the unit of what they are given; of any other it has none."""
+"""Functions with a value in the unit of their arguments; the value of any other has no unit."""
 
 
-class _Unclear(Exception):  # noqa: N818 - it never leaves this file
+class _Unclear(Exception):  # noqa: N818 - private to this module
     """The unit cannot be derived."""
 
 
 def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:
-    """Return the unit of a parameter that statements are affine in, as "s^2/m"; "" where it has none or is unclear."""
+    """Return the unit of a parameter that statements are affine in, e.g. "s^2/m"; "" if none or unclear."""
     for node in statements:
         if _has(node.value, name):
             target = _TURN if isinstance(node.target, ast.Name) and node.target.id == "yaw" else _SPEED
@@ -54,7 +54,7 @@ def _has(node: ast.AST, name: str) -> bool:
 
 
 def _beside(node: ast.expr, name: str) -> _Dimension:
-    """Return the dimension of what the parameter is multiplied by."""
+    """Return the dimension of the parameter's factor."""
     match node:
         case ast.Name(id=own) if own == name:
             return _PURE
@@ -102,7 +102,7 @@ def _called(function: str, args: Sequence[ast.expr]) -> _Dimension:
 
 
 def _first(*nodes: ast.expr) -> _Dimension:
-    """Return the dimension that one of several has: numbers take that of their neighbours."""
+    """Return the common dimension of several nodes: plain numbers take that of the others."""
     return next((d for d in map(_dimension, nodes) if d != _PURE), _PURE)
 
 
