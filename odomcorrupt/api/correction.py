@@ -141,13 +141,13 @@ def correct(
     """
     import numpy as np
 
-    from odomcorrupt.correction.run import SILENT, correct_bag, require_start
+    from odomcorrupt.correction.run import NOISE_FREE, correct_bag, require_start
 
     before = bag_path(source)
     if before is None:
         raise OdomCorruptError("-: correction reads a bag twice, which a pipe cannot give; name a file")
     moved, container = split_options(options)
-    robot = SILENT if model is None else as_model(model).motion_model
+    robot = NOISE_FREE if model is None else as_model(model).motion_model
     if start_xyt is None:
         require_start(robot)
     start = None if start_xyt is None or start_xyt == "odom" else np.array(start_xyt, dtype=np.float64)

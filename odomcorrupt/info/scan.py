@@ -50,7 +50,7 @@ class TopicRecord:
 class OdometryRecord:
     """All messages of an odometry topic, or transforms of a TF edge used as odometry, in the order of arrival.
 
-    frame, child : of its first message
+    frame, child : frames of its first message
     stamps_ns (n,); xyt (n, 3) metres, radians; twist (n, 3) forward and leftward m/s, yaw rad/s, None for TF
     pose_covariance, twist_covariance : checks of the covariances
     zero_stamps : number of zero stamps
@@ -157,7 +157,7 @@ def scan_bag(reader: BagReader, watch: Callable[[Block], None] = lambda _: None)
 def _count(topics: dict[str, TopicRecord], channel: Channel, block: Block) -> None:
     record = topics.setdefault(channel.topic, TopicRecord(channel.topic, channel.msgtype))
     times = block.table["log_ns"][block.table["channel"] == channel.id]
-    # blocks of a bag may overlap in time: only what comes after all before ends a gap
+    # blocks of a bag may overlap in time: only a message later than all before it ends a gap
     known = times if record.count == 0 else np.append(record.last_ns, times)
     record.longest_gap_ns = max(record.longest_gap_ns, int(np.diff(np.maximum.accumulate(known)).max(initial=0)))
     record.count += len(times)
