@@ -245,7 +245,7 @@ def _check_moments(effect: Effect) -> None:
         drawn = effect.drawn(normals, effect.start(stream(1, 0, effect.name))).normals
         _compare(effect, drawn, np.zeros(4), np.ones(4))
         return
-    effect = _loud(effect)
+    effect = _with_frequent_events(effect)
     drive = contract_drive(6.0, 100.0)
     motion, steps = drive.motion, _steps(drive)
     moments = effect.moments(motion)
@@ -265,7 +265,7 @@ def _check_moments(effect: Effect) -> None:
     _compare(effect, np.array(samples)[:, rows], moments.mean[rows], moments.variance[rows])
 
 
-def _loud(effect: Effect) -> Effect:
+def _with_frequent_events(effect: Effect) -> Effect:
     """Return the effect with rare events made frequent enough to be counted."""
     sizes = {p.name: min(20.0 * p.typical, 0.5 * p.high) for p in amplitudes(effect)}
     loud: Effect = replace(effect, **sizes)  # type: ignore[type-var]

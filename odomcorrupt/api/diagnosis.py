@@ -112,9 +112,9 @@ class Findings(Result):
     def report(self) -> str:
         """Return the findings as a self-contained HTML page with tables and figures, usable offline."""
         from odomcorrupt import __version__
-        from odomcorrupt.report.html.diagnosis import Story, found_html
+        from odomcorrupt.report.html.diagnosis import SearchReport, found_html
 
-        story = Story(self.result.search, self.result.sequence, self.result.advice, self.following)
+        story = SearchReport(self.result.search, self.result.sequence, self.result.advice, self.following)
         return found_html(story, version=__version__)
 
 

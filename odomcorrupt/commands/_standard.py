@@ -87,12 +87,12 @@ class Voice:
             click.echo(following, err=err)
 
     def note(self, sentence: str) -> None:
-        """Print a sentence on stderr, unless nothing is to be said."""
+        """Print a sentence on stderr, unless with --quiet."""
         if not self.quiet:
             click.echo(sentence, err=True)
 
     def detail(self, sentence: str) -> None:
-        """Print a sentence on stderr where everything is to be said."""
+        """Print a sentence on stderr with --verbose only."""
         if self.verbose:
             click.echo(sentence, err=True)
 

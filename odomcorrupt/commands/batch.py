@@ -90,7 +90,7 @@ class _ShardType(click.ParamType):  # type: ignore[type-arg]  # generic since cl
 def command(paths: tuple[Path, ...], output_option: str | None, *, voice: Voice, **given: Any) -> int:
     """Make runs 0 to N - 1 of a seed: the same bytes as `odomcorrupt INPUT OUTPUT --seed S --run K` one by one.
 
-    Called again, it makes what is missing. DIRECTORY/manifest.jsonl has the command that makes any single run.
+    Called again, it makes the missing runs. DIRECTORY/manifest.jsonl has the command that makes any single run.
     """
     from odomcorrupt.api.batch import Batch
     from odomcorrupt.batching.engine import Shard

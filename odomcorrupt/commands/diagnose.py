@@ -37,7 +37,7 @@ def command(
     overwrite: bool,
     voice: Voice,
 ) -> None:
-    """Rank the effects by evidence, with what each would gain on held-out stretches, and say what to type next."""
+    """Rank the effects by evidence, with what each would gain on held-out stretches, and suggest the next command."""
     from odomcorrupt.api.diagnosis import diagnose
     from odomcorrupt.api.model import Model
 

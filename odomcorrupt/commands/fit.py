@@ -56,10 +56,10 @@ def command(
     overwrite: bool,
     voice: Voice,
 ) -> None:
-    """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the effects asked for.
+    """Fit the noise coefficients, the truth's own noise, clocks and set-up, and the requested effects.
 
-    Of the set-up, a lever arm and a mounting yaw of the truth are fitted where the data show them. Several recordings
-    are runs of one robot, each with a clock of its own.
+    Of the set-up, a lever arm and a mounting yaw of the truth are fitted if the data show them. Several recordings
+    are runs of one robot, each with its own clock.
     """
     from odomcorrupt.api.fit import fit, require_effects
     from odomcorrupt.api.model import Model

@@ -39,8 +39,8 @@ __all__ = ["command"]
 def command(input_: str, output: Path | None, *, voice: Voice, **given: Any) -> int:
     """Draw many runs of a motion model over a bag's odometry and show how far they drift; no bag is written.
 
-    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command which
-    shape its output alone are taken, too, and change nothing here.
+    Run k of a seed is the run that `odomcorrupt INPUT OUTPUT --seed N --run k` draws. Options of that command about
+    its output alone are accepted, too, and change nothing here.
     """
     from odomcorrupt.bags.open import open_reader
     from odomcorrupt.corruption.path import NoisyPath

@@ -56,7 +56,7 @@ _BASELINE_BYTES = 1 << 28
 @unpack_option
 @standard_options
 def command(runs: tuple[Path, ...], *, voice: Voice, **given: Any) -> int:
-    """Print errors of a localisation that was run on each bag of a batch, against the drift that was put in.
+    """Print errors of a localisation that was run on each bag of a batch, against the drift of its odometry.
 
     Estimates are in the runs themselves, or in files of --outputs that begin like the runs (run_000012_amcl.mcap).
     """

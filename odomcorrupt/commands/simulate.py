@@ -107,7 +107,7 @@ def command(
 ) -> None:
     """Drive a robot whose wheels, tyres, gear, sensors or clocks have a fault, and record odometry and truth.
 
-    What is wrong is written to a file of its own, and only that file's SHA-256 into the bag.
+    The faults are written to a separate file, of which the bag contains only the SHA-256.
     """
     from odomcorrupt.api.simulation import simulate
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.random import Generator
 
-_WAYS_M = (0.05, 0.1, 0.2)
+_SWING_TRAVELS_M = (0.05, 0.1, 0.2)
 """Trial travels of the swing, metres: castors trail by 10 to 50 mm and swing round within two to four times that."""
 
 
@@ -49,7 +49,7 @@ class CastorKick(Effect):
     @classmethod
     def scan(cls, motions: Sequence[Motion]) -> tuple[Self, ...]:  # noqa: ARG003 - castor sizes do not depend on the drive
         """Return a candidate for each trial travel of the swing."""
-        return tuple(replace(cls(), way=way) for way in _WAYS_M)
+        return tuple(replace(cls(), way=way) for way in _SWING_TRAVELS_M)
 
     def start(self, rng: Generator) -> State:  # noqa: ARG002 - nothing is drawn
         """Return the state of trailing castors."""

@@ -54,7 +54,7 @@ ACCELERATIONS = ("a", "alpha")
 VARIABLES = ("v", "vy", "omega", "t", *TRUTH_VARIABLES)
 PAST = " before"
 """Suffix of a variable's name for its value in the previous interval, if that is supplied."""
-_NOTHING = 1e-9
+_ZERO_BELOW = 1e-9
 """Magnitude below which a number counts as zero in sign(), because its sign may be rounding."""
 CONSTANTS = {"pi": np.pi}
 
@@ -65,7 +65,7 @@ def _chosen(condition: Array, yes: Array, no: Array) -> Array:
 
 
 def _sign(x: Array) -> Array:
-    sign: Array = np.where(np.abs(x) <= _NOTHING, 0.0, np.sign(x))
+    sign: Array = np.where(np.abs(x) <= _ZERO_BELOW, 0.0, np.sign(x))
     return sign
 
 
@@ -229,13 +229,13 @@ class _Reader:
             case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
                 return _two(_BINARY[type(op)], self._term(left, depth + 1), self._term(right, depth + 1))
             case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
-                both = _two(_COMPARE[type(op)], self._jump(left, depth + 1), self._jump(right, depth + 1))
+                both = _two(_COMPARE[type(op)], self._lagged(left, depth + 1), self._lagged(right, depth + 1))
                 return lambda names: np.where(both(names), 1.0, 0.0)
             case ast.Call(func=ast.Name(id=name), args=args, keywords=[]):
                 return self._call(name, args, depth)
         raise self.wrong(f"{ast.unparse(node)[:40]!r} is not of this language; see `odomcorrupt effects --help`")
 
-    def _jump(self, node: ast.expr, depth: int) -> Term:
+    def _lagged(self, node: ast.expr, depth: int) -> Term:
         """Return a term that decides on a discontinuity: it uses values of the previous interval."""
         was, self._jumping = self._jumping, True
         term = self._term(node, depth)
@@ -275,7 +275,7 @@ class _Reader:
         if not fewest <= len(args) <= most:
             raise self.wrong(f"{name} takes {fewest if fewest == most else f'{fewest} to {most}'} arguments")
         jumping = len(args) if name == "sign" else int(name == "where")
-        terms = [(self._jump if i < jumping else self._term)(arg, depth + 1) for i, arg in enumerate(args)]
+        terms = [(self._lagged if i < jumping else self._term)(arg, depth + 1) for i, arg in enumerate(args)]
         return lambda names: function(*(term(names) for term in terms))
 
 

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _ROUNDS, _SOLVED_M = 100, 1e-15
-_NARROW = 4.0
+_CONCENTRATION = 4.0
 """Concentration of the spot (von Mises shape): half of it lies within a seventh of a turn."""
-_MEAN = float(np.i0(_NARROW) * np.exp(-_NARROW))
+_MEAN = float(np.i0(_CONCENTRATION) * np.exp(-_CONCENTRATION))
 """Mean of the von Mises shape over a turn."""
 
 
@@ -129,4 +129,4 @@ class FlatSpot(Effect):
     def _at(self, way: Any) -> Any:
         """Return the fraction of `depth` that a wheel loses at its travel, scalar or array."""
         near = np.cos(2.0 * np.pi * way / self.circumference - self.phase)
-        return near if self.form == "eccentric" else np.exp(_NARROW * (near - 1.0)) - _MEAN * (1.0 - self.mean)
+        return near if self.form == "eccentric" else np.exp(_CONCENTRATION * (near - 1.0)) - _MEAN * (1.0 - self.mean)

@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again, autoregression
+from odomcorrupt.effects.random_state import autoregression, copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -60,12 +60,12 @@ class GaussMarkov(Effect):
 
     def start(self, rng: Generator) -> State:
         """Return a gain drawn from its stationary distribution (in units of sigma), and its random generator."""
-        rng = again(rng)
+        rng = copied(rng)
         return _Gain(rng, float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the gain at the end of each interval times its speed."""
-        rng = again(state.rng)
+        rng = copied(state.rng)
         keep = np.exp(-motion.dt_s / self.tau)
         normal = autoregression(state.normal, keep, np.sqrt(1.0 - keep**2) * rng.standard_normal(len(motion)))
         last = float(normal[-1]) if len(normal) else state.normal

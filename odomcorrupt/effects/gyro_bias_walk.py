@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Gain, Moments, Motion, State, TwistError, parameter, stacked
-from odomcorrupt.effects.random_state import again, autoregression
+from odomcorrupt.effects.random_state import autoregression, copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -52,12 +52,12 @@ class GyroBiasWalk(Effect):
         """Return an initial bias (zero for a random walk) and its random generator."""
         if not self.tau:
             return _Walk(rng, 0.0)
-        rng = again(rng)
+        rng = copied(rng)
         return _Walk(rng, self._spread * float(rng.standard_normal()))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f, with the bias at the end of each interval."""
-        rng = again(state.rng)
+        rng = copied(state.rng)
         keep, kick = self._kept(motion.dt_s)
         kicks = np.sqrt(kick) * rng.standard_normal(len(motion))
         bias = autoregression(state.bias, keep, kicks)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Drawn, Effect, Motion, State, TwistError, parameter
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -49,6 +49,6 @@ class HeavyTails(Effect):
         """Return t-distributed draws in place of the normals (n, 4), each with its own width."""
         if self.inverse_dof == 0.0:
             return Drawn(normals, state)
-        rng = again(state)
+        rng = copied(state)
         dof = 1.0 / self.inverse_dof
         return Drawn(normals * np.sqrt((dof - 2.0) / rng.chisquare(dof, normals.shape)), rng)

@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -36,13 +36,13 @@ _MOST_IN_A_ROW = 3
 _LONGEST_S = 0.25
 """Longest gap that counts as a loss, seconds; a longer rest may be a real stop."""
 _CAUGHT_UP = 1.35
-_OFTEN = 0.005
+_FREQUENT = 0.005
 """Rate of single losses above which losses of several increments in a row are plausible."""
-_BESIDE = 2
+_NEIGHBOURS = 2
 """Number of increments on each side whose mean is the expected size of a pair of neighbours."""
-_MANY = 1.5
+_LEAST_TICKS = 1.5
 """Smallest neighbour of a lost increment, in ticks: more than 1.5, i.e. two whole ticks."""
-_USUALLY, _ROUNDING_M = 0.8, 1e-7
+_USUAL_QUANTILE, _ROUNDING_M = 0.8, 1e-7
 """Quantile of the changes between increments taken as the usual change; change that counts as zero, metres."""
 
 
@@ -80,7 +80,7 @@ class LostIncrements(Effect):
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - any time, any wheel
         """Return the increments with the lost ones set to zero."""
-        rng = again(state)
+        rng = copied(state)
         lost = rng.uniform(size=len(steps)) < self.fraction
         return Recorded(np.where(lost[:, None], 0.0, steps), rng)
 
@@ -140,10 +140,10 @@ def losses(motion: Motion) -> Losses:
     travel = (np.hypot(motion.v, motion.vy) + arm_m * np.abs(motion.omega)) * motion.dt_s
     going = np.flatnonzero((np.abs(motion.v) + np.abs(motion.vy) + np.abs(motion.omega)) * motion.dt_s >= _STILL)
     way = travel[going]
-    if len(going) < _BESIDE + 2:
+    if len(going) < _NEIGHBOURS + 2:
         return Losses(gone, 0, 0, 0.0)
     fast = way > _MOVING_MPS * motion.dt_s[going]
-    plain = fast & (way > _MANY * _usual_change(going, way))
+    plain = fast & (way > _LEAST_TICKS * _usual_change(going, way))
 
     last, following = going[:-1], going[1:]
     gap = following - last - 1
@@ -155,7 +155,7 @@ def losses(motion: Motion) -> Losses:
     found = zero & ~caught_up
     if caught_up.sum() > found.sum():
         found[:] = False  # the counts of this odometry arrive late: the apparent losses did, too
-    if np.sum(found & (gap == 1)) < _OFTEN * np.sum(fast):
+    if np.sum(found & (gap == 1)) < _FREQUENT * np.sum(fast):
         found &= gap == 1  # if hardly any increment is lost, several zeros in a row are a stop
     for begin, count in zip(last[found], gap[found], strict=True):
         gone[begin + 1 : begin + 1 + count] = True
@@ -170,12 +170,12 @@ def _usual_change(going: NDArray[np.int64], way: Array) -> float:
     """Return the usual non-zero change between consecutive moving increments, metres: about one tick."""
     change = np.abs(np.diff(way))[np.diff(going) == 1]
     change = change[change > _ROUNDING_M]
-    return float(np.quantile(change, _USUALLY)) if len(change) else 0.0
+    return float(np.quantile(change, _USUAL_QUANTILE)) if len(change) else 0.0
 
 
 def _around(way: Array) -> Array:
     """Return the mean (n - 1,) of the increments around each pair of neighbours, excluding the pair."""
-    padded = np.concatenate((np.full(_BESIDE, way[0]), way, np.full(_BESIDE, way[-1])))
-    total = np.convolve(padded, np.ones(2 * _BESIDE + 2), "valid")
-    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _BESIDE)
+    padded = np.concatenate((np.full(_NEIGHBOURS, way[0]), way, np.full(_NEIGHBOURS, way[-1])))
+    total = np.convolve(padded, np.ones(2 * _NEIGHBOURS + 2), "valid")
+    around: Array = (total[: len(way) - 1] - way[:-1] - way[1:]) / (2.0 * _NEIGHBOURS)
     return around

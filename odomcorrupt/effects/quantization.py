@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from odomcorrupt.effects.effect import About, Effect, Moments, Motion, Recorded, State, TwistError, parameter, stacked
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 from odomcorrupt.effects.wheels import Rims, body_of, needed_track_m, rims_of
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class Quantization(Effect):
 
     def start(self, rng: Generator) -> State:
         """Return a random phase between two ticks for each wheel."""
-        right, left = again(rng).uniform(size=2)
+        right, left = copied(rng).uniform(size=2)
         return _Count(float(self.step * right), float(self.step * left))
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:

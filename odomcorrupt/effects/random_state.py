@@ -10,10 +10,10 @@ import numpy as np
 if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
-__all__ = ["again", "autoregression"]
+__all__ = ["autoregression", "copied"]
 
 
-def again(rng: np.random.Generator) -> np.random.Generator:
+def copied(rng: np.random.Generator) -> np.random.Generator:
     """Return a copy of a generator, so that a state can be continued more than once."""
     return copy.deepcopy(rng)
 

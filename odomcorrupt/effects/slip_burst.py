@@ -19,7 +19,7 @@ from odomcorrupt.effects.effect import (
     parameter,
     stacked,
 )
-from odomcorrupt.effects.random_state import again
+from odomcorrupt.effects.random_state import copied
 from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, turning
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class SlipBurst(Effect):
 
     def start(self, rng: Generator) -> State:
         """Return zero elapsed time, no current burst, and the first burst."""
-        rng = again(rng)
+        rng = copied(rng)
         return _Bursts(rng, 0.0, _Burst(-np.inf, 0.0, 0.0, 0.0), self._draw(rng, 0.0))
 
     def _spread(self) -> float:
@@ -101,7 +101,7 @@ class SlipBurst(Effect):
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the slip over the fraction of each interval that lies in a burst."""
-        rng, now, coming = again(state.rng), state.now, state.next
+        rng, now, coming = copied(state.rng), state.now, state.next
         clock = np.cumsum(np.concatenate(([state.clock_s], motion.dt_s)))
         right, left = np.zeros(len(motion)), np.zeros(len(motion))
         while True:

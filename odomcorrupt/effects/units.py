@@ -29,7 +29,7 @@ _OF = {
     "t": _Dimension(s=1), "x": _Dimension(m=1), "y": _Dimension(m=1), "distance": _Dimension(m=1),
     "theta": _Dimension(rad=1),
 }  # fmt: skip
-_KEEPING = ("abs", "min", "max", "hypot")
+_UNIT_PRESERVING = ("abs", "min", "max", "hypot")
 """Functions with a value in the unit of their arguments; the value of any other has no unit."""
 
 
@@ -43,7 +43,7 @@ def amplitude_unit(statements: Sequence[ast.AugAssign], name: str) -> str:
         if _has(node.value, name):
             target = _TURN if isinstance(node.target, ast.Name) and node.target.id == "yaw" else _SPEED
             try:
-                return _written(target.times(_beside(node.value, name), -1))
+                return _written(target.times(_factor_of(node.value, name), -1))
             except _Unclear:
                 return ""
     return ""
@@ -53,22 +53,22 @@ def _has(node: ast.AST, name: str) -> bool:
     return any(isinstance(inner, ast.Name) and inner.id == name for inner in ast.walk(node))
 
 
-def _beside(node: ast.expr, name: str) -> _Dimension:
+def _factor_of(node: ast.expr, name: str) -> _Dimension:
     """Return the dimension of the parameter's factor."""
     match node:
         case ast.Name(id=own) if own == name:
             return _PURE
         case ast.UnaryOp(operand=inner):
-            return _beside(inner, name)
+            return _factor_of(inner, name)
         case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
-            return _beside(left if _has(left, name) else right, name)
+            return _factor_of(left if _has(left, name) else right, name)
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
             with_it, other = (left, right) if _has(left, name) else (right, left)
-            return _beside(with_it, name).times(_dimension(other))
+            return _factor_of(with_it, name).times(_dimension(other))
         case ast.BinOp(left=left, op=ast.Div(), right=right) if not _has(right, name):
-            return _beside(left, name).times(_dimension(right), -1)
+            return _factor_of(left, name).times(_dimension(right), -1)
         case ast.Call(func=ast.Name(id="where"), args=[_, yes, no]):
-            return _beside(yes if _has(yes, name) else no, name)
+            return _factor_of(yes if _has(yes, name) else no, name)
     raise _Unclear
 
 
@@ -98,7 +98,7 @@ def _called(function: str, args: Sequence[ast.expr]) -> _Dimension:
         return _first(*args[1:])
     if function == "sqrt" and _dimension(args[0]) != _PURE:
         raise _Unclear
-    return _first(*args) if function in _KEEPING else _PURE
+    return _first(*args) if function in _UNIT_PRESERVING else _PURE
 
 
 def _first(*nodes: ast.expr) -> _Dimension:

@@ -44,7 +44,7 @@ __all__ = ["UserEffect", "user_effect"]
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}")
 _TAKEN = {*VARIABLES, *CONSTANTS, *FUNCTIONS, *CHANNELS, *SIDES, "name", "expression", "heading"}
-_FAR = 1e9
+_MAX = 1e9
 """Bound of a user's parameter, whose physical limits are unknown; it keeps the numbers finite."""
 
 
@@ -63,18 +63,18 @@ class UserEffect(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f of the expression, with the errors of single wheels combined into a twist."""
         own = {p.name: np.float64(getattr(self, p.name)) for p in parameters(self)}
-        body = self._shown(motion) | own
+        body = self._variables(motion) | own
         f = np.stack([self.expression.added_to((channel,), body) for channel in CHANNELS], axis=1)
         if self.expression.by_wheel:
             track_m = needed_track_m(self.name, motion.track_m)
-            right, left = (self._shown(wheel) | own for wheel in wheel_motions(motion, track_m))
+            right, left = (self._variables(wheel) | own for wheel in wheel_motions(motion, track_m))
             rims = Rims(
                 self.expression.added_to(("right", "wheels"), right), self.expression.added_to(("left", "wheels"), left)
             )
             f += body_of(rims, track_m, getattr(self, "heading", "wheels"))
         return TwistError(f, state)
 
-    def _shown(self, motion: Motion) -> dict[str, Any]:
+    def _variables(self, motion: Motion) -> dict[str, Any]:
         """Return the values of the variables, and of the previous interval for discontinuous terms."""
         if self.expression.names.isdisjoint(ACCELERATIONS):
             return _values(motion)
@@ -152,7 +152,7 @@ def _class_of(name: str, text: str, facts: tuple[tuple[str, str, bool, float, fl
             key,
             float,
             parameter(
-                unit, "of the expression", low=-_FAR, high=_FAR, typical=typical, identity=identity, amplitude=amplitude
+                unit, "of the expression", low=-_MAX, high=_MAX, typical=typical, identity=identity, amplitude=amplitude
             ),
         )
         for key, unit, amplitude, identity, typical in facts

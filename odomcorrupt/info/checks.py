@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
     from odomcorrupt.info.scan import EdgeRecord, OdometryRecord
 
-__all__ = ["HUGE", "CovarianceWatch", "Findings", "disagreement_m", "findings"]
+__all__ = ["HUGE", "CovarianceCheck", "Findings", "disagreement_m", "findings"]
 
 HUGE = 1e3
 """Smallest variance that means "unknown", m^2 or rad^2."""
@@ -30,7 +30,7 @@ ROUNDING = 1e-9
 
 
 @dataclass(slots=True)
-class CovarianceWatch:
+class CovarianceCheck:
     """Faults of many 6 x 6 covariances in x, y and yaw."""
 
     count: int = 0

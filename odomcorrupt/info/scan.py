@@ -14,7 +14,7 @@ from odomcorrupt.corruption.patch import PLANAR
 from odomcorrupt.corruption.pose_faults import PoseFaults
 from odomcorrupt.corruption.unmodified_topics import frame_of
 from odomcorrupt.geometry.se2 import yaw_from_quaternion
-from odomcorrupt.info.checks import CovarianceWatch
+from odomcorrupt.info.checks import CovarianceCheck
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -63,8 +63,8 @@ class OdometryRecord:
     stamps_ns: NDArray[np.int64]
     xyt: Array
     twist: Array | None
-    pose_covariance: CovarianceWatch
-    twist_covariance: CovarianceWatch
+    pose_covariance: CovarianceCheck
+    twist_covariance: CovarianceCheck
     zero_stamps: int
     faults: PoseFaults = field(default_factory=PoseFaults)
 
@@ -96,8 +96,8 @@ class BagScan:
 class _Odometry:
     frame: str = ""
     child: str = ""
-    pose_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
-    twist_covariance: CovarianceWatch = field(default_factory=CovarianceWatch)
+    pose_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
+    twist_covariance: CovarianceCheck = field(default_factory=CovarianceCheck)
     faults: PoseFaults = field(default_factory=PoseFaults)
     columns: defaultdict[str, list[NDArray[np.generic]]] = field(default_factory=lambda: defaultdict(list))
 

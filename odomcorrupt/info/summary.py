@@ -12,7 +12,7 @@ from odomcorrupt.corruption.summary import SIDEWAYS
 from odomcorrupt.corruption.unmodified_topics import topics_with_true_motion
 from odomcorrupt.errors import TopicError
 from odomcorrupt.geometry.se2 import inverse
-from odomcorrupt.info.checks import CovarianceWatch, disagreement_m, findings
+from odomcorrupt.info.checks import CovarianceCheck, disagreement_m, findings
 from odomcorrupt.info.scan import OdometryRecord
 from odomcorrupt.report.text.summary import Line, Summary, command_line
 from odomcorrupt.standard_streams import visible
@@ -151,7 +151,7 @@ def _edge_that_drives(scan: BagScan, frames: Frames, topic: str | None) -> tuple
             return (
                 OdometryRecord(
                     name, frames.odom, frames.base or "", edge.stamps_ns, xyt, None,
-                    CovarianceWatch(), CovarianceWatch(), edge.zero_stamps,
+                    CovarianceCheck(), CovarianceCheck(), edge.zero_stamps,
                 ),
             )  # fmt: skip
     return ()

@@ -19,7 +19,7 @@ from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
     moved,
-    must_be_free,
+    require_free,
     rounds,
     swing_of,
     without_effects,
@@ -250,7 +250,7 @@ class FreeRuns:
 
         """
         if not self._reader.begun:
-            must_be_free(self._space, clean_xyt[0])
+            require_free(self._space, clean_xyt[0])
             self._pose = np.repeat(clean_xyt[:1], len(self._own), axis=0)
         motions, pose = self._reader.read(stamps_ns, clean_xyt), self._pose
         poses = motions.clean_xyt
@@ -298,7 +298,7 @@ class _Walk:
         self.redrawn += len(stuck)
         for count in () if self._whole and len(stuck) < len(pose) else self._rounds:
             if len(stuck):
-                stuck = self._again_from(pose, step, sd, stuck, count, ahead, normals)
+                stuck = self._redraw_stuck(pose, step, sd, stuck, count, ahead, normals)
         if len(stuck):
             alive = np.setdiff1d(parents, stuck)
             if not len(alive):
@@ -312,7 +312,7 @@ class _Walk:
             parents[stuck] = alive[self._choose.integers(len(alive), size=len(stuck))]
         return ahead[parents], parents
 
-    def _again_from(
+    def _redraw_stuck(
         self, pose: Array, step: Array, sd: Array, stuck: NDArray[np.intp], count: int, ahead: Array, normals: Array
     ) -> NDArray[np.intp]:
         """Draw `count` candidates per stuck run, put the first free one into `ahead`, and return the runs not freed."""

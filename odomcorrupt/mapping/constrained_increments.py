@@ -24,7 +24,7 @@ __all__ = [
     "Motions",
     "NoFreePoseError",
     "moved",
-    "must_be_free",
+    "require_free",
     "rounds",
     "swing_of",
     "without_effects",
@@ -52,7 +52,7 @@ def without_effects(model: MotionModel) -> MotionModel:
     return model
 
 
-def must_be_free(space: FreeSpace, first_xyt: Array) -> None:
+def require_free(space: FreeSpace, first_xyt: Array) -> None:
     """Raise MapError if a drive's first pose (3,) is not free."""
     if not space.free(first_xyt[None, :2])[0]:
         x, y = first_xyt[:2]

@@ -26,7 +26,7 @@ from odomcorrupt.mapping.constrained_increments import (
     MotionReader,
     NoFreePoseError,
     moved,
-    must_be_free,
+    require_free,
     rounds,
     swing_of,
     without_effects,
@@ -45,9 +45,9 @@ __all__ = ["PARTICLES", "FreePath", "Plan", "plan_path", "whole_path"]
 
 PARTICLES = 64
 _BLOCK = 1024
-_TOO_FAR = 6.0
+_MOST_SIGMAS = 6.0
 """Drift at the end, in standard deviations, above which it is attributed to the map instead of the noise."""
-_ASTRAY = 0.25
+_MOST_OUTSIDE = 0.25
 """Fraction of odometry poses outside free space above which map and recording do not belong together."""
 
 
@@ -131,9 +131,9 @@ def whole_path(
         are far outside the noise.
 
     """
-    must_be_free(space, clean_xyt[0])
+    require_free(space, clean_xyt[0])
     astray = 1.0 - float(np.mean(space.free(clean_xyt[:, :2])))
-    if astray > _ASTRAY:
+    if astray > _MOST_OUTSIDE:
         raise MapError(
             f"the map and the drive do not fit: {astray:.0%} of the odometry's own poses are not free; check "
             "--map-pose, --robot-radius and --unknown, or leave out --map"
@@ -154,7 +154,7 @@ def _refuse_held_back(samples: PathSamples) -> None:
     meter = DriftMeter()
     meter.add(samples)
     drift = meter.result()
-    if drift is not None and drift.end_drawn_m > _TOO_FAR * drift.end_expected_m > 0.0:
+    if drift is not None and drift.end_drawn_m > _MOST_SIGMAS * drift.end_expected_m > 0.0:
         raise NoFreePoseError(
             f"the map and the drive do not fit: within the map the odometry ends {drift.end_drawn_m:.3g} m from where "
             f"it was recorded, and noise of this model makes about {drift.end_expected_m:.2g} m; check --map-pose, "
@@ -225,7 +225,7 @@ class FreePath:
             return self._path.feed(stamps_ns, clean_xyt)
         first = not self._reader.begun
         if first:
-            must_be_free(self._space, clean_xyt[0])
+            require_free(self._space, clean_xyt[0])
             self._pose = clean_xyt[0].copy()
         motions = self._reader.read(stamps_ns, clean_xyt)
         self.increments += len(stamps_ns) - first
@@ -236,15 +236,15 @@ class FreePath:
         parts, done = [], 0
         while done < len(stamps_ns):
             rows = slice(done, done + self._ahead)
-            part = self._as_far_as_free(stamps_ns[rows], motions, done, normals[rows])
+            part = self._free_prefix(stamps_ns[rows], motions, done, normals[rows])
             if not len(part):
-                part = self._one_again(stamps_ns[rows][:1], motions, done)
+                part = self._redraw_one(stamps_ns[rows][:1], motions, done)
             self._pose = part.clean_xyt[-1] + part.error_xyt[-1]
             parts.append(part)
             done += len(part)
         return _joined(parts)
 
-    def _as_far_as_free(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
+    def _free_prefix(self, stamps_ns: NDArray[np.int64], motions: Motions, at: int, normals: Array) -> PathSamples:
         """Draw increments ahead, and keep those before the first one that is not free."""
         count = len(stamps_ns)
         clean_xyt = motions.clean_xyt[at + 1 : at + 1 + count]
@@ -266,7 +266,7 @@ class FreePath:
         self._replay.rows = normals[:free]
         return self._path.feed(stamps_ns[:free], clean_xyt[:free])
 
-    def _one_again(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
+    def _redraw_one(self, stamp_ns: NDArray[np.int64], motions: Motions, at: int) -> PathSamples:
         """Draw one increment again whose first draw is not free."""
         self.redrawn += 1
         clean_xyt, step, sd = motions.clean_xyt[at + 1 : at + 2], motions.step[at], motions.sd[at]

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from odomcorrupt.study.select.stepwise import Learned, Step
     from odomcorrupt.study.validate.compare import Comparison
 
-__all__ = ["Story", "found_html"]
+__all__ = ["SearchReport", "found_html"]
 
 
-class Story(NamedTuple):
+class SearchReport(NamedTuple):
     """Input of a search's report.
 
     sequence : models in the order of the search, evaluated on held-out halves, or the evaluation used instead
@@ -56,7 +56,7 @@ class Story(NamedTuple):
     next_command: str
 
 
-def found_html(story: Story, *, version: str) -> str:
+def found_html(story: SearchReport, *, version: str) -> str:
     """Return the HTML page."""
     learned, sequence, advice, _ = story
     names = ", ".join(recording.name for recording in learned.fit.problem.recordings)
@@ -103,7 +103,7 @@ _REJECTED = (
 _UNKNOWN = "What is left when everything that was found is taken out, as a curve, with two standard errors about it."
 
 
-def _verdict(story: Story) -> str:
+def _verdict(story: SearchReport) -> str:
     learned, parts = story.learned, []
     if any(name not in learned.of_setup for name in learned.added):
         steps = [(step.added, step.alternatives) for step in learned.steps if step.added is not None]
@@ -129,7 +129,7 @@ def _named(name: str, alternatives: Sequence[str], learned: Learned) -> str:
     return f"{said} (negligible)" if learned.is_negligible(name) else said
 
 
-def _next(story: Story) -> str:
+def _next(story: SearchReport) -> str:
     items = [*advice_sentences(story.advice)]
     items += [f"suggested: {u.expression}" for u in story.learned.unknown[:3] if u not in story.learned.laws]
     listed = f"<ul>{''.join(f'<li>{prose(item)}.</li>' for item in items)}</ul>" if items else ""

@@ -26,7 +26,7 @@ __all__ = ["draw_failure_map"]
 _PHASES = 5
 _LENGTHS_M = (0.5, 1.0, 2.0, 5.0, 10.0)
 _FEWEST = 12
-_TOP = 4.0
+_DARKEST_RATIO = 4.0
 """Ratio of measured to expected squared error with the darkest colour."""
 
 
@@ -62,7 +62,7 @@ def _panel(axes: Axes, judgement: Judgement, length_m: float) -> LineCollection:
         list(segments[linked][order]), cmap="cividis_r", linewidths=2.6, capstyle="round", rasterized=True
     )
     lines.set_array(ratio[:-1][linked][order])
-    lines.set_clim(0.0, _TOP)
+    lines.set_clim(0.0, _DARKEST_RATIO)
     axes.add_collection(lines)
     axes.plot(*xy[0], "s", color=BLACK, markersize=7, zorder=4)
     several = len(judgement.pieces) > 1

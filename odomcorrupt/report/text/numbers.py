@@ -84,7 +84,7 @@ def words_text(effect: Effect) -> str:
 _CLOCKS = ("time_offset", "clock_skew")
 _LIKE_PLAY_S = 0.015
 """Clock offset, seconds, below which wheel play is an alternative: crossing 5 mm takes as long at 0.3 to 0.5 m/s."""
-_REAL = 3.9
+_SIGNIFICANT = 3.9
 """Standard errors from which a clock error counts as significant; others were only estimated."""
 
 
@@ -118,7 +118,7 @@ def clocks_found(clocks: Clocks) -> Iterator[ClockFound]:
     for position, name in enumerate(_CLOCKS):
         for i, (clock, free, errors) in enumerate(zip(clocks.clocks, clocks.free, clocks.errors, strict=True)):
             value, error = (clock.offset_s, clock.rate)[position], errors[position]
-            if free[position] and abs(value) > _REAL * error:
+            if free[position] and abs(value) > _SIGNIFICANT * error:
                 own = 0.5 * (value / error) ** 2
                 # untested backlash (no known track) is an alternative explanation of a small offset
                 alike = (own,) if clocks.untested and name == "time_offset" and abs(value) < _LIKE_PLAY_S else ()
