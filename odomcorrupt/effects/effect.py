@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 Kind = Literal["effect", "setup", "noise", "event"]
-""""event": happens once, at a time stated in the model; it is applied to bags, but no diagnosis tests it."""
+"""Kinds of effects. An event happens once, at a time stated in the model; it is applied to bags, but not diagnosed."""
 
 Layer = Literal["motion", "record", "draws"]
 State = Any
@@ -180,7 +180,7 @@ class Effect:
         return self
 
     def whole(self) -> Self:
-        """Return the effect including the part of f that its fit leaves to other effects; itself if there is none."""
+        """Return the effect with the part of f that it leaves to others, not to imitate them; itself if there is none."""
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
