@@ -180,7 +180,7 @@ class Effect:
         return self
 
     def whole(self) -> Self:
-        """Return the effect with the part of f that it leaves to others, not to imitate them; itself if there is none."""
+        """Return the effect with the part of f that it leaves to others, not to imitate them; else itself."""
         return self
 
     def start(self, rng: np.random.Generator) -> State:  # noqa: ARG002 - for effects that draw
