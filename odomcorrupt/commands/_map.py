@@ -1,4 +1,4 @@
-"""Options that say which map a motion must respect."""
+"""Options of the map that constrains a motion."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ map_options = added(
 def choose_condition(
     given: Mapping[str, Any], bag: Path | None, odom_frame: str, *, recover: bool = False
 ) -> MapCondition | None:
-    """Return what the options ask for, None where they name no map."""
+    """Return the map condition of the options, None if they name no map."""
     from odomcorrupt.mapping.map_condition import is_map_file, read_condition
 
     name = given["map_"]
@@ -56,14 +56,14 @@ def choose_condition(
 def choose_condition_of_run(
     given: Mapping[str, Any], source: Path | None, options: Options, model: MotionModel
 ) -> MapCondition | None:
-    """Return what the options ask of the corruption of a bag, None where they name no map; a source of None is a pipe.
+    """Return the map condition for the corruption of a bag, None if no map is named; a source of None is a pipe.
 
     Raises
     ------
     click.UsageError
-        Where a pipe would have to be read twice, or the map has nothing to hold.
+        If a pipe would have to be read twice, or --keep-localisation leaves no noise for the map to constrain.
     MapError
-        Where the map cannot be read, or nothing says where odom is in it.
+        If the map cannot be read, or the pose of odom in it is unknown.
 
     """
     name = given["map_"]
@@ -88,7 +88,7 @@ def choose_condition_of_run(
 
 
 def _refuse_alone(given: Mapping[str, Any]) -> None:
-    """Refuse options that say more of a map, where none is named."""
+    """Refuse options about a map if none is named."""
     context = click.get_current_context()
     for option in context.command.params:
         of_map = option.name in ("map_pose", "radius", "check", "unknown", "tries") and option.name in given

@@ -1,4 +1,4 @@
-"""Tyres grow (or give) with speed."""
+"""Tyre radii that grow (or shrink) with speed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from odomcorrupt.effects.wheels import Rims, body_of, heading_choice, rims_of, t
 
 @dataclass(frozen=True, slots=True)
 class SpeedScale(Effect):
-    """f of each wheel = k abs(u) u at rim speed u; with no track, the limit (k abs(v) v, 0, 2 k abs(v) omega).
+    """f_wheel = k abs(u) u at rim speed u; without a track, the limit (k abs(v) v, 0, 2 k abs(v) omega).
 
-    With the track, both wheels of a turn on the spot grow alike, and so does the turn.
+    With a track, both radii grow alike in a turn on the spot, and the turn grows with them.
     """
 
     name = "speed_scale"
@@ -32,7 +32,7 @@ class SpeedScale(Effect):
     heading: str = heading_choice()
 
     def twist_error(self, motion: Motion, state: State) -> TwistError:
-        """Return f: a scale error in proportion to the speed, wheel by wheel."""
+        """Return f: a scale error proportional to the speed, per wheel."""
         if motion.track_m is None:
             speed = self.k * np.abs(motion.v)
             yaw = turning(self.heading, 2.0 * speed * motion.omega)

@@ -20,7 +20,7 @@ TRUTH_M, TRUTH_RAD = 0.002, 0.003
 
 @dataclass(frozen=True)
 class Flaw:
-    """What is wrong with a car: steering ratio - 1, offset (rad), lag (s), play (rad); reference point (m), wheel - 1."""
+    """What is wrong with a car: steering ratio - 1, its offset (rad), lag (s), play (rad); tracked point (m), wheel - 1."""
 
     ratio: float = 0.0
     offset: float = 0.0
