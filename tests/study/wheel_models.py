@@ -20,7 +20,12 @@ TRUTH_M, TRUTH_RAD = 0.002, 0.003
 
 @dataclass(frozen=True)
 class Flaw:
-    """What is wrong with a car: steering ratio - 1, its offset (rad), lag (s), play (rad); tracked point (m), wheel - 1."""
+    """What is wrong with a car.
+
+    ratio : of its steering, minus 1; offset (rad), lag_s and play_rad of its angle
+    ahead_m : of the point whose pose is recorded
+    wheel : true over nominal travel, minus 1
+    """
 
     ratio: float = 0.0
     offset: float = 0.0
