@@ -17,19 +17,20 @@ if TYPE_CHECKING:
     from odomcorrupt.geometry.se2 import Array
 
 _SWAY = 0.05
-"""Part of the play by which a curvature may fall back before the linkage changes sides: jitter of ticks is less."""
+"""Elastic sway before the play opens, as part of it: jitter of the curvature crosses no play."""
 
 
 class _Linkage(NamedTuple):
-    """Curvature that the wheels steer (1/m, None before they rolled), and where in its play the linkage stands.
+    """State of the linkage.
 
-    sway : departure from the side that it touches, 1/m
-    side : 1 where it pushes the wheels to the left, -1 to the right, 0 in the middle
-    last_s : when the last increment ended
+    curvature : last one that was steered, 1/m; None before the wheels rolled
+    place : where the linkage stands in its play, 1/m from the middle; of a true motion, in the elastic part of it
+    side : 1 where it pushes the wheels to the left, -1 to the right, 0 before it has moved
+    last_s : end of the last increment
     """
 
     curvature: float | None = None
-    sway: float = 0.0
+    place: float = 0.0
     side: float = 0.0
     last_s: float = 0.0
 
@@ -38,8 +39,8 @@ class _Linkage(NamedTuple):
 class SteeringPlay(Effect):
     """f = (0, 0, v (true curvature - omega / v)): the true curvature is the play operator of the odometry's.
 
-    The wheels keep their angle until the linkage has crossed the play. Where it stands when the drive begins is not
-    known: in the middle. Corruption crosses the play at once where the clean robot begins to steer back.
+    The wheels keep their angle until the linkage has crossed the play, from the middle of which it begins. Corruption
+    crosses the play at once where the clean robot begins to steer back.
     """
 
     name = "steering_play"
@@ -67,29 +68,29 @@ class SteeringPlay(Effect):
     def twist_error(self, motion: Motion, state: State) -> TwistError:
         """Return f: the turn that the play keeps from the wheels. Below zero, for slopes, the opposite of it."""
         f, sign, half = np.zeros(len(motion)), float(np.sign(self.play)), 0.5 * abs(self.play)
-        curvature = state.curvature
+        top = half + _SWAY * abs(self.play)
+        before, place = state.curvature, state.place
         for i, (v, omega) in enumerate(zip(motion.v.tolist(), motion.omega.tolist(), strict=True)):
             if abs(v) < CREEP_MPS:
                 continue
             steered = omega / v
-            curvature = steered if curvature is None else min(max(curvature, steered - half), steered + half)
-            f[i] = sign * v * (curvature - steered)
-        return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=curvature))
+            place = min(max(place + steered - (steered if before is None else before), -top), top)
+            f[i], before = -sign * v * min(max(place, -half), half), steered
+        return TwistError(stacked(0.0, 0.0, f, f), state._replace(curvature=before, place=place))
 
     def recorded(self, steps: Array, t_s: Array, track_m: float | None, state: State) -> Recorded:  # noqa: ARG002 - no wheels
         """Return the increments (n, 3) of a linkage that steers the wheels of these."""
-        reported, slack = steps.copy(), _SWAY * self.play
-        curvature, sway, side, last_s = state
+        reported, top = steps.copy(), _SWAY * self.play
+        before, place, side, last_s = state
         rows = zip(steps[:, 0].tolist(), steps[:, 2].tolist(), t_s.tolist(), strict=True)
         for i, (ds, turn, now_s) in enumerate(rows):
             dt_s, last_s = now_s - last_s, now_s
             if dt_s < 0.0:  # time was reset
-                curvature, sway, side = None, 0.0, 0.0
+                before, place, side = None, 0.0, 0.0
             if not dt_s > 0.0 or abs(ds) < CREEP_MPS * dt_s:
                 continue
             true = turn / ds
-            sway = min(max(sway + true - (true if curvature is None else curvature), -slack), slack)
-            if abs(sway) == slack:
-                side = float(np.sign(sway))
-            reported[i, 2], curvature = turn + 0.5 * self.play * side * ds, true
-        return Recorded(reported, _Linkage(curvature, sway, side, last_s))
+            place = min(max(place + true - (true if before is None else before), -top), top)
+            side, before = float(np.sign(place)) or side, true
+            reported[i, 2] += 0.5 * self.play * side * ds
+        return Recorded(reported, _Linkage(before, place, side, last_s))
